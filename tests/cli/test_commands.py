@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Commands of the pipeline: results, messages, exit status."""
 
+import hashlib
 import json
 import re
 import shlex
@@ -430,6 +431,7 @@ def test_models_lists_networks_and_describes_weights(run, weights, monkeypatch):
     assert found["models"][0]["parameters"] == 6_582_612
     assert found["models"][0]["paper"]["flops"] == "51.60"
     assert found["weights"][0]["classes"][1] == "car"
+    assert found["weights"][0]["sha256"] == hashlib.sha256(weights.read_bytes()).hexdigest()
 
 
 def test_import_weights_and_predict_with_them(run, data, weights, tmp_path):

@@ -71,14 +71,9 @@ def test_a_card_keeps_it() -> None:
         lambda error: error.update(layers=[]),
         lambda error: error.update(features=["a"]),
         lambda error: error["layers"].pop(),
-        lambda error: error["layers"].pop(1),
-        lambda error: error["layers"][0].pop(),
-        lambda error: error["layers"][0][0].pop(),
         lambda error: error["layers"][0][1].__setitem__(0, math.nan),
-        lambda error: error["layers"][0][1].__setitem__(0, 10**400),
         lambda error: error["layers"][0][1].__setitem__(0, "x"),
         lambda error: error.pop("scores"),
-        lambda error: error.update(scores=[1]),
     ],
 )
 def test_damaged_ones_are_one_line(damage) -> None:

@@ -1,17 +1,13 @@
 # SPDX-License-Identifier: MIT
-import random
 from collections import Counter
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scans import files_below
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import (
     MAX_CHUNK_SCANS,
     MIN_CHUNKS_PER_WORKER,
@@ -19,7 +15,6 @@ from salsanext_cli.parallel.shards import (
     chunks,
 )
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.stages.predict import predict_scans
 
 COUNTS = st.integers(1, 9)
 NAMES = st.sets(st.tuples(st.sampled_from(["00", "08", "a"]), st.integers(0, 99)), max_size=40)
@@ -45,22 +40,6 @@ def test_all_shards_have_every_scan_once_whatever_the_order(names, count, draw):
         sizes.append(len(mine))
     assert found == Counter(scans)
     assert max(sizes) - min(sizes) <= 1
-
-
-def test_shards_leave_what_one_run_leaves(world):
-    network = replace(world.network, engine="openvino")
-
-    def files(out, shards):
-        for shard in shards:
-            options = RunOptions(shard=shard)
-            predict_scans(world.data, out, network=network, options=options)
-        return files_below(out)
-
-    whole = files(world.out, [Shard()])
-    assert len(whole) == 3 + 2
-    some = every(3)
-    random.Random(1).shuffle(some)
-    assert files(world.out.with_name("shards"), some) == whole
 
 
 @pytest.mark.parametrize(

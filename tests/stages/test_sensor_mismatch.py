@@ -1,40 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Stages warn when scans come from another sensor than the one that was named."""
 
-from dataclasses import replace
-
 import pytest
-from scans import SMALL
 
-from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.sensors.sensor import sensor
-from salsanext_cli.stages.inspect import inspect
-from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.project import project_scans
-
-UPWARDS = replace(SMALL, name="upwards", fov_up=30.0, fov_down=-2.0)
-
-
-def run(stage, world, view, **options):
-    how = RunOptions(**options)
-    if stage == "project":
-        project_scans(world.data, world.out, sensor=view, options=how)
-    elif stage == "inspect":
-        inspect(world.data, sensor=view, options=how)
-    else:
-        network = replace(world.network, sensor=view)
-        predict_scans(world.data, world.out, network=network, options=how)
-
-
-@pytest.mark.parametrize(
-    ("stage", "jobs"), [("project", 1), ("project", 2), ("inspect", 1), ("predict", 1)]
-)
-def test_scans_of_another_sensor_cause_one_warning(world, caplog, stage, jobs):
-    run(stage, world, UPWARDS, jobs=jobs)
-    (said,) = [text for text in caplog.messages if "outside the view of upwards" in text]
-    assert "lie outside the view of upwards, +30° to -2°" in said
-    assert "--sensor" in said
-    assert "inspect SCANS --fit" in said
 
 
 @pytest.mark.real
