@@ -5,6 +5,7 @@ import ast
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import salsanext_cli
@@ -34,6 +35,7 @@ LONGEST = 400
 """Lines of a module, if it is one idea; most are shorter than 200."""
 
 
+@cache
 def tree_of(module: Path) -> ast.Module:
     return ast.parse(module.read_text("utf-8"))
 

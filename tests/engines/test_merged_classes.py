@@ -70,7 +70,13 @@ def test_passes_are_added_before_they_are_counted(weights, image, engine):
     np.testing.assert_allclose(found.uncertainty.mutual_information, entropy - of_passes, **close)
 
 
-@pytest.mark.parametrize("estimate", [aleatoric, lambda *g: propagate_dropout(*g).variance])
+@pytest.mark.parametrize(
+    "estimate",
+    [
+        pytest.param(aleatoric, marks=pytest.mark.slow),
+        lambda *given: propagate_dropout(*given).variance,
+    ],
+)
 def test_moments_have_a_variance_of_each_merged_class_alike_by_both_engines(
     weights, image, estimate
 ):
