@@ -12,8 +12,10 @@ from pathlib import Path
 import pytest
 from command_line import python
 
+from salsanext_cli.errors import MissingDependency
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.locks import locked
+from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.interruption import ARRIVED, interruptible
 
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -135,3 +137,23 @@ def test_a_signal_that_comes_again_later_ends_at_once() -> None:
     ended = python(COMMAND.replace("BODY", body))
     assert ended.returncode == 143
     assert "Traceback" not in ended.stderr
+
+
+def test_a_library_that_an_endless_import_has_broken_is_not_called_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("salsanext_cli.interruption.WAIT_S", 0.1)
+    (tmp_path / "open3d.py").write_text(
+        "import os, time\n"
+        f"os.kill(os.getpid(), {signal.SIGINT:d})\n"
+        "try:\n    time.sleep(10)\n"
+        "except KeyboardInterrupt as error:\n    raise ImportError('initialization') from error\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
+
+    def body() -> None:
+        with pytest.raises(MissingDependency):
+            import_open3d()
+
+    interrupted(body, signal.SIGINT)

@@ -9,8 +9,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scans import write_sequence
+
+from salsanext_cli import Scan, write_labels
+from salsanext_cli.results.point_files import write_bin
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
@@ -70,6 +74,20 @@ def test_engines(data, weights):
         assert same > (99.9 if "float32" in name else 50), name
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/io").exists(), reason="Linux only")
+def test_stage_cost(data, weights, capsys):
+    found = printed(capsys, "stage_cost.py", data, data / "out", 2, weights)
+    stages = ["project", "predict, range images", "knn-refine", "predict, scans", "eval"]
+    assert list(found) == [*stages, "export-ply", "uncertainty, 2 passes"]
+    # 1500 points of 16 bytes; 5 float32 channels of 16×128 pixels and 1500 int32; 1500 uint32.
+    for stage, read, written in (("project", 0.024, 0.047), ("predict, scans", 0.024, 0.006)):
+        numbers = [float(number) for number in re.findall(r"(\d+\.\d+) MB", found[stage])]
+        # `predict` reads ahead: of two scans, both before the first has its results.
+        ahead = read if stage == "predict, scans" else 0
+        assert numbers == pytest.approx([read - ahead, written], abs=0.011)
+
+
 def test_checks_cost(data, weights, capsys):
     found = printed(capsys, "checks_cost.py", data, 2, weights)
     assert list(found) == ["with checks", "without", *CHECK_RATIOS, "fit, once a run"]
@@ -84,6 +102,22 @@ def test_many_scans(tmp_path, capsys):
     steps = ["find scans", "record the run", "record another run", "divide into shards"]
     assert list(found) == [*steps, "skip what is done", "chunks, threading"]
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_other_sensors(tmp_path, weights, capsys):
+    azimuth = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    elevation, azimuth = np.meshgrid(np.radians(np.linspace(2, -24, 64)), azimuth, indexing="ij")
+    flat = np.cos(elevation)
+    points = 9 * np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], -1)
+    points = points.reshape(-1, 3).astype(np.float32)
+    folder = tmp_path / "sequences/00"
+    write_bin(folder / "velodyne/0.bin", Scan(points, np.zeros(len(points), np.float32)))
+    write_labels(folder / "labels/0.label", np.full(len(points), 40))
+    found = printed(capsys, "other_sensors.py", tmp_path, "--weights", weights, "--sensors")
+    assert [name.rpartition(" ")[2] for name in found][-4:] == ["1/1", "1/2", "1/3", "1/4"]
+    for line in [*found.values()][-4:]:
+        assert len(re.findall(r"\d+\.\d / \d+\.\d", line)) >= 4
 
 
 @pytest.mark.slow

@@ -365,3 +365,12 @@ def test_odd_points_are_exported(world):
     assert export(world, colour="epistemic").done == 1
     np.testing.assert_array_equal(colours(world)[[0, 1, 3]], np.tile(EMPTY, (3, 1)))
     assert np.isnan(column(world, "epistemic")[[0, 1, 3]]).all()
+
+
+def test_a_run_that_goes_on_colours_alike_and_most_points_are_in_the_range(predicted):
+    export(predicted, colour="range", selection=ScanSelection(limit=1))
+    export(predicted, colour="range")
+    (comment,) = {ply(predicted, s).comments[0] for s in ("00", "08")}
+    low, high = (float(n) for n in comment.split()[-2:])
+    ranges = column(predicted, "range")
+    assert ((ranges >= low) & (ranges <= high)).mean() > 0.95

@@ -156,3 +156,21 @@ def test_tensors_that_are_others(tmp_path: Path, name: str, tensor: torch.Tensor
         lambda _, tensors: tensors.pop(name) if tensor is None else tensors.update({name: tensor}),
     )
     refused(tmp_path / NAME, learner())
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"cos\nmkdir\n(S'executed'\ntR.",
+        b"cbuiltins\nbytearray\n(I6000000000\ntR.",
+        # A dictionary whose key takes 2⁶⁰ steps to hash.
+        b"\x80\x02)" + 60 * b"2\x86" + b"}\x94R.",
+    ],
+)
+def test_pickles_are_not_read(
+    content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / NAME).write_bytes(content)
+    refused(tmp_path / NAME, learner())
+    assert [path.name for path in tmp_path.iterdir()] == [NAME]
