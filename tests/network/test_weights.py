@@ -103,41 +103,29 @@ def test_half_precision_is_small_close_and_keeps_large_values(module, tmp_path):
 VIEW = {"name": "s", "fov_up": 3, "fov_down": 0, "height": 1, "width": 1}
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "says"),
-    [
-        ("format", '"somebody-else-3"', "format somebody-else-3"),
-        ("format", "[]", r"format \[\]"),
-        ("architecture", None, "damaged"),
-        ("architecture", "[1]", "architecture is no table"),
-        ("architecture", '{"name": "resnet"}', "architecture resnet"),
-        ("architecture", '{"name": ["salsanext"]}', "architecture"),
-        ("architecture", '{"name": "salsanext", "layers": 3}', "layers"),
-        ("architecture", '{"name": "salsanext", "class_count": -1}', "-1"),
-        ("architecture", '{"name": "salsanext", "class_count": 20, "dropout": 1.0}', "1.0"),
-        ("architecture", '{"name": "salsanext", "class_count": 20, "dropout": "x"}', "x"),
-        ("architecture", '{"name": "salsanext"}', "outputs for the 20 classes"),
-        ("label_space", '{"labels": {}}', "label space"),
-        ("label_space", "[]", "damaged"),
-        ("sensor", '{"name": "s", "fov_up": 3}', "fov_down"),
-        ("sensor", "[]", "damaged"),
-        ("sensor", '"hdl64"', "damaged"),
-        ("sensor", json.dumps(VIEW | {"stds": [1, 1, 1, 1, 1e-40]}), r"stds .* 1e-40"),
-        ("sensor", json.dumps(VIEW | {"height": 4096, "width": 4096}), "16 GB"),
-        ("temperature", None, "damaged"),
-        ("temperature", "0", "temperature 0"),
-        ("temperature", "NaN", "temperature nan"),
-        ("temperature", "Infinity", "temperature inf"),
-        ("temperature", "1e-300", "temperature 1e-300 is not between 0.001 and 1000"),
-        ("temperature", f"1{400 * '0'}", "is not between"),
-        ("temperature", '"1"', "temperature 1 is not"),
-        ("temperature", "true", "temperature True"),
-        ("recipe", "[]", "damaged"),
-        ("scores", "3", "damaged"),
-        ("version", None, None),
-    ],
-)
-def test_damaged_metadata_is_named(weights, tmp_path, key, value, says):
+NAMED = '{"name": "salsanext", "class_count": 20, '
+DAMAGED = {
+    "format": ('"somebody-else-3"', "[]"),
+    "architecture": (
+        *(None, "[1]", '{"name": "resnet"}', '{"name": ["salsanext"]}', '{"name": "salsanext"}'),
+        *('{"name": "salsanext", "class_count": -1}', NAMED + '"layers": 3}'),
+        *(NAMED + '"dropout": 1.0}', NAMED + '"dropout": "x"}'),
+    ),
+    "label_space": ('{"labels": {}}', "[]"),
+    "sensor": (
+        *('{"name": "s", "fov_up": 3}', "[]", '"hdl64"'),
+        json.dumps(VIEW | {"stds": [1, 1, 1, 1, 1e-40]}),
+        json.dumps(VIEW | {"height": 4096, "width": 4096}),
+    ),
+    "temperature": (*(None, "0", "NaN", "Infinity", "1e-300", f"1{400 * '0'}", '"1"', "true"),),
+    "recipe": ("[]",),
+    "scores": ("3",),
+}
+"""Keys of the card with values, as JSON, that it cannot have; None: it lacks the key."""
+
+
+@pytest.mark.parametrize(("key", "value"), [(k, v) for k, each in DAMAGED.items() for v in each])
+def test_damaged_metadata_is_an_error_of_the_file(weights, tmp_path, key, value):
     def change(said, tensors):
         if value is None:
             del said[key]
@@ -145,12 +133,16 @@ def test_damaged_metadata_is_named(weights, tmp_path, key, value, says):
             said[key] = json.loads(value)
 
     path = rewritten(weights, tmp_path / "w.safetensors", change)
-    if says is None:
-        read_weights(path)
-        return
-    with pytest.raises(WeightsError, match=says) as caught:
+    with pytest.raises(WeightsError) as caught:
         read_weights(path)
     assert caught.value.subject == str(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_version_that_wrote_weights_need_not_be_known(weights, tmp_path):
+    read_weights(
+        rewritten(weights, tmp_path / "w.safetensors", lambda said, _: said.pop("version"))
+    )
 
 
 @pytest.mark.parametrize(
