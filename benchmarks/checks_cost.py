@@ -26,7 +26,7 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
 from salsanext_cli.fitting import adaptation, label_scan
-from salsanext_cli.fitting.findings import UNCHECKED
+from salsanext_cli.fitting.scan_checks import UNCHECKED
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages import predict
 

@@ -27,7 +27,7 @@ import torch
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.formats import read_scan
-from salsanext_cli.network.scan_digests import scan_digest
+from salsanext_cli.network.card import scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.stages.tune import tune

@@ -29,7 +29,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError, UsageError, WeightsError, counted
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.normalise import noise_of
+from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.card import WeightsCard, default_weights, read_card, require_tensors
 from salsanext_cli.report.tables import ABSENT, number_table
 from salsanext_cli.results.point_files import write_bin

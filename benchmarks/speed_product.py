@@ -9,10 +9,10 @@ import numpy as np
 from speed_hardware import describe
 
 import salsanext_cli as sn
-from salsanext_cli.geometry.gather import points_from_pixels
+from salsanext_cli.geometry.points import points_from_pixels
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 
 def predict(path: Path, out: Path, network: sn.Network) -> None:
@@ -37,9 +37,9 @@ def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]
         "network": lambda: network.probabilities(image),
         "predict": lambda: predict(path, path.with_suffix(".label"), network),
         # With the paper's aleatoric uncertainty, as the baseline.
-        "uncertainty": lambda: Estimator(samples=task["samples"], aleatoric="paper").estimate(
-            network, image, file
-        ),
+        "uncertainty": lambda: UncertaintyMethod(
+            samples=task["samples"], aleatoric="paper"
+        ).estimate(network, image, file),
     }
     if part in work:
         return work[part]

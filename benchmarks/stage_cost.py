@@ -26,7 +26,7 @@ from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 
 def used() -> tuple[float, int, int]:
@@ -56,7 +56,7 @@ def main(dataset: str, out: str, samples: str = "30", weights: str | None = None
     data, steps, whole = Path(dataset), Path(out) / "steps", Path(out) / "whole"
     network = NetworkSettings(Path(weights) if weights else None, "cpu")
     sensor = network.load().sensor
-    few, estimator = ScanSelection(limit=4), Estimator(samples=int(samples))
+    few, method = ScanSelection(limit=4), UncertaintyMethod(samples=int(samples))
 
     def score(options: RunOptions) -> None:
         evaluate(*((found := predicted_scans(whole, ScanSelection()))[0], whole, found[1]), options)
@@ -74,7 +74,7 @@ def main(dataset: str, out: str, samples: str = "30", weights: str | None = None
         measure(
             f"uncertainty, {samples} passes",
             lambda o: uncertainty(
-                data, whole, network=network, estimator=estimator, selection=few, options=o
+                data, whole, network=network, method=method, selection=few, options=o
             ),
         )
 

@@ -13,10 +13,9 @@ import time
 from collections.abc import Callable
 
 import salsanext_cli as sn
-from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.monte_carlo import sample
-from salsanext_cli.uncertainty.noisy_copies import noise_variance
 
 
 def seconds(work: Callable[[], object]) -> float:

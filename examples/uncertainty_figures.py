@@ -21,10 +21,9 @@ import salsanext_cli as sn
 from salsanext_cli.engines.network import Network
 from salsanext_cli.measures.risk_coverage import spearman
 from salsanext_cli.records import RangeImage
-from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.aleatoric import COPIES, aleatoric, noise_variance, noisy_copies
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.monte_carlo import sample
-from salsanext_cli.uncertainty.noisy_copies import COPIES, noise_variance, noisy_copies
 
 Values = npt.NDArray[np.floating]
 PASSES = (2, 3, 5, 10, 20, 30, 50, 100)

@@ -27,7 +27,7 @@ from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 THREE_LINES = (
     "salsanext predict seq/velodyne out/",
@@ -156,7 +156,9 @@ def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
         out, options = tmp_path / f"jobs{jobs}", RunOptions(jobs=jobs)
         extras = ("pixel_labels", "probabilities")
         predict_scans(data, out, network=network, extras=extras, options=options)
-        uncertainty(data, out, network=network, estimator=Estimator(samples=3), options=options)
+        uncertainty(
+            data, out, network=network, method=UncertaintyMethod(samples=3), options=options
+        )
         export_ply(out, colour="epistemic", options=options)
     one, two = (files_below(tmp_path / f"jobs{jobs}") for jobs in (1, 2))
     stages = {"predict.json", "predict.warnings.json", "uncertainty.json", "export-ply.json"}

@@ -59,7 +59,7 @@ def predict(
 
     Example: salsanext predict seq/velodyne out/
     """
-    from salsanext_cli.fitting.range_images import projected_sensor
+    from salsanext_cli.fitting.label_scan import projected_sensor
     from salsanext_cli.results.layout import ERROR
     from salsanext_cli.stages import predict as stage
 

@@ -39,7 +39,7 @@ def uncertainty(
     Example: salsanext uncertainty seq/velodyne out/ --samples 30
     """
     from salsanext_cli.stages.uncertainty import uncertainty as stage
-    from salsanext_cli.uncertainty.settings import Estimator
+    from salsanext_cli.uncertainty.method import UncertaintyMethod
 
     with running.over_scans("uncertainty", output) as run:
         outcome = stage(
@@ -47,7 +47,7 @@ def uncertainty(
             out,
             network=replace(network.settings(), classes=merged.space()),
             knn=knn.parameters(),
-            estimator=Estimator(method, samples, seed, aleatoric),
+            method=UncertaintyMethod(method, samples, seed, aleatoric),
             selection=selection.scans(),
             options=run,
         )

@@ -2,17 +2,20 @@
 """The way of a scan: read, checked, projected, through the network, refined on the points."""
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
-from salsanext_cli.fitting.findings import ScanCheck
-from salsanext_cli.fitting.scan_checks import check_scan
+from salsanext_cli.errors import UsageError, shortened
+from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
 from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.records import Float, RangeImage, Scan
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.records import CHANNELS, Float, RangeImage, Scan
+from salsanext_cli.results.layout import ScanFile, output_path
+from salsanext_cli.results.stage_records import stage_settings
 from salsanext_cli.sensors.sensor import Sensor
 
 
@@ -34,6 +37,22 @@ class LabelledScan(ProjectedScan):
     labels: TrainIds  # (N,) uint8: of the points, refined by kNN
 
 
+def label_scan(
+    file: ScanFile, network: Network, knn: KnnParameters = KnnParameters()
+) -> Generator[None, None, LabelledScan]:
+    """Label a scan in steps: yields when it is projected, and when its softmax is computed."""
+    projected = project_for(network, file)
+    yield
+    softmax = network.probabilities(projected.image, file.path)
+    yield
+    return labelled(projected, softmax, network, knn)
+
+
+def project_for(network: Network, file: ScanFile) -> ProjectedScan:
+    """Read, check and project a scan that a network is to label."""
+    return project_scan(file, network.sensor, network.device, network.card.sensor)
+
+
 def project_scan(
     file: ScanFile, sensor: Sensor, device: str = "cpu", trained: Sensor | None = None
 ) -> ProjectedScan:
@@ -47,11 +66,6 @@ def project_scan(
     return ProjectedScan(file, scan, project(scan, sensor, device), check)
 
 
-def project_for(network: Network, file: ScanFile) -> ProjectedScan:
-    """Read, check and project a scan that a network is to label."""
-    return project_scan(file, network.sensor, network.device, network.card.sensor)
-
-
 def labelled(
     projected: ProjectedScan, softmax: Float, network: Network, knn: KnnParameters
 ) -> LabelledScan:
@@ -62,12 +76,39 @@ def labelled(
     return LabelledScan(*parts, softmax, labels)
 
 
-def label_scan(
-    file: ScanFile, network: Network, knn: KnnParameters = KnnParameters()
-) -> Generator[None, None, LabelledScan]:
-    """Label a scan in steps: yields when it is projected, and when its softmax is computed."""
-    projected = project_for(network, file)
-    yield
-    softmax = network.probabilities(projected.image, file.path)
-    yield
-    return labelled(projected, softmax, network, knn)
+def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> tuple[Path, Float]:
+    """Read what `project` wrote of a scan; return the file and its content, (5, H, W) float32."""
+    path = output_path(folder, file.sequence, "range", file.stem)
+    return path, read_array(path, "float32", (len(CHANNELS), sensor.height, sensor.width))
+
+
+def projected_sensor(folder: Path) -> Sensor | None:
+    """Return the sensor of the range images in an output folder, None if it holds none."""
+    settings = stage_settings(folder, "project")
+    if settings is None:
+        return None
+    return Sensor.from_dict(settings.table("sensor"), settings.path)
+
+
+def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> Sensor:
+    """Return the network's sensor with the columns of the scans; refuse another geometry.
+
+    Normalisation is the network's own.
+    """
+    if projected is None:
+        raise UsageError(folder, "holds no range images", "the output folder of `project`")
+    wanted = replace(wanted, columns=projected.columns)
+    normalised = replace(projected, means=wanted.means, stds=wanted.stds)
+    theirs, ours = normalised.view(), wanted.view()
+    if other := sorted(key for key in theirs.keys() | ours if theirs.get(key) != ours.get(key)):
+        found, expected = (
+            ", ".join(f"{key} {shortened(view.get(key))}" for key in other)
+            for view in (theirs, ours)
+        )
+        raise UsageError(
+            folder,
+            f"range images of {projected.name}, {projected.height}×{projected.width}: {found}",
+            f"{expected}, as the weights or --sensor say",
+            "project again, or give the sensor that was projected with",
+        )
+    return wanted

@@ -11,7 +11,7 @@ from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.engines.settings import NetworkSettings, recorded_view
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.geometry.intensity import NO_INTENSITY
+from salsanext_cli.geometry.network_input import NO_INTENSITY
 from salsanext_cli.network.card import read_card
 from salsanext_cli.results.stage_records import (
     as_json,

@@ -15,9 +15,13 @@ from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.view_fit import fit_ego, fit_view, view_text
 from salsanext_cli.formats import read_scan
-from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
+from salsanext_cli.geometry.network_input import (
+    NO_INTENSITY,
+    fills_rows,
+    intensity_quantiles,
+    row_gaps,
+)
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.row_gaps import fills_rows, row_gaps
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import evenly_spaced

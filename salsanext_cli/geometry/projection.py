@@ -15,11 +15,16 @@ code, so that points on a pixel border fall to the same side.
 import math
 
 import numpy as np
+import numpy.typing as npt
 
-from salsanext_cli.geometry.beam_rows import rows_of
-from salsanext_cli.geometry.mounting import without_ego
-from salsanext_cli.records import RangeImage, Scan
+from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices
+from salsanext_cli.geometry.points import LARGEST, measured_ranges, without_ego
+from salsanext_cli.records import CHANNELS, Float, Int, RangeImage, Scan
 from salsanext_cli.sensors.sensor import Sensor
+
+ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
+PI = np.float32(math.pi)
+TAN_22_5 = math.sqrt(2) - 1
 
 
 def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
@@ -48,9 +53,180 @@ def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
     view = (np.float32(down), np.float32(up - down), sensor.height, sensor.width)
     drop, rows = sensor.out_of_view == "drop", rows_of(scan, sensor)
     if device == "cpu":
-        from salsanext_cli.geometry import projection_numba
-
-        return projection_numba.project(scan, *view, drop, rows)
+        return _project_on_cpu(scan, *view, drop, rows)
     from salsanext_cli.geometry import projection_torch
 
     return projection_torch.project(scan, *view, drop, rows, device)
+
+
+def rows_of(scan: Scan, sensor: Sensor) -> Int | None:
+    """Return the row of each point, that of its beam; None where the sensor knows no beams.
+
+    Of B beams, number b from the top has row ``floor((b + ½) H / B)``: with as many beams as rows
+    each has its own, with fewer some rows stay empty, with more some share one.
+
+    `scan`: upright. Points of one ring are of one beam, that nearest to the median of their
+    elevations; points without a ring are of the beam nearest to their own; `sensor`: its beams and
+    the rows of its range image.
+
+    Returns (N,) int32 or None, from 0 at the top; points without a measurement have any row.
+    """
+    if not sensor.beams:
+        return None
+    ranges, measured = measured_ranges(scan.points, float(LARGEST))
+    slopes = np.zeros(len(scan))
+    np.divide(scan.points[:, 2], ranges, out=slopes, where=measured)
+    beams = np.radians(sensor.beams)
+    borders = -np.sin((beams[1:] + beams[:-1]) / 2)
+    beam = np.searchsorted(borders, -slopes)
+    if scan.ring is not None:
+        known = measured & (scan.ring >= 0)
+        medians = medians_of_rings(slopes[known], scan.ring[known])
+        beam[known] = np.searchsorted(borders, -medians)[scan.ring[known]]
+    rows: Int = ((2 * beam + 1) * sensor.height // (2 * len(beams))).astype(np.int32)
+    return rows
+
+
+def medians_of_rings(values: npt.NDArray[np.float64], ring: Int) -> npt.NDArray[np.float64]:
+    """Return the median of the values (N,) of each ring, by number; NaN where it has none."""
+    order = np.argsort(ring, kind="stable")
+    numbers, starts = np.unique(ring[order], return_index=True)
+    medians = np.full(ring.max(initial=-1) + 1, np.nan)
+    for number, part in zip(numbers, np.split(values[order], starts[1:]), strict=False):
+        medians[number] = np.median(part)
+    return medians
+
+
+def _project_on_cpu(
+    scan: Scan,
+    fov_down: np.float32,
+    fov: np.float32,
+    height: int,
+    width: int,
+    drop: bool,
+    rows: Int | None,
+) -> RangeImage:
+    """Project a scan as `project` says.
+
+    `fov_down` and `fov` are lower edge and extent of the field of view in radians; `rows` (N,) are
+    those of the points, if they are known.
+    """
+    view, count = (fov_down, fov, np.float32(height), np.float32(width), drop), len(scan)
+    points = argument(scan.points, np.float32).reshape(-1)
+    intensity = argument(scan.intensity, np.float32)
+    pixel_of_point = np.empty(count, np.int32)
+    point_range = np.empty(count, np.float32)
+    point_of_pixel = np.full(height * width, -1, np.int32)
+    channels = np.zeros((len(CHANNELS), height * width), np.float32)
+
+    def find(part: slice) -> None:
+        coordinates = points[3 * part.start : 3 * part.stop]
+        find_pixels(coordinates, *view, pixel_of_point[part], point_range[part])
+
+    def fill(part: slice) -> None:
+        fill_channels(
+            point_of_pixel, part.start, part.stop, point_range, points, intensity, channels
+        )
+
+    parallel_for_slices(find, count)
+    if rows is not None:
+        in_rows = rows * np.int32(width) + pixel_of_point % np.int32(width)
+        np.copyto(pixel_of_point, in_rows, where=pixel_of_point >= 0)
+    keep_nearest(pixel_of_point, point_range, point_of_pixel)
+    parallel_for_slices(fill, height * width)
+    return RangeImage(
+        channels.reshape(-1, height, width),
+        pixel_of_point,
+        point_of_pixel.reshape(height, width),
+        point_range,
+    )
+
+
+@compiled
+def arctan2(y: float, x: float) -> float:
+    """Return atan2(y, x) within 1e-11, in float64 arithmetic alone.
+
+    The library's function differs in the last bit between platforms and cannot be vectorised. Here
+    the ratio of the smaller to the larger coordinate is brought below tan 22.5° by turning 45°;
+    there, 13 terms of atan t = t − t³/3 + t⁵/5 − … suffice.
+    """
+    steep = abs(y) > abs(x)
+    small = abs(x) if steep else abs(y)
+    large = abs(y) if steep else abs(x)
+    turned = small > TAN_22_5 * large
+    numerator = small - large if turned else small
+    denominator = small + large if turned else large
+    t = numerator / (denominator if denominator > 0 else 1.0)
+    q = t * t
+    series = 1 / 21 + q * (-1 / 23 + q * (1 / 25))
+    series = 1 / 13 + q * (-1 / 15 + q * (1 / 17 + q * (-1 / 19 + q * series)))
+    series = 1 / 5 + q * (-1 / 7 + q * (1 / 9 + q * (-1 / 11 + q * series)))
+    angle = t * (1 + q * (-1 / 3 + q * series)) + (math.pi / 4 if turned else 0.0)
+    angle = math.pi / 2 - angle if steep else angle
+    angle = math.pi - angle if math.copysign(1.0, x) < 0 else angle
+    return math.copysign(angle, y)
+
+
+@compiled
+def find_pixels(
+    points: Float,
+    fov_down: np.float32,
+    fov: np.float32,
+    height: np.float32,
+    width: np.float32,
+    drop: bool,
+    pixel_of_point: Int,
+    point_range: Float,
+) -> None:
+    """Write flat pixel index and range of each point (paper eq. 1)."""
+    for i in range(len(point_range)):
+        x, y, z = points[3 * i], points[3 * i + 1], points[3 * i + 2]
+        a, b, c = np.float64(x), np.float64(y), np.float64(z)
+        distance = np.float32(math.sqrt(a * a + b * b + c * c))
+        slope = np.float64(z / distance)
+        yaw = np.float32(arctan2(b, a))
+        pitch = np.float32(arctan2(slope, math.sqrt((1 - slope) * (1 + slope))))
+        u = HALF * (ONE - yaw / PI) * width
+        v = (ONE - (pitch - fov_down) / fov) * height
+        in_view = (v >= ZERO) & (v <= height)
+        seen = (distance > ZERO) & (distance <= LARGEST) & (in_view | (not drop))
+        u = u if u > ZERO else ZERO
+        v = v if v > ZERO else ZERO
+        u = u if u < width else width - ONE
+        v = v if v < height else height - ONE
+        pixel = np.int32(v) * np.int32(width) + np.int32(u)
+        pixel_of_point[i] = pixel if seen else np.int32(-1)
+        point_range[i] = distance if seen else ZERO
+
+
+@compiled
+def keep_nearest(pixel_of_point: Int, point_range: Float, point_of_pixel: Int) -> None:
+    """Write the nearest point of each pixel; the first of equally near ones stays."""
+    for i in range(len(pixel_of_point)):
+        pixel = pixel_of_point[i]
+        if pixel >= 0:
+            holder = point_of_pixel[pixel]
+            if holder < 0 or point_range[i] < point_range[holder]:
+                point_of_pixel[pixel] = i
+
+
+@compiled
+def fill_channels(
+    point_of_pixel: Int,
+    start: int,
+    stop: int,
+    point_range: Float,
+    points: Float,
+    intensity: Float,
+    channels: Float,
+) -> None:
+    """Write range, x, y, z and intensity of each pixel's point; empty pixels stay as they are."""
+    for pixel in range(start, stop):
+        i = point_of_pixel[pixel]
+        if i >= 0:
+            channels[0, pixel] = point_range[i]
+            channels[1, pixel] = points[3 * i]
+            channels[2, pixel] = points[3 * i + 1]
+            channels[3, pixel] = points[3 * i + 2]
+            usable = abs(intensity[i]) <= LARGEST
+            channels[4, pixel] = intensity[i] if usable else ZERO

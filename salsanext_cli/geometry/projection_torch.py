@@ -10,7 +10,7 @@ import math
 import numpy as np
 import torch
 
-from salsanext_cli.geometry.ranges import LARGEST
+from salsanext_cli.geometry.points import LARGEST
 from salsanext_cli.records import Int, RangeImage, Scan
 
 PI = float(np.float32(math.pi))

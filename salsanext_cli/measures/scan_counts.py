@@ -19,8 +19,7 @@ from salsanext_cli.files.reading import present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_probabilities
-from salsanext_cli.geometry.mounting import in_sensor_frame
-from salsanext_cli.geometry.ranges import measured_ranges
+from salsanext_cli.geometry.points import in_sensor_frame, measured_ranges
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.measures.confusion import Confusion, Mask
 from salsanext_cli.measures.histograms import (
@@ -32,7 +31,7 @@ from salsanext_cli.measures.histograms import (
     softmax_errors,
     uncertainty_histogram,
 )
-from salsanext_cli.network.scan_digests import is_among
+from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
 from salsanext_cli.results.predictions import rejected_points

@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import safetensors
 
 from salsanext_cli.classes.label_space import LabelSpace
@@ -18,9 +20,38 @@ from salsanext_cli.errors import UsageError, WeightsError, error_text, shortened
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, onnx_metadata
-from salsanext_cli.network.scan_digests import joined, parted
+from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.version import __version__
+
+COUNT_DIGITS, HASH_DIGITS = 8, 16
+"""Hexadecimal digits of a digest: by chance, two of 20 000 scans agree once in 10¹¹ cases."""
+DIGITS = COUNT_DIGITS + HASH_DIGITS
+
+
+def scan_digest(scan: Scan) -> str:
+    """Return the digest of a scan."""
+    of_points = hashlib.sha256(np.ascontiguousarray(scan.points).data).hexdigest()
+    return f"{len(scan):0{COUNT_DIGITS}x}{of_points[:HASH_DIGITS]}"
+
+
+def is_among(digests: Collection[str], count: int, read: Callable[[], Scan]) -> bool:
+    """Return whether digests name a scan of so many points; it is read only where it may be one."""
+    start = f"{count:0{COUNT_DIGITS}x}"
+    return any(digest.startswith(start) for digest in digests) and scan_digest(read()) in digests
+
+
+def joined(digests: Iterable[str]) -> str:
+    """Return digests as one text: those of SemanticKITTI's training take 459 kB."""
+    return "".join(digests)
+
+
+def parted(text: object) -> list[str]:
+    """Return the digests of a text as `joined` returns it; anything else raises `ValueError`."""
+    if not isinstance(text, str) or not re.fullmatch(f"([0-9a-f]{{{DIGITS}}})*", text):
+        raise ValueError("no digests of scans")
+    return [text[i : i + DIGITS] for i in range(0, len(text), DIGITS)]
+
 
 KEY = "salsanext"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""

@@ -18,8 +18,7 @@ from salsanext_cli.files.reading import present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_uncertainty
-from salsanext_cli.geometry.mounting import in_sensor_frame
-from salsanext_cli.geometry.ranges import measured_ranges
+from salsanext_cli.geometry.points import in_sensor_frame, measured_ranges
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path, with_outputs
 from salsanext_cli.results.predictions import rejected_points

@@ -11,7 +11,7 @@ from typing import Any
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import OutputError, first_few, shortened
 from salsanext_cli.files.json_files import RecordedSettings, read_json, write_json
-from salsanext_cli.network.scan_digests import parted
+from salsanext_cli.network.card import parted
 from salsanext_cli.results.layout import COLOURINGS, SUFFIX_OF_FOLDER
 from salsanext_cli.sensors.sensor import Sensor, sensor
 from salsanext_cli.version import __version__

@@ -20,7 +20,7 @@ from salsanext_cli.stages.report import report
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.error_features import knows_error
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 SEED = 2020
 """Seed of the drive: another than that of the default weights, which do not know this street."""
@@ -56,7 +56,7 @@ def demo(
     overwriting; `bars`: gives the progress of a step, by its name.
     """
     data, out = folder / "data", folder / "out"
-    estimator, valid = Estimator(samples=samples), ScanSelection(split="valid")
+    method, valid = UncertaintyMethod(samples=samples), ScanSelection(split="valid")
 
     @contextmanager
     def step(name: str) -> Iterator[RunOptions]:
@@ -71,7 +71,7 @@ def demo(
         extras = (ERROR,) if knows_error(network.load()) else ()
         predicted = predict_scans(data, out, network=network, extras=extras, options=run)
     with step("uncertainty") as run:
-        sampled = uncertainty(data, out, network=network, estimator=estimator, options=run)
+        sampled = uncertainty(data, out, network=network, method=method, options=run)
     with step("export-ply") as run:
         exported = export_ply(out, colour="label", options=run)
     with step("picture") as run:

@@ -10,13 +10,12 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NoInputError, counted
 from salsanext_cli.files.atomic import require_absent, write_bytes
 from salsanext_cli.files.reading import present
-from salsanext_cli.fitting.beam_fit import fit_beams
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.scan_fit import EGO, ScanSample
-from salsanext_cli.fitting.view_fit import fit_view
+from salsanext_cli.fitting.view_fit import fit_beams, fit_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.geometry.mounting import without_ego
+from salsanext_cli.geometry.points import without_ego
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.measures.survey import Survey, survey

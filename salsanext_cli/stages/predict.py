@@ -20,16 +20,14 @@ from salsanext_cli.fitting.label_scan import (
     label_scan,
     labelled,
     project_for,
-)
-from salsanext_cli.fitting.range_images import (
     projected_sensor,
     range_image,
     sensor_of_images,
 )
 from salsanext_cli.fitting.scan_checks import check_image
 from salsanext_cli.fitting.scan_fit import fitted_view
-from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.geometry.points import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans

@@ -17,8 +17,8 @@ from salsanext_cli.fitting.recorded_network import (
     network_of_labels,
     require_network_of_labels,
 )
-from salsanext_cli.geometry.gather import points_from_pixels
 from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.geometry.points import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
@@ -29,11 +29,11 @@ from salsanext_cli.results.scan_results import uncertainty_meant, with_column
 from salsanext_cli.results.selection import ScanSelection, choose, scans_of, space_of
 from salsanext_cli.results.stage_records import owner, stage_settings
 from salsanext_cli.uncertainty.error_features import knows_error, label_error
-from salsanext_cli.uncertainty.settings import (
-    Estimator,
-    possible_estimator,
-    recorded_estimator,
+from salsanext_cli.uncertainty.method import (
+    UncertaintyMethod,
+    possible_method,
     recorded_knn,
+    recorded_method,
 )
 
 log = logging.getLogger(__name__)
@@ -43,7 +43,7 @@ def uncertainty_scan(
     file: ScanFile,
     network: Network,
     knn: KnnParameters,
-    estimator: Estimator,
+    method: UncertaintyMethod,
     output: OutputRun,
 ) -> Steps:
     """Estimate the uncertainty of one scan's points, in steps; the last yields numbers about it."""
@@ -51,12 +51,12 @@ def uncertainty_scan(
     projected = project_for(network, file)
     image, check = projected.image, projected.check
     yield
-    estimate = estimator.estimate(network, image, file)
+    estimate = method.estimate(network, image, file)
     network.engine.require_finite(estimate.probabilities, file.path)
     # The model of errors was fitted to a single pass.
     single = network.probabilities(image, file.path) if ERROR in output.folders else None
     yield
-    for kind in estimator.kinds:
+    for kind in method.kinds:
         of_pixels = getattr(estimate.uncertainty, kind)
         of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
         output.write_array(file, f"uncertainty/{kind}", of_points)
@@ -76,7 +76,7 @@ def uncertainty(
     *,
     network: NetworkSettings = NetworkSettings(),
     knn: KnnParameters = KnnParameters(),
-    estimator: Estimator = Estimator(),
+    method: UncertaintyMethod = UncertaintyMethod(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
@@ -85,7 +85,7 @@ def uncertainty(
     The labels of the mean softmax go to `predictions`, unless another stage keeps its
     labels there already: those stay.
 
-    `estimator`: how; by default 30 passes of Monte-Carlo dropout and eight over noisy copies;
+    `method`: how; by default 30 passes of Monte-Carlo dropout and eight over noisy copies;
     `source`, `out`, `network`, `knn`, `selection`, `options`: as for `predict_scans`.
     """
     loaded = network.load()
@@ -94,7 +94,7 @@ def uncertainty(
     # Labels of another stage stay, and with them what they were made with.
     overwrite = options.overwrite and owner(out, "predictions") in (None, "uncertainty")
     network, loaded = network_of_run(network, loaded, found, out, overwrite=overwrite)
-    return uncertainty_of(scans, out, network, options, loaded, knn=knn, estimator=estimator)
+    return uncertainty_of(scans, out, network, options, loaded, knn=knn, method=method)
 
 
 def uncertainty_of(
@@ -105,16 +105,16 @@ def uncertainty_of(
     loaded: Network,
     *,
     knn: KnnParameters = KnnParameters(),
-    estimator: Estimator = Estimator(),
+    method: UncertaintyMethod = UncertaintyMethod(),
     record_scans: bool = True,
 ) -> Outcome:
     """Do what `uncertainty` does to scans already chosen, with a network already loaded.
 
     `record_scans` is as `output_run` takes it.
     """
-    estimator.require(loaded)
-    settings = network.record(loaded) | {"knn": asdict(knn)} | estimator.settings(loaded.sensor)
-    kinds = tuple(f"uncertainty/{kind}" for kind in estimator.kinds)
+    method.require(loaded)
+    settings = network.record(loaded) | {"knn": asdict(knn)} | method.settings(loaded.sensor)
+    kinds = tuple(f"uncertainty/{kind}" for kind in method.kinds)
     labels_too = owner(out, "predictions") in (None, "uncertainty")
     folders = (*kinds, "predictions") if labels_too else kinds
     if knows_error(loaded) and labels_too:
@@ -129,7 +129,7 @@ def uncertainty_of(
         record_scans=record_scans,
     )
     with run as output, summary.kept_in(output, "uncertainty", scans):
-        function = partial(uncertainty_scan, knn=knn, estimator=estimator, output=output)
+        function = partial(uncertainty_scan, knn=knn, method=method, output=output)
         task = NetworkTask(function, network.resolved(loaded), loaded)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
@@ -162,10 +162,8 @@ def estimate_missing(
         raise UsageError(f"--shard {options.shard}", found, "that of all scans", remedy)
     network = network_of_labels(out, network)
     network, loaded = network_of_run(network, network.load(), scans, out)
-    estimator = (
-        recorded_estimator(earlier) if earlier else possible_estimator(colour, loaded.sensor)
-    )
-    if kind not in ("error", *estimator.kinds):
+    method = recorded_method(earlier) if earlier else possible_method(colour, loaded.sensor)
+    if kind not in ("error", *method.kinds):
         remedy = f"run `salsanext uncertainty SCANS {out} --overwrite`"
         raise UsageError(out, "uncertainty estimated without aleatoric", kind, remedy)
     log.warning("no uncertainty of %s yet: estimating it", counted(len(missing), "scan"))
@@ -176,7 +174,7 @@ def estimate_missing(
         replace(options, overwrite=False),
         loaded,
         knn=KnnParameters() if earlier is None else recorded_knn(earlier.table("knn")),
-        estimator=estimator,
+        method=method,
         record_scans=False,
     )
     kind = uncertainty_meant(scans, out) if colour == "uncertainty" else kind

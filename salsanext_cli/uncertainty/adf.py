@@ -7,15 +7,213 @@ says what one function of the network does to it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self, TypeVar
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from salsanext_cli.uncertainty.moments import Groups, leaky_relu_moments, softmax_moments
+from salsanext_cli.compiled.kernels import parallel_for
+
+NODES = 12
+"""Nodes of the Gauss-Hermite quadrature of the logistic function."""
+CHUNK_SIZE = 1 << 15
+"""Numbers per step on a CPU: so few that torch does not divide them among threads, which would
+round some of them otherwise, and that what lies between stays in the cache."""
+MAX_DEVIATIONS = 12.0
+"""Standard deviations from the kink beyond which what is on the other side changes no float64;
+farther out are numbers so small that computing with them takes many times as long."""
+Groups = Sequence[Sequence[int]]
+"""Classes that are merged into each of fewer; none into some of them."""
+SMALLEST_DIVISOR = 1e-30
+"""Least divisor: what it divides is 0 where it acts."""
+DAMPING = 0.15
+"""Damping of a shift of second order, so that for large v it grows like √v, as the largest of
+several Gaussians does."""
+
+
+def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Tensor, Tensor]:
+    r"""Return mean and variance of LeakyReLU(x), x ~ N(m, v).
+
+    With τ = \|m\|/√v, q = Q(τ) the mass beyond the kink and e = φ(τ) − τ q its mean excess::
+
+        mean     = LeakyReLU(m) + (1 − a) √v e
+        variance = v [a² + (1 − a²) p − (1 − a)² e (τ + e)]     p = 1 − q if m > 0, else q
+
+    Nothing cancels, as it does in E[y²] − E[y]², which is 0 in float32 for m = 10, v = 10⁻⁶.
+
+    `mean`, `variance`: float32 or float64; of a half precision, float32 is used in between;
+    `slope`: a, 0 ≤ a ≤ 1.
+    """
+    wide = torch.promote_types(mean.dtype, torch.float32)
+    found = _rectified(mean.to(wide), variance.to(wide), slope)
+    return found[0].to(mean.dtype), found[1].to(mean.dtype)
+
+
+def _rectified(m: Tensor, v: Tensor, slope: float) -> tuple[Tensor, Tensor]:
+    deviation = v.sqrt()
+    far = m.abs().div_(deviation.clamp(min=SMALLEST_DIVISOR)).clamp_(max=MAX_DEVIATIONS)
+    beyond = torch.special.erfc(far * math.sqrt(0.5)).mul_(0.5)
+    density = far.square().mul_(-0.5).exp_().mul_(1 / math.sqrt(2 * math.pi))
+    excess = density.addcmul_(far, beyond, value=-1).clamp_(min=0)
+    mean = torch.where(m > 0, m, m * slope).addcmul_(deviation, excess, value=1 - slope)
+    passed = torch.where(m > 0, 1 - beyond, beyond)
+    lost = excess.mul_(far.add_(excess))
+    share = passed.mul_(1 - slope**2).add_(slope**2).sub_(lost, alpha=(1 - slope) ** 2)
+    return mean, share.clamp_(min=0).mul_(v)
+
+
+def softmax_moments(
+    mean: Tensor, variance: Tensor, dim: int, groups: Groups | None = None
+) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of the softmax of independent Gaussian logits.
+
+    The softmax of class c is the logistic function of its logit minus the logarithm of the sum of
+    the others' exponentials. That sum is taken as log-normal: with weights w, the softmax among
+    the others, its logarithm has mean log Σ exp(m) + ½ Σ w (1 − w) v, damped, and variance
+    Σ w² v. The moments of the logistic function of a Gaussian come from quadrature. The usual
+    shortcut, a sum that is certain, makes the standard deviation of a confident class too large
+    by a factor of hundreds.
+
+    The means p are divided by their sum; each variance keeps its share of p (1 − p), which no
+    variable between 0 and 1 exceeds.
+
+    Of merged classes, the mean is the sum of theirs. For the variance they have one logit, the
+    logarithm of the sum of their exponentials, taken as log-normal like that of the others; logits
+    of groups without a common class are independent.
+
+    `mean`, `variance`: of the logits; float32 or float64, a half precision is widened in between;
+    `dim`: the classes; `groups`: the classes that are merged into each; every class is in one
+    group.
+
+    Returns `mean, variance`, the means sum to 1; of variance 0, they are the plain softmax, or its
+    sums over groups.
+    """
+    wide = torch.promote_types(mean.dtype, torch.float32)
+    m, v = (t.to(wide).movedim(dim, 0) for t in (mean, variance))
+    columns = [t.reshape(len(m), -1) for t in (m, v)]
+    on_cpu = m.device.type == "cpu"
+    step = max(1, (CHUNK_SIZE if on_cpu else m.numel()) // len(m))
+    chunks = [*zip(*(torch.split(c, step, dim=1) for c in columns), strict=True)]
+    parts = [chunks[0]] * len(chunks)
+
+    def compute(number: int) -> None:
+        parts[number] = _softmax_of_groups(*chunks[number], groups=groups)
+
+    parallel_for(compute, range(len(chunks)))
+    shape = (len(m) if groups is None else len(groups), *m.shape[1:])
+    results = (torch.cat(part, dim=1).view(shape) for part in zip(*parts, strict=True))
+    return tuple(t.movedim(0, dim).to(mean.dtype) for t in results)  # type: ignore[return-value]
+
+
+def _softmax_of_groups(m: Tensor, v: Tensor, *, groups: Groups | None) -> tuple[Tensor, Tensor]:
+    """Return the moments (K, N) from those of the logits, (C, N)."""
+    mean, variance = _softmax(m, v)
+    if groups is None:
+        return mean, variance
+    filled = [number for number, group in enumerate(groups) if group]
+    logits = [_log_sum(m[list(groups[number])], v[list(groups[number])]) for number in filled]
+    _, of_filled = _softmax(*(torch.stack(part) for part in zip(*logits, strict=True)))
+    mean = torch.stack([mean[list(group)].sum(dim=0) for group in groups])
+    variance = torch.zeros_like(mean)
+    variance[filled] = of_filled
+    is_best = _is_best(mean)
+    others = _sum_of_others(mean, mean.masked_fill(is_best, 0), is_best)
+    return mean, variance.minimum(mean * others)
+
+
+def _is_best(values: Tensor) -> Tensor:
+    """Return a mask of the largest of each column, (C, N) bool."""
+    none = torch.zeros_like(values, dtype=torch.bool)
+    return none.scatter_(0, values.argmax(0, keepdim=True), True)
+
+
+def _log_sum(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the moments (N,) of the logarithm of the sum of the exponentials of (C, N)."""
+    weights = m.softmax(dim=0)
+    variance = (weights.square() * v).sum(dim=0)
+    shift = 0.5 * ((weights * v).sum(dim=0) - variance).clamp(min=0)
+    return m.logsumexp(dim=0) + shift / (1 + DAMPING * shift).sqrt(), variance
+
+
+def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the moments of (C, N)."""
+    if len(m) == 1:
+        return torch.ones_like(m), torch.zeros_like(v)
+    is_best = _is_best(m)
+    margin, margin_variance = _margins(m, v, is_best)
+    probability, complement, variance = logistic_moments(margin, margin_variance)
+    total = probability.sum(dim=0)
+    others = _sum_of_others(probability, probability.masked_fill(is_best, 0), is_best)
+    share = variance / complement.clamp(min=SMALLEST_DIVISOR)
+    mean, rest = probability / total, others / total
+    return mean, _consistent(mean, share * rest / total).minimum(mean * rest)
+
+
+def logistic_moments(d: Tensor, variance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return mean, 1 − mean and variance of the logistic function of N(d, variance).
+
+    Everything is a rise or fall from the smaller of logistic(d) and 1 − logistic(d), so that a
+    confident class keeps its digits.
+    """
+    near, deviation = -d.abs(), variance.sqrt()
+    small, large = torch.sigmoid(near), torch.sigmoid(-near)
+    slope = small * large
+    first, second = torch.zeros_like(d), torch.zeros_like(d)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+    # The nodes lie in pairs around 0: one half gives steps up and down.
+    half = slice(NODES // 2, None)
+    pairs = zip(nodes[half].tolist(), (weights / weights.sum())[half].tolist(), strict=True)
+    for node, weight in pairs:
+        step = deviation * node
+        part = torch.expm1(-step).neg_()
+        fall = slope * part / (1 - small * part)
+        near_rise = slope * part / (1 - large * part)
+        rise = torch.where(step < 1, near_rise, torch.sigmoid(near + step) - small)
+        first.add_(rise - fall, alpha=weight)
+        second.add_(rise.square_() + fall.square_(), alpha=weight)
+    small, large = (small + first).clamp_(0, 1), (large - first).clamp_(0, 1)
+    spread = (second - first.square()).clamp_(min=0)
+    return torch.where(d > 0, large, small), torch.where(d > 0, small, large), spread
+
+
+def _margins(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
+    """Return mean and variance of each logit minus log Σ exp of the others."""
+    top = m.amax(dim=0, keepdim=True)
+    shares = (m - top).exp()
+    # Without the best class, whose share would hide the others, the scale is that of the second.
+    rest = m.masked_fill(is_best, -math.inf)
+    second = rest.amax(dim=0, keepdim=True)
+    rest = (rest - second).exp()
+    total = _sum_of_others(shares, rest, is_best)
+    weighted = _sum_of_others(shares * v, rest * v, is_best) / total
+    variance = _sum_of_others(shares.square() * v, rest.square() * v, is_best) / total.square()
+    shift = 0.5 * (weighted - variance).clamp(min=0)
+    margin = (m - torch.where(is_best, second, top)) - total.log()
+    return margin - shift / (1 + DAMPING * shift).sqrt(), variance + v
+
+
+def _consistent(mean: Tensor, variance: Tensor) -> Tensor:
+    """Raise the variance of the likeliest class to what the sum of the others demands.
+
+    The classes sum to 1, so that one cannot vary by more than all others together. Where it seems
+    to, a sum of the others that is taken as log-normal has hidden it from the class they rival.
+    """
+    deviation = variance.sqrt()
+    largest, class_of_largest = deviation.max(dim=0, keepdim=True)
+    lacking = (2 * largest - deviation.sum(dim=0, keepdim=True)).clamp(min=0)
+    likeliest = mean.scatter(0, class_of_largest, -1.0).argmax(dim=0, keepdim=True)
+    return deviation.scatter_add(0, likeliest, lacking).square()
+
+
+def _sum_of_others(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:
+    """Return the sum over all classes but one, for each; `rest` has 0 for the best class."""
+    others = values.sum(dim=0, keepdim=True) - values
+    return torch.where(is_best, rest.sum(dim=0, keepdim=True), others).clamp_(min=0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,15 +1,60 @@
 # SPDX-License-Identifier: MIT
 """Aleatoric uncertainty: the sensor's noise carried through the network (paper III-C.1)."""
 
+from collections.abc import Iterator
+
+import numpy as np
 import torch
 from torch import Tensor
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.torch_engine import inference_mode
-from salsanext_cli.geometry.normalise import input_variance
+from salsanext_cli.geometry.network_input import input_variance, noise_of
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.uncertainty.adf import Gaussian, propagate
+from salsanext_cli.uncertainty.monte_carlo import PassStatistics
+
+COPIES = 8
+"""Copies of a scan; their deviations rank pixels as those of 256 others do (correlation 0.97)."""
+
+
+def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float]:
+    """Yield channels (5, H, W) float32 with the sensor's noise, each with its own, without end.
+
+    A range that is wrong moves its point along its ray; each pixel's error is its own. Empty pixels
+    stay empty.
+    """
+    range_noise, intensity_noise = noise_of(sensor)
+    random = np.random.default_rng(seed)
+    occupied = image.channels[0] > 0
+    step = np.zeros_like(image.channels[:4])
+    step[0] = occupied
+    np.divide(image.channels[1:4], image.channels[0], out=step[1:], where=occupied)
+    while True:
+        along, bright = random.standard_normal((2, *occupied.shape), np.float32)
+        copy = image.channels.copy()
+        copy[:4] += step * np.float32(range_noise) * along
+        copy[4] += occupied * np.float32(intensity_noise) * bright
+        yield copy
+
+
+def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
+    """Return the variance of every pixel's softmax over noisy copies, dropout off.
+
+    Without the temperature, as in `sample`.
+
+    `network`: whose sensor knows its noise; `image`: one scan; `seed`: of the noise.
+
+    Returns (C, H, W) float32, without bias: divided by the number of copies less one.
+    """
+    statistics = PassStatistics((network.space.class_count, image.height, image.width))
+    copies = noisy_copies(image, network.sensor, seed)
+    for _ in range(COPIES):
+        statistics.add(*network.pixel_probabilities([next(copies)], temperature=1.0))
+    variance: Float = (statistics.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
+    return variance
 
 
 def aleatoric(network: Network, image: RangeImage) -> Float:

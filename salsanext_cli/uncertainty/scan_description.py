@@ -10,8 +10,8 @@ from torch import Tensor
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.errors import FormatError
-from salsanext_cli.fitting.findings import ScanCheck
 from salsanext_cli.fitting.label_scan import LabelledScan, labelled, project_for
+from salsanext_cli.fitting.scan_checks import ScanCheck
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage

@@ -9,9 +9,9 @@ from scans import SMALL, make_scan
 from salsanext_cli import label_space, load_network, project, sample
 from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import UsageError
+from salsanext_cli.uncertainty.adf import softmax_moments
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
-from salsanext_cli.uncertainty.moments import softmax_moments
 from salsanext_cli.uncertainty.monte_carlo import pass_seed, torch_passes
 
 COARSE = label_space("coarse")

@@ -11,7 +11,7 @@ from scans import SMALL, make_scan, write_weights
 from salsanext_cli import Scan, project
 from salsanext_cli.engines.loading import load_network, with_dropout
 from salsanext_cli.errors import WeightsError
-from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.geometry.network_input import normalise
 from salsanext_cli.network.dropout import dropouts
 
 

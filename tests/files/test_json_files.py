@@ -14,7 +14,7 @@ from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 SETTINGS = RecordedSettings(
     {"n": 3, "x": 0.5, "endless": "Infinity", "pair": [1, 2.5], "in": {"k": 5}, "yes": True},
@@ -76,7 +76,7 @@ def fill(world):
     sensor = world.network.load().sensor
     project_scans(world.data, world.out, sensor=sensor, selection=first["selection"])
     predict_scans(world.data, world.out, **first)
-    uncertainty(world.data, world.out, estimator=Estimator(samples=2), **first)
+    uncertainty(world.data, world.out, method=UncertaintyMethod(samples=2), **first)
     world.result("uncertainty/epistemic", "00").unlink()
     export_ply(world.out, colour="range")
     picture(world.out, colours=["range"])

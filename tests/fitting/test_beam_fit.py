@@ -6,7 +6,7 @@ import pytest
 from scans import SMALL
 
 from salsanext_cli import Scan, read_scan
-from salsanext_cli.fitting.beam_fit import fit_beams
+from salsanext_cli.fitting.view_fit import fit_beams
 
 EVEN = np.linspace(15, -15, 16)
 FINE = np.linspace(22.5, -22.5, 128)

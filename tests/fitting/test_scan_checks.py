@@ -11,7 +11,7 @@ from salsanext_cli.errors import FormatError
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
-from salsanext_cli.geometry.intensity import NO_INTENSITY, intensity_quantiles
+from salsanext_cli.geometry.network_input import NO_INTENSITY, intensity_quantiles
 from salsanext_cli.sensors.limits import INTENSITY_LEVELS
 from salsanext_cli.sensors.sensor import sensor
 

@@ -8,7 +8,7 @@ from scans import SMALL, make_scan
 from slow_geometry import DEVICES, slow_project
 
 from salsanext_cli import Scan, project
-from salsanext_cli.geometry.beam_rows import rows_of
+from salsanext_cli.geometry.projection import rows_of
 
 BEAMS = (10.0, 3.0, 2.0, 1.5, -7.0, -25.0)
 

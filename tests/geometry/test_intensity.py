@@ -11,7 +11,7 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, project, sensor
 from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
-from salsanext_cli.geometry.intensity import (
+from salsanext_cli.geometry.network_input import (
     dependence,
     intensity_quantiles,
     match_intensity,

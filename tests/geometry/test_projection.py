@@ -14,7 +14,7 @@ from slow_geometry import DEVICES, ON_TORCH, slow_project
 
 from salsanext_cli import Scan, Sensor, project, sensor
 from salsanext_cli.geometry import projection_torch
-from salsanext_cli.geometry.projection_numba import arctan2
+from salsanext_cli.geometry.projection import arctan2
 
 FIELDS = ("channels", "pixel_of_point", "point_of_pixel", "point_range")
 WIDE = Sensor("wide", 90, -90, 4, 8)

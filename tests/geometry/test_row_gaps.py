@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scans import SMALL
 
-from salsanext_cli.geometry.row_gaps import (
+from salsanext_cli.geometry.network_input import (
     FILLED_ROWS,
     MAX_GAP,
     fill_rows,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scans import SMALL
 
 from salsanext_cli import LabelSpace, label_space
-from salsanext_cli.fitting.findings import Finding, ScanCheck
+from salsanext_cli.fitting.scan_checks import Finding, ScanCheck
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.results.layout import ScanFile
 

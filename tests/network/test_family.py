@@ -15,7 +15,7 @@ from salsanext_cli import label_space, project, sample
 from salsanext_cli.engines.engine import Engine
 from salsanext_cli.engines.loading import with_dropout
 from salsanext_cli.engines.network import Network
-from salsanext_cli.geometry.scan_fit import ScanFit
+from salsanext_cli.geometry.network_input import ScanFit
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.dropout import drawn, dropouts, sampling
 from salsanext_cli.network.registry import build

@@ -19,7 +19,7 @@ from salsanext_cli.parallel.options import threads_of_workers
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 TESTS = Path(__file__).parents[1]
 HERE = "127.0.0.1"
@@ -83,9 +83,9 @@ def two_cores(monkeypatch):
 def everything(data, out, weights, **options):
     """Run the stages that load a network, and return every file they leave."""
     network, batch = NetworkSettings(weights, "cpu"), RunOptions(**options)
-    estimator = Estimator(samples=2, aleatoric="none")
+    method = UncertaintyMethod(samples=2, aleatoric="none")
     predict_scans(data, out, network=network, extras=("probabilities",), options=batch)
-    uncertainty(data, out, network=network, estimator=estimator, options=batch)
+    uncertainty(data, out, network=network, method=method, options=batch)
     return files_below(out)
 
 

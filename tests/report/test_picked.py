@@ -10,8 +10,8 @@ from rich.console import Console
 from scans import SMALL, make_scan
 
 from salsanext_cli import label_space, project
-from salsanext_cli.fitting.findings import UNCHECKED
 from salsanext_cli.fitting.label_scan import LabelledScan
+from salsanext_cli.fitting.scan_checks import UNCHECKED
 from salsanext_cli.labelling.scan_choice import Choice
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import EMPTY, map_on_dark, screen_colours

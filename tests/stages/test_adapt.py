@@ -28,9 +28,9 @@ from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.tune import tune
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
-FEW = Estimator(samples=2, aleatoric="none")
+FEW = UncertaintyMethod(samples=2, aleatoric="none")
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_results_with_and_without_are_not_mixed(adapting, before):
         predict_scans(adapting.data, adapting.out, network=other)
     expected = "labels made with other weights .* --adapt" if before else "made without --adapt"
     with pytest.raises(OutputError, match=expected):
-        uncertainty(adapting.data, adapting.out, network=other, estimator=FEW)
+        uncertainty(adapting.data, adapting.out, network=other, method=FEW)
     assert labels_below(adapting.out) == labels
     assert len(list(adapting.out.glob("adapted-*"))) == before
     anew = RunOptions(overwrite=True)

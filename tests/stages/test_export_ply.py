@@ -29,17 +29,17 @@ from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 SPACE = label_space()
 OVERWRITE = RunOptions(overwrite=True)
-FEW = Estimator(samples=2)
+FEW = UncertaintyMethod(samples=2)
 KINDS = FEW.kinds
 
 
 def sample(world):
     predict_scans(world.data, world.out, network=world.network)
-    uncertainty(world.data, world.out, network=world.network, estimator=FEW)
+    uncertainty(world.data, world.out, network=world.network, method=FEW)
 
 
 @pytest.fixture(scope="module")
@@ -207,7 +207,7 @@ def test_a_scale_may_be_given(predicted):
 
 
 def test_uncertainty_is_sampled_where_it_is_missing(predicted, caplog):
-    earlier = {"estimator": Estimator(samples=2, seed=3), "selection": ScanSelection(limit=1)}
+    earlier = {"method": UncertaintyMethod(samples=2, seed=3), "selection": ScanSelection(limit=1)}
     uncertainty(predicted.data, predicted.out, network=predicted.network, **earlier)
     labels = predicted.labels()
     with caplog.at_level("WARNING"):
@@ -221,9 +221,9 @@ def test_uncertainty_is_sampled_where_it_is_missing(predicted, caplog):
 
 
 def test_a_kind_that_was_not_estimated_is_refused(sampled):
-    without = Estimator(samples=2, aleatoric="none")
+    without = UncertaintyMethod(samples=2, aleatoric="none")
     uncertainty(
-        sampled.data, sampled.out, network=sampled.network, estimator=without, options=OVERWRITE
+        sampled.data, sampled.out, network=sampled.network, method=without, options=OVERWRITE
     )
     with pytest.raises(UsageError, match="without aleatoric · expected total"):
         export(sampled, colour="total", options=OVERWRITE)
@@ -266,7 +266,7 @@ def test_labels_made_anew_by_other_weights_are_not_shown_with_older_uncertainty(
     predict_scans(sampled.data, sampled.out, network=other, options=OVERWRITE)
     with pytest.raises(OutputError, match=r"labels by the weights .* SCANS .* --overwrite"):
         export(sampled, colour="epistemic", network=other)
-    uncertainty(sampled.data, sampled.out, network=other, estimator=FEW, options=OVERWRITE)
+    uncertainty(sampled.data, sampled.out, network=other, method=FEW, options=OVERWRITE)
     assert export(sampled, colour="epistemic", network=other).done == 3
 
 
@@ -334,7 +334,7 @@ def test_a_cloud_that_was_changed_is_kept(predicted):
     mine = predicted.result("ply").parent / "label/000000.ply"
     mine.write_bytes(mine.read_bytes() + b"mine")
     kept = mine.read_bytes()
-    uncertainty(predicted.data, predicted.out, network=predicted.network, estimator=FEW)
+    uncertainty(predicted.data, predicted.out, network=predicted.network, method=FEW)
     outcome = export(predicted)
     assert (outcome.done, len(outcome.failures)) == (2, 1)
     assert "was changed, or not written by salsanext" in outcome.failures[0].reason
@@ -344,7 +344,7 @@ def test_a_cloud_that_was_changed_is_kept(predicted):
 def test_clouds_of_older_results_are_made_anew(predicted):
     """As labels or uncertainties have become others."""
     export(predicted)
-    uncertainty(predicted.data, predicted.out, network=predicted.network, estimator=FEW)
+    uncertainty(predicted.data, predicted.out, network=predicted.network, method=FEW)
     assert export(predicted).done == 3
     assert "scalar_epistemic" in [p.name for p in ply(predicted)["vertex"].properties]
 

@@ -8,7 +8,7 @@ import pytest
 from scans import SMALL, labels_below, write_weights
 
 from salsanext_cli import knn_refine, project, read_scan
-from salsanext_cli.geometry.row_gaps import fill_rows, row_gaps
+from salsanext_cli.geometry.network_input import fill_rows, row_gaps
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.stage_records import stage_settings
 from salsanext_cli.stages.knn_refine import knn_refine_scans

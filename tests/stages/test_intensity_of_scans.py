@@ -9,7 +9,7 @@ from scans import SMALL, labels_below, write_sequence, write_weights
 
 from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.geometry.intensity import intensity_quantiles
+from salsanext_cli.geometry.network_input import intensity_quantiles
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.selection import ScanSelection
@@ -22,7 +22,7 @@ from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 TRAINED = tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2)
 
@@ -89,8 +89,8 @@ def test_scans_that_come_later_are_matched_as_the_first_ones(knowing):
     write_sequence(knowing.data / "sequences/09", ["000000"], seed=99)
     assert run(knowing).done == 1
     assert stage_settings(knowing.out, "predict")["sensor"] == before
-    few = Estimator(samples=2, aleatoric="none")
-    uncertainty(knowing.data, knowing.out, network=knowing.network, estimator=few)
+    few = UncertaintyMethod(samples=2, aleatoric="none")
+    uncertainty(knowing.data, knowing.out, network=knowing.network, method=few)
     assert stage_settings(knowing.out, "uncertainty")["sensor"] == before
 
 

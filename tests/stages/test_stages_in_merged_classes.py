@@ -27,11 +27,11 @@ from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 FULL, COARSE = label_space(), label_space("coarse")
 MERGING = ClassMerging.between(FULL, COARSE)
-FEW = Estimator(samples=2)
+FEW = UncertaintyMethod(samples=2)
 ONE = ScanSelection(sequences=("00",))
 
 
@@ -173,8 +173,8 @@ def test_labels_of_other_raw_ids_count_where_the_names_of_the_classes_are_the_sa
 
 @pytest.mark.parametrize("method", ["sampling", "analytic"])
 def test_uncertainty_is_that_of_the_merged_classes(coarse, method):
-    estimator = Estimator(method, samples=2)
-    assert uncertainty(coarse.data, coarse.out, network=coarse.network, estimator=estimator).done
+    method = UncertaintyMethod(method, samples=2)
+    assert uncertainty(coarse.data, coarse.out, network=coarse.network, method=method).done
     values = np.load(coarse.result("uncertainty/entropy"))
     assert 0 <= np.nanmin(values) <= np.nanmax(values) <= np.log(8) + 1e-5
     assert {*np.unique(coarse.labels())} <= {0, *COARSE.learning_map_inv.values()}
@@ -182,7 +182,7 @@ def test_uncertainty_is_that_of_the_merged_classes(coarse, method):
 
 def test_uncertainty_beside_labels_has_their_classes(coarse, world):
     predict(coarse, selection=ONE)
-    more = {"estimator": FEW, "selection": ONE}
+    more = {"method": FEW, "selection": ONE}
     with pytest.raises(OutputError, match=r"other label_space .* give the same --classes"):
         uncertainty(world.data, world.out, network=world.network, **more)
     done = export_ply(coarse.out, colour="entropy", network=world.network)

@@ -21,8 +21,7 @@ from salsanext_cli.errors import (
     UsageError,
     WeightsError,
 )
-from salsanext_cli.geometry.intensity import intensity_quantiles
-from salsanext_cli.geometry.row_gaps import row_gaps
+from salsanext_cli.geometry.network_input import intensity_quantiles, row_gaps
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.owned_folder import OwnedFolder

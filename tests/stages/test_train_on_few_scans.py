@@ -23,8 +23,7 @@ from salsanext_cli.errors import NOTICE, LabelError, NoInputError, OutputError
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.labelling.label_records import digest_of_file, first_guesses
-from salsanext_cli.network.card import WeightsCard, read_card
-from salsanext_cli.network.scan_digests import scan_digest
+from salsanext_cli.network.card import WeightsCard, read_card, scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.owned_folder import OwnedFolder

@@ -23,7 +23,7 @@ from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune import tune
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.error_features import FEATURES
-from salsanext_cli.uncertainty.settings import Estimator
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 ALL = ScanSelection()
 
@@ -92,18 +92,18 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     assert found is not None
     assert found.ece < 0.1
     # Errors go with the labels that they are of.
-    some = Estimator(samples=2, aleatoric="none")
-    uncertainty(world.data, world.out, network=network, estimator=some)
+    some = UncertaintyMethod(samples=2, aleatoric="none")
+    uncertainty(world.data, world.out, network=network, method=some)
     np.testing.assert_array_equal(np.load(world.result(ERROR)), error)
     # Passes of dropout change the labels, not the model.
     other = tmp_path / "uncertain"
-    uncertainty(world.data, other, network=network, estimator=some)
+    uncertainty(world.data, other, network=network, method=some)
     assert {p.name for p in (other / "sequences/08/uncertainty").iterdir()} >= {"error", "entropy"}
     # Other labels take the place of these: their errors are not known.
     predict_scans(world.data, other, network=network, options=RunOptions(overwrite=True))
     assert (other / "sequences/08/uncertainty/entropy/000000.npy").exists()
     assert not list(other.rglob("error/*.npy"))
-    uncertainty(world.data, other, network=network, estimator=some)
+    uncertainty(world.data, other, network=network, method=some)
     assert not list(other.rglob("error/*.npy"))
 
 
@@ -115,7 +115,7 @@ def test_weights_without_it_are_refused(world: World, target, tmp_path) -> None:
         world.data,
         world.out,
         network=world.network,
-        estimator=Estimator(samples=2, aleatoric="none"),
+        method=UncertaintyMethod(samples=2, aleatoric="none"),
     )
     assert not world.result(ERROR).exists()
 

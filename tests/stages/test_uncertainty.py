@@ -18,19 +18,18 @@ from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
+from salsanext_cli.uncertainty.method import UncertaintyMethod
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
-from salsanext_cli.uncertainty.noisy_copies import noise_variance
-from salsanext_cli.uncertainty.settings import Estimator
 
-KINDS = Estimator().kinds
+KINDS = UncertaintyMethod().kinds
 NAN, INF = float("nan"), float("inf")
 FOLDERS = [f"uncertainty/{kind}" for kind in KINDS]
 
 
 def run(world, source=None, out=None, *, options=RunOptions(), **how):
-    given = {"network": world.network, "estimator": Estimator(**{"samples": 3} | how)}
+    given = {"network": world.network, "method": UncertaintyMethod(**{"samples": 3} | how)}
     return uncertainty(source or world.data, out or world.out, options=options, **given)
 
 

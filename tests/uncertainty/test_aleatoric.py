@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.uncertainty.aleatoric import aleatoric
-from salsanext_cli.uncertainty.noisy_copies import noisy_copies
+from salsanext_cli.uncertainty.aleatoric import aleatoric, noisy_copies
 
 
 def with_noise(network, metres, intensity):

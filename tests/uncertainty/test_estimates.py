@@ -8,9 +8,8 @@ import pytest
 
 from salsanext_cli import load_network, sample
 from salsanext_cli.parallel.options import threads_of_workers
-from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
-from salsanext_cli.uncertainty.noisy_copies import noise_variance
 
 EPISTEMIC = pytest.mark.parametrize(
     "estimate",

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.special import expit
 from scipy.stats import norm
 
-from salsanext_cli.uncertainty.moments import MAX_DEVIATIONS, leaky_relu_moments, softmax_moments
+from salsanext_cli.uncertainty.adf import MAX_DEVIATIONS, leaky_relu_moments, softmax_moments
 
 SAMPLES = 100_000
 FLOATS = [torch.float64, torch.float32, torch.bfloat16, torch.float16]

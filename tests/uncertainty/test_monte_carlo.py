@@ -8,7 +8,7 @@ import torch
 from scans import SMALL, make_scan
 
 from salsanext_cli import project, sample
-from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.geometry.network_input import normalise
 from salsanext_cli.network.dropout import ChannelDropout, drawn, sampling
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout

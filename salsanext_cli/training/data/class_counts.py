@@ -22,7 +22,7 @@ from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.network.scan_digests import joined, parted, scan_digest
+from salsanext_cli.network.card import joined, parted, scan_digest
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.data.sources import Source, read_labelled

@@ -17,11 +17,16 @@ from torch.utils.data import DataLoader, Dataset, default_collate
 
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.errors import SalsanextError
-from salsanext_cli.geometry.gather import pixels_from_points
-from salsanext_cli.geometry.intensity import NO_INTENSITY, bright_intensity, match_intensity
-from salsanext_cli.geometry.normalise import normalise
+from salsanext_cli.geometry.network_input import (
+    NO_INTENSITY,
+    bright_intensity,
+    match_intensity,
+    normalise,
+    row_gaps,
+    with_filled_gaps,
+)
+from salsanext_cli.geometry.points import pixels_from_points
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.row_gaps import row_gaps, with_filled_gaps
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor

@@ -17,8 +17,8 @@ from salsanext_cli.fitting.scan_fit import ScanSample, with_image_statistics
 from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.geometry.intensity import on_other_scale
-from salsanext_cli.geometry.mounting import ego_points, in_sensor_frame
+from salsanext_cli.geometry.network_input import on_other_scale
+from salsanext_cli.geometry.points import ego_points, in_sensor_frame
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.records import Float

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from salsanext_cli.engines.loading import with_dropout
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import TrainingError, UsageError
-from salsanext_cli.geometry.normalise import noise_of
+from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.records import Float
 from salsanext_cli.training.tuning.labelled_images import (

@@ -12,10 +12,13 @@ from scans import SMALL, make_scan, write_sequence
 from salsanext_cli import LabelSpace, Scan, label_space, load_network, project, read_scan
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
 from salsanext_cli.fitting.scan_fit import with_image_statistics
-from salsanext_cli.geometry.gather import pixels_from_points
-from salsanext_cli.geometry.intensity import bright_intensity, match_intensity
-from salsanext_cli.geometry.normalise import normalise
-from salsanext_cli.geometry.row_gaps import with_filled_gaps
+from salsanext_cli.geometry.network_input import (
+    bright_intensity,
+    match_intensity,
+    normalise,
+    with_filled_gaps,
+)
+from salsanext_cli.geometry.points import pixels_from_points
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.training.data.dataset import SAMPLE, Samples, SamplingPlan

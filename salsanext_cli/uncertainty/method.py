@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Settings of uncertainty: which method estimates it, with which numbers."""
+"""Methods of estimating uncertainty, and their numbers."""
 
 import logging
 from dataclasses import dataclass, replace
@@ -9,16 +9,15 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
 from salsanext_cli.files.json_files import RecordedSettings
 from salsanext_cli.geometry.knn import KnnParameters
-from salsanext_cli.geometry.normalise import noise_of
+from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.records import RangeImage
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.sensors.sensor import Sensor
-from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import require_samples, sample, scan_seed
-from salsanext_cli.uncertainty.noisy_copies import noise_variance
 
 EPISTEMIC_KINDS = ("epistemic", "entropy", "mutual_information")
 ALEATORIC_KINDS = ("aleatoric", "total")
@@ -30,8 +29,8 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Estimator:
-    """Method of estimating uncertainty, and its numbers."""
+class UncertaintyMethod:
+    """Way of estimating uncertainty, and its numbers."""
 
     # {"sampling", "analytic"}: Monte-Carlo dropout, or its variance carried through the network in
     # one pass
@@ -94,19 +93,19 @@ def _numbers(method: str, aleatoric: str) -> tuple[str, ...]:
     return ("seed",) if aleatoric == "copies" else ()
 
 
-def recorded_estimator(settings: RecordedSettings) -> Estimator:
-    """Return the estimator that the record of a run of `uncertainty` names."""
+def recorded_method(settings: RecordedSettings) -> UncertaintyMethod:
+    """Return the method that the record of a run of `uncertainty` names."""
     method, aleatoric = settings["method"], settings.one_of("aleatoric", ALEATORIC_METHODS)
     numbers = {key: settings.integer(key) for key in _numbers(method, aleatoric)}
-    return Estimator(method, aleatoric=aleatoric, **numbers)
+    return UncertaintyMethod(method, aleatoric=aleatoric, **numbers)
 
 
-def possible_estimator(colour: str, seen: Sensor) -> Estimator:
+def possible_method(colour: str, seen: Sensor) -> UncertaintyMethod:
     """Leave out what needs a noise that the sensor does not know, unless it is asked for."""
     aleatoric = colour in ALEATORIC_KINDS or seen.knows_noise
     if not aleatoric:
         log.warning("sensor %s does not know its noise: epistemic uncertainty only", seen.name)
-    return Estimator(aleatoric="copies" if aleatoric else "none")
+    return UncertaintyMethod(aleatoric="copies" if aleatoric else "none")
 
 
 def recorded_knn(knn: RecordedSettings) -> KnnParameters:
