@@ -331,7 +331,6 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
     section = section.partition("\n\n`uncertainty`")[0]
     steps = re.findall(r"^\d+\. `(\S+\.py)`", section, re.MULTILINE)
     others = re.findall(r"`(\S+\.py)`", section.partition("These call")[2])
-    print("VISITED", sorted(visited[2].keys() - {*steps, "stages/predict.py", "parallel/tasks.py"}))
     assert [name for name in in_order if name in steps] == steps
     assert visited[2].keys() == {*steps, *others, "stages/predict.py", "parallel/tasks.py"}
 
