@@ -299,10 +299,10 @@ def test_every_name_in_the_tables_exists(page):
 
 
 def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monkeypatch):
-    """Of the third scan of a run they are all files of the package, whatever the thread."""
+    """In the middle of a run they are all files of the package, whatever the thread."""
     network, package = replace(world.network, engine="openvino"), f"{ROOT / 'salsanext_cli'}/"
     original, scans = stage.predict_scan, []
-    visited: dict[int, dict[str, None]] = {number: {} for number in range(6)}
+    visited: dict[int, dict[str, None]] = {number: {} for number in range(9)}
 
     def note(frame, event: str, _: object) -> None:
         path = frame.f_code.co_filename
@@ -326,14 +326,16 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
     monkeypatch.setattr(stage, "predict_scan", followed)
     files_visited(world.scan(), world.out)
     in_order = visited[1]
-    write_sequence(world.data / "sequences/09", ["000000", "000001"])
+    write_sequence(world.data / "sequences/09", ["0", "1", "2", "3", "4"])
     files_visited(world.data, world.out.with_name("all"))
     section = text_of("docs/development.md").partition("Once per scan")[2]
     section = section.partition("\n\n`uncertainty`")[0]
     steps = re.findall(r"^\d+\. `(\S+\.py)`", section, re.MULTILINE)
     others = re.findall(r"`(\S+\.py)`", section.partition("These call")[2])
     assert [name for name in in_order if name in steps] == steps
-    assert visited[3].keys() == {*steps, *others, "stages/predict.py", "parallel/tasks.py"}
+    seen = visited[3].keys() | visited[4].keys()
+    print("VISITED", sorted(seen - {*steps, "stages/predict.py", "parallel/tasks.py"}))
+    assert seen == {*steps, *others, "stages/predict.py", "parallel/tasks.py"}
 
 
 def test_every_link_leads_somewhere():
