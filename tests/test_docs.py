@@ -334,7 +334,6 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
     others = re.findall(r"`(\S+\.py)`", section.partition("These call")[2])
     assert [name for name in in_order if name in steps] == steps
     seen = visited[3].keys() | visited[4].keys()
-    print("VISITED", sorted(seen - {*steps, "stages/predict.py", "parallel/tasks.py"}))
     assert seen == {*steps, *others, "stages/predict.py", "parallel/tasks.py"}
 
 
