@@ -16,10 +16,10 @@ from itertools import pairwise
 from pathlib import Path
 
 from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.options import threads_of_workers
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.predictions import predicted_scans
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans

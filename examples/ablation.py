@@ -19,9 +19,9 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.network.complexity import PAPERS, multiply_accumulates, parameter_count
 from salsanext_cli.network.registry import build
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.predictions import predicted_scans
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.train import train

@@ -15,6 +15,7 @@ PACKAGE = Path(salsanext_cli.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 LEVELS = (
     ("version", "errors", "interruption"),
+    ("options",),
     ("files",),
     ("classes", "sensors", "compiled"),
     ("records",),

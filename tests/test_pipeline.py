@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 from salsanext_cli import label_space, read_labels, sensor
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.knn_refine import knn_refine_scans

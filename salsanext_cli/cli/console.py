@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, ParamSpec, cast
 
 import typer
 
-from salsanext_cli.cli.option_groups import option, option_group
 from salsanext_cli.cli.progress import tell
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, escaped, printable
 from salsanext_cli.interruption import ARRIVED, INTACT, WORDS, interruptible
+from salsanext_cli.options import option, option_group
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

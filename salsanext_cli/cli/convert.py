@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, run_end, run_options, selection_options
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.progress import over_scans
 
 
 def convert(
@@ -21,10 +22,10 @@ def convert(
         Path, typer.Argument(metavar="FOLDER", help="Root of the data set to write.")
     ],
     *,
-    topic: selection_options.Topic = None,
+    topic: options.TopicOfRecording = None,
     every: Annotated[int, typer.Option(help="Take every so many scans only.")] = 1,
     limit: Annotated[int | None, typer.Option(help="At most this number of scans.")] = None,
-    running: run_options.RunningUnsharded,
+    running: options.Unsharded,
     output: console.Output,
 ) -> None:
     """Write the scans of a recording as `.bin` files, in SemanticKITTI's layout.
@@ -33,7 +34,7 @@ def convert(
     """
     from salsanext_cli.stages.convert import convert as stage
 
-    source = selection_options.in_topic(recording, topic)
-    with running.over_scans("convert", output) as run:
+    source = options.in_topic(recording, topic)
+    with over_scans("convert", running, output.quiet) as run:
         outcome = stage(source, folder, every=every, limit=limit, options=run)
     run_end.finish("convert", outcome, folder, output)

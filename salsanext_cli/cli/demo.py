@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options
+from salsanext_cli.cli import console, options, run_end
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.cli.progress import progress
 
@@ -19,9 +19,10 @@ def demo(
     *,
     scans: Annotated[int, typer.Option(help="Number of scans of the synthetic drive.")] = 4,
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
-    merged: options.MergedClasses,
+    classes: options.MergedInto = None,
     network: Annotated[options.NetworkOptions, Without({"sensor", "columns", "min_range", "ego"})],
-    local: run_options.Local,
+    jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Run the whole pipeline on a synthetic drive and list what to look at.
@@ -36,8 +37,8 @@ def demo(
         folder,
         scans=scans,
         samples=samples,
-        network=replace(network.settings(), classes=merged.space()),
-        options=RunOptions(jobs=local.jobs, overwrite=local.overwrite),
+        network=replace(network.settings(), classes=options.label_space(classes)),
+        options=RunOptions(jobs=jobs, overwrite=overwrite),
         bars=lambda step: progress(step, output.quiet),
     )
     pictures, out = [str(path) for path in made.pictures], folder / "out"

@@ -1,21 +1,21 @@
 # SPDX-License-Identifier: MIT
 """`salsanext eval`."""
 
-from typing import Annotated
-
-from salsanext_cli.cli import console, options, run_end, run_options, selection_options
-from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.progress import over_scans
 from salsanext_cli.errors import counted
+from salsanext_cli.options import ScanSelection
 
 
 def evaluate(
     *,
-    results: selection_options.Results,
+    results: options.Results,
     by_distance: options.ByDistance = False,
-    selection: selection_options.ResultSelection,
-    classes: selection_options.Classes,
-    merged: options.MergedClasses,
-    running: Annotated[run_options.RunningUnsharded, Without({"overwrite"})],
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    running: options.Reading,
     output: console.Output,
 ) -> None:
     """Compare predictions with labels, as the official benchmark does.
@@ -33,10 +33,10 @@ def evaluate(
     from salsanext_cli.stages.evaluate import evaluate as stage
 
     out = results.folder()
-    chosen, dataset = selection.scans(), selection.dataset
-    labels = classes.space()
-    files, space = predicted_scans(out, chosen, dataset, labels, merged.space())
-    with running.over_scans("eval", output) as run:
+    chosen, dataset = selection, dataset
+    labels = options.label_space(label_space)
+    files, space = predicted_scans(out, chosen, dataset, labels, options.label_space(classes))
+    with over_scans("eval", running, output.quiet) as run:
         settings = provenance(out, chosen, dataset)
         evaluation = stage(
             *(files, out, space, run), by_distance=by_distance, settings=settings, labels=labels

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options
+from salsanext_cli.cli import console, options
 from salsanext_cli.errors import UsageError, counted
 
 WEIGHTS_HELP = "Weights file (.safetensors); default: those of the package."
@@ -34,14 +34,14 @@ def export_onnx(
     limit: Annotated[
         int, typer.Option(help="At most this number of scans to calibrate, evenly spaced.")
     ] = 40,
-    running: run_options.Overwriting,
+    overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Write weights as an ONNX model for OpenVINO, ONNX Runtime and TensorRT.
 
     Example: salsanext export-onnx weights.safetensors model.onnx
     """
-    from salsanext_cli.results.selection import ScanSelection
+    from salsanext_cli.options import ScanSelection
     from salsanext_cli.stages.export_onnx import export_onnx as stage
 
     if int8 != (calibrate is not None):
@@ -54,7 +54,7 @@ def export_onnx(
         dynamic_width=dynamic_width,
         calibrate=calibrate,
         selection=ScanSelection(limit=limit),
-        overwrite=running.overwrite,
+        overwrite=overwrite,
     )
     output.result(done)
     output.say(f"largest difference from torch: {done['difference']:.1e} of the largest logit")

@@ -6,13 +6,16 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options, selection_options
+from salsanext_cli.cli import console, options, run_end
 from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.cli.progress import over_scans
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.options import RunOptions
 
 
 def export_ply(
     *,
-    results: selection_options.Results,
+    results: options.Results,
     colour: Annotated[
         str,
         typer.Option(
@@ -36,11 +39,12 @@ def export_ply(
     form: Annotated[
         str, typer.Option("--format", help="ply, or las or laz with the classes of the ASPRS.")
     ] = "ply",
-    selection: selection_options.ResultSelection,
-    classes: selection_options.Classes,
-    merged: options.MergedClasses,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
     network: Annotated[options.NetworkOptions, Without({"columns"})],
-    running: run_options.Running,
+    running: RunOptions,
     output: console.Output,
 ) -> None:
     """Write coloured point clouds that hold every known value of every point.
@@ -50,17 +54,17 @@ def export_ply(
     from salsanext_cli.stages.export_ply import export_ply as stage
 
     out = results.folder()
-    with running.over_scans("export-ply", output) as run:
+    with over_scans("export-ply", running, output.quiet) as run:
         outcome = stage(
             out,
             colour=colour,
             scale=scale,
             max_error=max_error,
             form=form,
-            dataset=selection.dataset,
-            space=classes.space(),
-            network=replace(network.settings(), classes=merged.space()),
-            selection=selection.scans(),
+            dataset=dataset,
+            space=options.label_space(label_space),
+            network=replace(network.settings(), classes=options.label_space(classes)),
+            selection=selection,
             options=run,
         )
     run_end.finish("export-ply", outcome, out, output)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options, selection_options
+from salsanext_cli.cli import console, options
 from salsanext_cli.cli.progress import progress, tell
 from salsanext_cli.errors import counted, printable
 
@@ -36,9 +36,9 @@ def import_labels(
             show_default="raw ids of the label space",
         ),
     ] = None,
-    classes: selection_options.Classes,
+    label_space: options.LabelSpaceName = None,
     columns: options.Columns = None,
-    running: run_options.Overwriting,
+    overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Take back the labels that a labelling tool wrote, as the label files of a data set.
@@ -54,9 +54,9 @@ def import_labels(
             *(edited, dataset),
             scalar=scalar,
             ids=ids,
-            space=classes.space(),
+            space=options.label_space(label_space),
             sensor=options.with_columns(sensor("hdl64"), columns),
-            overwrite=running.overwrite,
+            overwrite=overwrite,
             progress=bar,
         )
     output.result(made.to_dict(), imported_table(made.scans) if made.scans else None)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options, selection_options
+from salsanext_cli.cli import console, options
 
 
 def import_weights(
@@ -35,7 +35,7 @@ def import_weights(
     half: Annotated[
         bool, typer.Option("--half", help="Store in float16, at half the size.")
     ] = False,
-    running: run_options.Overwriting,
+    overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Convert a published checkpoint to a weights file, without running anything inside it.
@@ -48,12 +48,12 @@ def import_weights(
     stage(
         source,
         target,
-        space=selection_options.label_space(label_space),
+        space=options.label_space(label_space),
         view=options.sensor(sensor),
         dropout=dropout,
         description=description,
         half=half,
-        overwrite=running.overwrite,
+        overwrite=overwrite,
     )
     output.result({"stage": "import-weights", **describe_weights(target)})
     output.say(f"import-weights: {source} → {target}")

@@ -6,7 +6,9 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options, selection_options
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.progress import over_scans
+from salsanext_cli.options import ScanSelection
 
 
 def inspect(
@@ -18,11 +20,14 @@ def inspect(
     ] = None,
     height: Annotated[int | None, typer.Option(help="Rows of its range image.")] = None,
     width: Annotated[int | None, typer.Option(help="Columns of its range image.")] = None,
-    selection: selection_options.SourceSelection,
-    classes: selection_options.Classes,
+    dataset: options.DataSet = None,
+    selection: ScanSelection,
+    topic: options.Topic = None,
+    label_space: options.LabelSpaceName = None,
     sensor: options.SensorWithoutWeights = None,
     columns: options.Columns = None,
-    running: run_options.CheckedUnsharded,
+    running: options.Unsharded,
+    strict: options.Strict = False,
     output: console.Output,
 ) -> None:
     """Summarise a set of scans; fit a sensor to them.
@@ -36,12 +41,12 @@ def inspect(
     from salsanext_cli.stages.inspect import write_sensor
 
     view = options.with_columns(find_sensor(sensor or "hdl64"), columns).resized(height, width)
-    with running.over_scans("inspect", output) as run:
+    with over_scans("inspect", running, output.quiet) as run:
         found = stage(
-            selection.source(scans),
+            options.source(scans, dataset, topic),
             sensor=view,
-            space=classes.space(),
-            selection=selection.scans(),
+            space=options.label_space(label_space),
+            selection=selection,
             options=run,
             fit=fit is not None,
         )
@@ -57,4 +62,4 @@ def inspect(
     run_end.name_failures(found.failures)
     for line in run_end.warning_lines(found.warnings):
         output.say(line)
-    run_end.leave(found.failures, failed=running.strict and bool(found.warnings))
+    run_end.leave(found.failures, failed=strict and bool(found.warnings))

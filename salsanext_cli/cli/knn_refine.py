@@ -6,7 +6,10 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options, selection_options
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.progress import over_scans
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.options import RunOptions
 
 
 def knn_refine(
@@ -16,8 +19,9 @@ def knn_refine(
         Path | None,
         typer.Option(help="Refine the .label files of this folder instead, of any program."),
     ] = None,
-    selection: selection_options.ResultSelection,
-    classes: selection_options.Classes,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
     sensor: Annotated[
         str | None,
         typer.Option(
@@ -35,7 +39,8 @@ def knn_refine(
         ),
     ] = None,
     knn: options.Knn,
-    running: run_options.Checked,
+    running: RunOptions,
+    strict: options.Strict = False,
     output: console.Output,
 ) -> None:
     """Turn labels of pixels into labels of points, or correct labels of points, by neighbours.
@@ -48,15 +53,15 @@ def knn_refine(
     seen = options.sensor(sensor)
     if columns is not None:
         seen = options.with_columns(seen or recorded_sensor(out), columns)
-    with running.over_scans("knn-refine", output) as run:
+    with over_scans("knn-refine", running, output.quiet) as run:
         outcome = knn_refine_scans(
             out,
             labels=labels,
-            dataset=selection.dataset,
+            dataset=dataset,
             sensor=seen,
-            space=classes.space(),
+            space=options.label_space(label_space),
             knn=knn.parameters(),
-            selection=selection.scans(),
+            selection=selection,
             options=run,
         )
-    run_end.finish("knn-refine", outcome, out, output, split=selection.split, strict=running.strict)
+    run_end.finish("knn-refine", outcome, out, output, split=selection.split, strict=strict)

@@ -1,76 +1,62 @@
 # SPDX-License-Identifier: MIT
-"""Groups of options: dataclasses whose fields are expanded into the parameters of a command."""
+"""Commands with dataclasses as parameters, whose fields are the options that Typer reads."""
 
 import dataclasses
 import functools
 import inspect
 from collections.abc import Callable
-from typing import (
-    Annotated,
-    Any,
-    TypeVar,
-    dataclass_transform,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
-Group = TypeVar("Group")
-
 
 class Without(frozenset[str]):
-    """Fields that a command does not offer: ``Annotated[Running, Without({"shard"})]``."""
+    """Fields that a command does not offer: ``Annotated[RunOptions, Without({"shard"})]``."""
 
 
 class Default(dict[str, Any]):
-    """Fields with another default than in the group: ``Annotated[Selection, Default(limit=4)]``."""
+    """Fields with another default: ``Annotated[ScanSelection, Default(limit=20)]``."""
 
 
-@dataclass_transform(frozen_default=True)
-def option_group(kind: type[Group]) -> type[Group]:
-    """Turn a class into a dataclass whose fields, made by `option` or `argument`, commands offer.
-
-    A command that has a parameter of such a type offers the fields as options and receives the
-    filled group: ``def command(*, knn: Knn)``.
-    """
-    return dataclasses.dataclass(frozen=True, slots=True)(kind)
+class Shown(dict[str, dict[str, Any]]):
+    """Fields with another help: ``Annotated[ScanSelection, Shown(limit={"help": "…"})]``."""
 
 
-def option(panel: str, text: str, *names: str, default: Any = None, **settings: Any) -> Any:
-    """Return a field of a group: panel and text of the help, names if not that of the field."""
-    declared = typer.Option(*names, help=text, rich_help_panel=panel, **settings)
-    return dataclasses.field(default=default, metadata={"option": declared})
+@dataclasses.dataclass(frozen=True)
+class Group:
+    """Dataclass that a command takes as a parameter."""
 
+    kind: type
+    defaults: dict[str, Any]  # Of all its fields
+    offered: dict[str, inspect.Parameter]  # Options by field
 
-def argument(text: str, **settings: Any) -> Any:
-    """Return a field of a group that is an argument of commands: text of the help."""
-    declared = typer.Argument(help=text, **settings)
-    return dataclasses.field(default=None, metadata={"option": declared})
+    def fill(self, given: dict[str, Any]) -> Any:
+        """Take the values of the options out of what was typed, and build the dataclass."""
+        typed = {name: given.pop(name) for name in self.offered}
+        for field in dataclasses.fields(self.kind):
+            if (parse := field.metadata.get("parse")) and field.name in typed:
+                typed[field.name] = parse(typed[field.name])
+        return self.kind(**self.defaults | typed)
 
 
 def expanded(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command with the signature that typer reads: options in the place of groups."""
+    """Return a command with the signature that typer reads: options in the place of dataclasses."""
     parameters: list[inspect.Parameter] = []
-    groups: dict[str, tuple[type, dict[str, Any], list[str]]] = {}
+    groups: dict[str, Group] = {}
     hints = get_type_hints(command, include_extras=True)
     for name, parameter in inspect.signature(command).parameters.items():
         hint = hints[name]
         kind, *marks = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-            options, defaults = _fields(kind, marks)
-            parameters += options
-            groups[name] = kind, defaults, [option.name for option in options]
+            groups[name] = _group(kind, marks)
+            parameters += groups[name].offered.values()
         else:
             parameters.append(parameter.replace(annotation=hint, kind=parameter.KEYWORD_ONLY))
 
     @functools.wraps(command)
     def run(**given: Any) -> None:
-        filled = {
-            name: kind(**defaults | {field: given.pop(field) for field in offered})
-            for name, (kind, defaults, offered) in groups.items()
-        }
+        # The last one is `Output`, which decides where messages about the others go.
+        filled = {name: groups[name].fill(given) for name in reversed(groups)}
         command(**filled, **given)
 
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
@@ -78,25 +64,31 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def _fields(kind: type, marks: list[Any]) -> tuple[list[inspect.Parameter], dict[str, Any]]:
-    """Return the options of a group that a command offers, and the defaults of all fields."""
+def _group(kind: type, marks: list[Any]) -> Group:
     hints = get_type_hints(kind)
     fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
     defaults = {name: field.default for name, field in fields.items()}
+    changed: dict[str, dict[str, Any]] = {}
     left_out: set[str] = set()
     for mark in marks:
         if isinstance(mark, Default):
             defaults |= mark
+        elif isinstance(mark, Shown):
+            changed |= mark
         elif isinstance(mark, Without):
             left_out |= mark
-    options = [
-        inspect.Parameter(
+    offered: dict[str, inspect.Parameter] = {}
+    for name, field in fields.items():
+        if name in left_out or "option" not in field.metadata:
+            continue
+        how, parsed = field.metadata["option"] | changed.get(name, {}), field.metadata["parse"]
+        make = typer.Argument if field.metadata.get("argument") else typer.Option
+        offered[name] = inspect.Parameter(
             name,
             inspect.Parameter.KEYWORD_ONLY,
-            default=defaults[name],
-            annotation=Annotated[hints[name], field.metadata["option"]],
+            default=None if parsed else defaults[name],
+            annotation=Annotated[
+                str | None if parsed else hints[name], make(*field.metadata["names"], **how)
+            ],
         )
-        for name, field in fields.items()
-        if name not in left_out
-    ]
-    return options, defaults
+    return Group(kind, defaults, offered)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -12,9 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from salsanext_cli.cli.option_groups import option, option_group
-from salsanext_cli.cli.selection_options import OUT_VARIABLE, label_space
+from salsanext_cli.cli.option_groups import Shown, Without
 from salsanext_cli.errors import UsageError
+from salsanext_cli.options import ScanSelection, argument, option, option_group
+from salsanext_cli.parallel.options import RunOptions
 
 if TYPE_CHECKING:
     from salsanext_cli.classes.label_space import LabelSpace
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from salsanext_cli.geometry.knn import KnnParameters
     from salsanext_cli.sensors.sensor import Sensor
 
+OUT_VARIABLE = "SALSANEXT_OUT"
 DEFAULT_WEIGHTS = Path("default")
 """Name of the weights of the package; a file of that name needs an absolute path."""
 SCANS_HELP = "Scan file, folder of scans, sequence folder, data set or recording."
@@ -57,6 +60,81 @@ Columns = Annotated[
     str | None,
     typer.Option(help=COLUMNS_HELP, show_default=COLUMNS_DEFAULT, rich_help_panel="Network"),
 ]
+
+TOPIC_HELP, TOPIC_DEFAULT = "Topic of the point clouds of a recording.", "the only one"
+TopicOfRecording = Annotated[str | None, typer.Option(help=TOPIC_HELP, show_default=TOPIC_DEFAULT)]
+Topic = Annotated[
+    str | None,
+    typer.Option(help=TOPIC_HELP, show_default=TOPIC_DEFAULT, rich_help_panel="Selection"),
+]
+DataSet = Annotated[
+    Path | None,
+    typer.Option(
+        help="Data set in SemanticKITTI's layout.",
+        envvar="SALSANEXT_DATASET",
+        show_default=".",
+        rich_help_panel="Selection",
+    ),
+]
+DataSetOfResults = Annotated[
+    Path | None,
+    typer.Option(
+        help="Data set with the scans and labels; SALSANEXT_DATASET for results that do not record "
+        "it.",
+        show_default="the one that the results record, else .",
+        rich_help_panel="Selection",
+    ),
+]
+LabelSpaceName = Annotated[
+    str | None,
+    typer.Option(
+        help="Name of a built-in label space, or a .yaml file in SemanticKITTI's format.",
+        show_default="that of the data set, else semantic-kitti",
+        rich_help_panel="Selection",
+    ),
+]
+MergedInto = Annotated[
+    str | None,
+    typer.Option(
+        help="Merge the classes into those of a label space: coarse, or a .yaml file. "
+        "Probabilities of merged classes are added.",
+        show_default="not merged",
+        rich_help_panel="Selection",
+    ),
+]
+EVENLY_SPACED = {"help": "At most this number of scans, evenly spaced."}
+SpacedSelection = Annotated[ScanSelection, Shown(limit=EVENLY_SPACED)]
+LabelledSelection = Annotated[
+    ScanSelection,
+    Shown(
+        split={
+            "help": "Only the sequences of this split: train or valid.",
+            "show_default": "valid, without --sequences",
+        },
+        limit=EVENLY_SPACED,
+    ),
+]
+Jobs = Annotated[
+    int,
+    typer.Option(
+        "--jobs", "-j", help="Number of processes; -1: one per core.", rich_help_panel="Running"
+    ),
+]
+Overwrite = Annotated[
+    bool,
+    typer.Option("--overwrite", help="Replace existing results.", rich_help_panel="Running"),
+]
+Strict = Annotated[
+    bool,
+    typer.Option(
+        "--strict",
+        help="End with status 1 if a scan or its labels are doubtful.",
+        rich_help_panel="Running",
+    ),
+]
+Unsharded = Annotated[RunOptions, Without({"shard"})]
+Reading = Annotated[RunOptions, Without({"shard", "overwrite"})]
+"""For results over all scans, which several runs cannot share."""
 
 Intensity = Literal["auto", "match", "raw", "none"]
 
@@ -169,19 +247,21 @@ class AdaptableNetwork(NetworkOptions):
 
 
 @option_group
-class MergedClasses:
-    """Classes into which others are merged."""
+class Results:
+    """Output folder of earlier stages, given as OUT or as --out."""
 
-    classes: str | None = option(
-        "Selection",
-        "Merge the classes into those of a label space: coarse, or a .yaml file. Probabilities of "
-        "merged classes are added.",
-        show_default="not merged",
+    out: Path | None = argument(
+        "Folder with the results of earlier stages.",
+        metavar="OUT",
+        show_default=f"{OUT_VARIABLE}, else out",
     )
+    out_option: Path | None = option("Options", "The same as OUT.", "--out")
 
-    def space(self) -> LabelSpace | None:
-        """Look up the label space, None where none was named."""
-        return label_space(self.classes)
+    def folder(self) -> Path:
+        """Return the output folder, which may be given once."""
+        if self.out and self.out_option:
+            raise UsageError("OUT and --out", "both given", "one of them")
+        return self.out or self.out_option or Path(os.environ.get(OUT_VARIABLE) or "out")
 
 
 @option_group
@@ -244,3 +324,26 @@ def with_columns(sensor: Sensor, columns: str | None) -> Sensor:
     if not are_columns(names):
         raise UsageError("--columns", columns, COLUMNS_EXPECTED)
     return replace(sensor, columns=names)
+
+
+def source(scans: Path | None, dataset: Path | None, topic: str | None) -> Path:
+    """Return where to look for scans: SCANS, else the data set, else here; a topic if named."""
+    return in_topic(scans or dataset or Path(), topic)
+
+
+def in_topic(source: Path, topic: str | None) -> Path:
+    """Return the path of a topic in a recording, of the recording where none is named."""
+    if topic is None:
+        return source
+    from salsanext_cli.formats.recordings.address import is_recording
+
+    if not is_recording(source):
+        raise UsageError("--topic", f"{source} is no recording", "SCANS that are one")
+    return source / topic.strip("/")
+
+
+def label_space(name: str | None) -> LabelSpace | None:
+    """Look up a label space, None where none was named."""
+    from salsanext_cli.classes.label_space import label_space as find
+
+    return None if name is None else find(name)

@@ -7,9 +7,11 @@ from typing import Annotated, Literal
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options, selection_options
-from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.option_groups import Shown
+from salsanext_cli.cli.progress import over_scans
 from salsanext_cli.errors import counted
+from salsanext_cli.options import ScanSelection
 
 
 def pick(
@@ -30,9 +32,14 @@ def pick(
             "be given several times.",
         ),
     ] = None,
-    selection: Annotated[selection_options.PickedSelection, Without({"dataset"})],
+    selection: Annotated[
+        ScanSelection,
+        Shown(limit={"help": "Look at this number of scans only, evenly spaced."}),
+    ],
+    topic: options.Topic = None,
     network: options.NetworkOptions,
-    running: run_options.CheckedUnsharded,
+    running: options.Unsharded,
+    strict: options.Strict = False,
     output: console.Output,
 ) -> None:
     """Pick the scans most worth labelling; write them as a data set with labels to correct.
@@ -42,15 +49,15 @@ def pick(
     from salsanext_cli.report.picked import picked_table
     from salsanext_cli.stages.pick import pick as stage
 
-    with running.over_scans("pick", output) as run:
+    with over_scans("pick", running, output.quiet) as run:
         found = stage(
-            selection.source(scans),
+            options.in_topic(scans, topic),
             out,
             count=count,
             strategy=strategy,
             seed=seed,
             network=network.settings(),
-            selection=selection.scans(),
+            selection=selection,
             options=run,
             labelled=labelled or (),
         )
@@ -71,4 +78,4 @@ def pick(
         )
         edited = shlex.join(["salsanext", "import-labels", "EDITED", str(out)])
         output.say(f"next: correct the labels, take them back with `{edited}`, then `{following}`")
-    run_end.leave(outcome.failures, failed=running.strict and bool(doubted))
+    run_end.leave(outcome.failures, failed=strict and bool(doubted))

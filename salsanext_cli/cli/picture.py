@@ -5,12 +5,15 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options, selection_options
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.progress import over_scans
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.options import RunOptions
 
 
 def picture(
     *,
-    results: selection_options.Results,
+    results: options.Results,
     colour: Annotated[
         list[str] | None,
         typer.Option(
@@ -34,10 +37,11 @@ def picture(
         bool, typer.Option("--mp4", help="Animate each sequence as MP4; needs ffmpeg.")
     ] = False,
     fps: Annotated[float, typer.Option(help="Scans per second of the animations.")] = 5.0,
-    selection: selection_options.ResultSelection,
-    classes: selection_options.Classes,
-    merged: options.MergedClasses,
-    running: run_options.Running,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    running: RunOptions,
     output: console.Output,
 ) -> None:
     """Draw scans and their results, from above and as range images, as PNG, GIF or MP4.
@@ -47,17 +51,17 @@ def picture(
     from salsanext_cli.stages.picture import picture as stage
 
     out = results.folder()
-    with running.over_scans("picture", output) as run:
+    with over_scans("picture", running, output.quiet) as run:
         outcome = stage(
             out,
             colours=colour or (),
             scale=scale,
             animations=[form for form, wanted in (("gif", gif), ("mp4", mp4)) if wanted],
             frames_per_second=fps,
-            dataset=selection.dataset,
-            space=classes.space(),
-            classes=merged.space(),
-            selection=selection.scans(),
+            dataset=dataset,
+            space=options.label_space(label_space),
+            classes=options.label_space(classes),
+            selection=selection,
             options=run,
         )
     run_end.finish("picture", outcome, out, output)

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options, selection_options
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.progress import over_scans
 from salsanext_cli.errors import UsageError
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.options import RunOptions
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Outcome
@@ -40,8 +43,10 @@ def predict(
             help="Leave points unlabelled whose label is wrong with a higher probability.",
         ),
     ] = None,
-    selection: selection_options.SourceSelection,
-    merged: options.MergedClasses,
+    dataset: options.DataSet = None,
+    selection: ScanSelection,
+    topic: options.Topic = None,
+    classes: options.MergedInto = None,
     network: options.AdaptableNetwork,
     knn: options.Knn,
     batch: Annotated[
@@ -52,7 +57,8 @@ def predict(
             rich_help_panel="Running",
         ),
     ] = "auto",
-    running: run_options.Checked,
+    running: RunOptions,
+    strict: options.Strict = False,
     output: console.Output,
 ) -> None:
     """Predict the class of every point of every scan.
@@ -63,13 +69,13 @@ def predict(
     from salsanext_cli.results.layout import ERROR
     from salsanext_cli.stages import predict as stage
 
-    source = selection.source(scans)
+    source = options.source(scans, dataset, topic)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}
     extras = tuple(name for name in wanted if wanted[name])
-    loaded = replace(network.settings(), classes=merged.space())
-    chosen: dict[str, Any] = {"network": loaded, "selection": selection.scans()}
+    loaded = replace(network.settings(), classes=options.label_space(classes))
+    chosen: dict[str, Any] = {"network": loaded, "selection": selection}
     outcome: Outcome
-    with running.over_scans("predict", output) as run:
+    with over_scans("predict", running, output.quiet) as run:
         if projected_sensor(source) is None:
             outcome = stage.predict_scans(
                 source,
@@ -85,7 +91,7 @@ def predict(
             of_points = {"--probabilities": probabilities, "--error": error}
             _require_no_scans(knn, batch, {**of_points, "--reject": reject is not None})
             outcome = stage.predict_range_images(source, out, options=run, **chosen)
-    run_end.finish("predict", outcome, out, output, split=selection.split, strict=running.strict)
+    run_end.finish("predict", outcome, out, output, split=selection.split, strict=strict)
 
 
 def _require_no_scans(knn: options.Knn, batch: str, of_points: dict[str, bool]) -> None:

@@ -7,12 +7,13 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-    from salsanext_cli.parallel.run import Progress
+    from salsanext_cli.parallel.options import Progress, RunOptions
 
 LINE_INTERVAL_S = 30.0
 """Time between two lines in a log file."""
@@ -38,6 +39,13 @@ def progress(label: str, quiet: bool, unit: str = "scans") -> Iterator[Progress 
             yield lambda done, total: bar.update(task, completed=done, total=total)
     else:
         yield Lines(label, unit)
+
+
+@contextmanager
+def over_scans(label: str, options: RunOptions, quiet: bool) -> Iterator[RunOptions]:
+    """Show the progress of a run over scans while the body runs with the options it gets."""
+    with progress(label, quiet) as bar:
+        yield replace(options, progress=bar)
 
 
 class Lines:

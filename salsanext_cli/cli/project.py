@@ -4,19 +4,25 @@
 from pathlib import Path
 from typing import Annotated
 
-from salsanext_cli.cli import console, options, run_end, run_options, selection_options
+from salsanext_cli.cli import console, options, run_end
 from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.cli.progress import over_scans
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.options import RunOptions
 
 
 def project(
     scans: options.Scans = None,
     out: options.Out = Path("out"),
     *,
-    selection: selection_options.SourceSelection,
+    dataset: options.DataSet = None,
+    selection: ScanSelection,
+    topic: options.Topic = None,
     network: Annotated[
         options.NetworkOptions, Without({"device", "precision", "engine", "intensity"})
     ],
-    running: run_options.Checked,
+    running: RunOptions,
+    strict: options.Strict = False,
     output: console.Output,
 ) -> None:
     """Project scans onto range images and write these, for `predict` or your own programs.
@@ -25,16 +31,16 @@ def project(
     """
     from salsanext_cli.stages.project import project_scans
 
-    with running.over_scans("project", output) as run:
+    with over_scans("project", running, output.quiet) as run:
         outcome = project_scans(
-            selection.source(scans),
+            options.source(scans, dataset, topic),
             out,
             sensor=network.named_sensor() or network.trained_sensor(),
             fit=network.is_fitted,
-            selection=selection.scans(),
+            selection=selection,
             options=run,
         )
     sensor = None if network.sensor == options.AUTO else network.sensor
     named = {"--weights": network.weights, "--sensor": sensor}
     more = [word for name, value in named.items() if value for word in (name, str(value))]
-    run_end.finish("project", outcome, out, output, *more, strict=running.strict)
+    run_end.finish("project", outcome, out, output, *more, strict=strict)

@@ -5,14 +5,15 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options, selection_options
-from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.progress import over_scans
 from salsanext_cli.errors import counted
+from salsanext_cli.options import ScanSelection
 
 
 def report(
     *,
-    results: selection_options.Results,
+    results: options.Results,
     scans: Annotated[
         str | None,
         typer.Option(
@@ -22,10 +23,11 @@ def report(
         ),
     ] = None,
     by_distance: options.ByDistance = False,
-    selection: selection_options.ResultSelection,
-    classes: selection_options.Classes,
-    merged: options.MergedClasses,
-    running: Annotated[run_options.RunningUnsharded, Without({"overwrite"})],
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    running: options.Reading,
     output: console.Output,
 ) -> None:
     """Write one page of a run that opens in any browser: numbers, plots, and scans in 3-D.
@@ -34,15 +36,15 @@ def report(
     """
     from salsanext_cli.stages.report import report as stage
 
-    with running.over_scans("report", output) as run:
+    with over_scans("report", running, output.quiet) as run:
         made = stage(
             results.folder(),
             scans=[name.strip() for name in (scans or "").split(",") if name.strip()],
-            dataset=selection.dataset,
-            space=classes.space(),
-            classes=merged.space(),
+            dataset=dataset,
+            space=options.label_space(label_space),
+            classes=options.label_space(classes),
             by_distance=by_distance,
-            selection=selection.scans(),
+            selection=selection,
             options=run,
         )
     output.result(made.to_dict())

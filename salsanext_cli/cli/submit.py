@@ -6,8 +6,7 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, run_options, selection_options
-from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.cli import console, options
 from salsanext_cli.cli.progress import progress, tell
 from salsanext_cli.errors import counted, printable
 
@@ -21,11 +20,9 @@ def submit(
     description: Annotated[
         Path | None, typer.Option(help="Text file about the method, packed as description.txt.")
     ] = None,
-    selection: Annotated[
-        selection_options.ResultSelection, Without({"split", "sequences", "limit"})
-    ],
-    classes: selection_options.Classes,
-    running: run_options.Overwriting,
+    dataset: options.DataSetOfResults = None,
+    label_space: options.LabelSpaceName = None,
+    overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Check the predictions of the test split and pack them for SemanticKITTI's benchmark.
@@ -38,10 +35,10 @@ def submit(
         made = stage(
             out,
             target,
-            dataset=selection.dataset,
-            space=classes.space(),
+            dataset=dataset,
+            space=options.label_space(label_space),
             description=description,
-            overwrite=running.overwrite,
+            overwrite=overwrite,
             progress=on_progress,
         )
     output.result(made.to_dict() | {"zip": str(target)})

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from salsanext_cli.cli import console, run_options
+from salsanext_cli.cli import console, options
 from salsanext_cli.cli.progress import progress
 from salsanext_cli.errors import counted
 
@@ -26,7 +26,8 @@ def synth(
         typer.Option(help="An HDL-64E, or a random sensor for each sequence."),
     ] = "hdl64",
     seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
-    local: run_options.Local,
+    jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Generate labelled scans of synthetic streets, in SemanticKITTI's layout.
@@ -45,8 +46,8 @@ def synth(
             seed=seed,
             spacing=spacing,
             sensor=sensor,
-            jobs=local.jobs,
-            overwrite=local.overwrite,
+            jobs=jobs,
+            overwrite=overwrite,
             progress=on_progress,
         )
     output.result(made)

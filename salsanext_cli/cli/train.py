@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options, selection_options
-from salsanext_cli.cli.option_groups import Without, option_group
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.cli.progress import progress
 from salsanext_cli.errors import counted
+from salsanext_cli.options import option_group
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Progress
@@ -74,7 +75,7 @@ def train(
     ] = Path("run"),
     *,
     start: Start,
-    classes: selection_options.Classes,
+    label_space: options.LabelSpaceName = None,
     network: Annotated[
         options.NetworkOptions,
         Without(
@@ -90,7 +91,14 @@ def train(
             }
         ),
     ],
-    local: run_options.Training,
+    jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
+    strict: Annotated[
+        bool,
+        typer.Option(
+            "--strict", help="Do not train if a scan is doubtful.", rich_help_panel="Running"
+        ),
+    ] = False,
     output: console.Output,
 ) -> None:
     """Train a network. After an interruption, the same command continues the training.
@@ -108,12 +116,12 @@ def train(
             run,
             recipe=start.plan(),
             sensor=start.seen(),
-            space=classes.space(),
+            space=options.label_space(label_space),
             device=network.device,
-            jobs=local.jobs,
+            jobs=jobs,
             weights=start.weights and options.weights_file(start.weights),
-            overwrite=local.overwrite,
-            strict=local.strict,
+            overwrite=overwrite,
+            strict=strict,
             also=start.also or (),
             progress=lambda report: _show(report, bar, output),
         )

@@ -1,24 +1,26 @@
 # SPDX-License-Identifier: MIT
 """`salsanext tune`: a group of commands, one for each part of the weights that can be fitted."""
 
+from dataclasses import replace
 from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_options, selection_options
+from salsanext_cli.cli import console, options
 from salsanext_cli.cli.console import guarded
-from salsanext_cli.cli.option_groups import Default, Without, expanded
+from salsanext_cli.cli.option_groups import Default, expanded
 from salsanext_cli.cli.progress import progress
 from salsanext_cli.errors import counted
+from salsanext_cli.options import ScanSelection
 
 
 def tune_temperature(
     dataset: options.LabelledDataSet,
     target: options.WeightsOut,
     *,
-    selection: Annotated[selection_options.LabelledSelection, Without({"dataset"})],
+    selection: options.LabelledSelection,
     network: options.NetworkOptions,
-    running: run_options.Overwriting,
+    overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Fit the temperature that calibrates the probabilities, and write new weights.
@@ -34,8 +36,8 @@ def tune_temperature(
             dataset,
             target,
             network=network.settings(),
-            selection=selection.scans(),
-            overwrite=running.overwrite,
+            selection=_validation(selection),
+            overwrite=overwrite,
             progress=on_progress,
         )
     table = temperature_table(tuned["before"], tuned["after"])
@@ -55,11 +57,9 @@ def tune_dropout(
         int, typer.Option(help="Number of rates to try, evenly spaced on a log scale.")
     ] = 10,
     seed: Annotated[int, typer.Option(help="Seed of the dropout masks.")] = 0,
-    selection: Annotated[
-        selection_options.LabelledSelection, Without({"dataset"}), Default(limit=20)
-    ],
+    selection: Annotated[options.LabelledSelection, Default(limit=20)],
     network: options.NetworkOptions,
-    running: run_options.Overwriting,
+    overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Find the dropout rate to sample with, write new weights and plot the search.
@@ -76,13 +76,13 @@ def tune_dropout(
             dataset,
             target,
             network=network.settings(),
-            selection=selection.scans(),
+            selection=_validation(selection),
             samples=samples,
             seed=seed,
             lowest=lowest,
             highest=highest,
             steps=steps,
-            overwrite=running.overwrite,
+            overwrite=overwrite,
             progress=on_progress,
         )
     best, curve = tuned["best"], curve_of(target)
@@ -101,9 +101,9 @@ def tune_batchnorm(
             help="Weight of the new statistics, above 0 and at most 1; the old ones have the rest."
         ),
     ] = 0.1,
-    selection: Annotated[selection_options.SpacedSelection, Without({"dataset"})],
+    selection: options.SpacedSelection,
     network: options.NetworkOptions,
-    running: run_options.Overwriting,
+    overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Adapt batch normalisation to scans of another sensor or place, without labels.
@@ -119,9 +119,9 @@ def tune_batchnorm(
             scans,
             target,
             network=network.settings(),
-            selection=selection.scans(),
+            selection=selection,
             share=share,
-            overwrite=running.overwrite,
+            overwrite=overwrite,
             progress=on_progress,
         )
     output.result(tuned | {"weights": str(target)}, moved_table(tuned["layers"]))
@@ -133,9 +133,9 @@ def tune_error(
     dataset: options.LabelledDataSet,
     target: options.WeightsOut,
     *,
-    selection: Annotated[selection_options.LabelledSelection, Without({"dataset"})],
+    selection: options.LabelledSelection,
     network: options.NetworkOptions,
-    running: run_options.Overwriting,
+    overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Fit the probability that a label is wrong, and write new weights.
@@ -151,14 +151,20 @@ def tune_error(
             dataset,
             target,
             network=network.settings(),
-            selection=selection.scans(),
-            overwrite=running.overwrite,
+            selection=_validation(selection),
+            overwrite=overwrite,
             progress=on_progress,
         )
     table = error_table(tuned) if tuned["folds"] else None
     output.result(tuned | {"weights": str(target)}, table)
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     output.say(f"tune error: {points}, {100 * tuned['wrong']:.1f} % wrong → {target}")
+
+
+def _validation(selection: ScanSelection) -> ScanSelection:
+    """Return a selection of labelled scans: those for validation, unless others are named."""
+    named = selection.split or selection.sequences
+    return selection if named else replace(selection, split="valid")
 
 
 tune = typer.Typer(

@@ -7,7 +7,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options, selection_options
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.progress import over_scans
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.options import RunOptions
 
 
 def uncertainty(
@@ -27,11 +30,14 @@ def uncertainty(
             "of each scan, or carried through the network as in the paper."
         ),
     ] = "copies",
-    selection: selection_options.SourceSelection,
-    merged: options.MergedClasses,
+    dataset: options.DataSet = None,
+    selection: ScanSelection,
+    topic: options.Topic = None,
+    classes: options.MergedInto = None,
     network: options.AdaptableNetwork,
     knn: options.Knn,
-    running: run_options.Checked,
+    running: RunOptions,
+    strict: options.Strict = False,
     output: console.Output,
 ) -> None:
     """Predict the class of every point and its epistemic, aleatoric and total uncertainty.
@@ -41,14 +47,14 @@ def uncertainty(
     from salsanext_cli.stages.uncertainty import uncertainty as stage
     from salsanext_cli.uncertainty.method import UncertaintyMethod
 
-    with running.over_scans("uncertainty", output) as run:
+    with over_scans("uncertainty", running, output.quiet) as run:
         outcome = stage(
-            selection.source(scans),
+            options.source(scans, dataset, topic),
             out,
-            network=replace(network.settings(), classes=merged.space()),
+            network=replace(network.settings(), classes=options.label_space(classes)),
             knn=knn.parameters(),
             method=UncertaintyMethod(method, samples, seed, aleatoric),
-            selection=selection.scans(),
+            selection=selection,
             options=run,
         )
-    run_end.finish("uncertainty", outcome, out, output, strict=running.strict)
+    run_end.finish("uncertainty", outcome, out, output, strict=strict)

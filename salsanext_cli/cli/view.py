@@ -7,23 +7,25 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end, run_options, selection_options
-from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.progress import over_scans
 from salsanext_cli.errors import counted
 from salsanext_cli.interruption import ARRIVED
+from salsanext_cli.options import ScanSelection
 
 
 def view(
     *,
-    results: selection_options.Results,
+    results: options.Results,
     port: Annotated[
         int, typer.Option(help="Port on this machine; 0: any free one.", min=0, max=65535)
     ] = 8765,
     by_distance: options.ByDistance = False,
-    selection: selection_options.ResultSelection,
-    classes: selection_options.Classes,
-    merged: options.MergedClasses,
-    running: Annotated[run_options.RunningUnsharded, Without({"overwrite"})],
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    running: options.Reading,
     output: console.Output,
 ) -> None:
     """Show all scans of a run in the browser, until Ctrl-C.
@@ -32,15 +34,15 @@ def view(
     """
     from salsanext_cli.stages.view import view as stage
 
-    with running.over_scans("view", output) as run:
+    with over_scans("view", running, output.quiet) as run:
         server = stage(
             results.folder(),
             port=port,
-            dataset=selection.dataset,
-            space=classes.space(),
-            classes=merged.space(),
+            dataset=dataset,
+            space=options.label_space(label_space),
+            classes=options.label_space(classes),
             by_distance=by_distance,
-            selection=selection.scans(),
+            selection=selection,
             options=run,
         )
     run_end.name_failures(server.failures)

@@ -4,11 +4,12 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
-from typing import Any
+from typing import Any, Literal
 
 from salsanext_cli.errors import UsageError
+from salsanext_cli.options import option, option_group
 from salsanext_cli.parallel.shards import Shard
 
 BACKENDS = ("loky", "threading", "dask", "ray")
@@ -71,24 +72,41 @@ def threads_of_workers(count: int) -> Iterator[None]:
             numba.config.NUMBA_NUM_THREADS = of_kernels
 
 
-@dataclass(frozen=True, slots=True)
+running_option = partial(option, "Running")
+
+
+@option_group
 class RunOptions:
     """Options of a run over scans."""
 
-    # Workers side by side; -1 is one per core, or all of a cluster. None is one here, and all of a
-    # cluster
-    jobs: int | None = None
-    # {"skip", "stop"}: a scan that fails is named at the end, or ends the run
-    on_error: str = "skip"
-    overwrite: bool = False  # Results that exist are made again
+    # None is one here, and all of a cluster
+    jobs: int | None = running_option(
+        "Number of workers; -1: one per core.",
+        "--jobs",
+        "-j",
+        show_default="1; all workers of a cluster",
+    )
+    backend: Literal["loky", "threading", "dask", "ray"] = running_option(
+        "Processes (loky), threads, or workers of a Dask or Ray cluster.", default="loky"
+    )
+    scheduler: str | None = running_option(
+        "Address of a running Dask or Ray cluster.",
+        metavar="ADDRESS",
+        show_default="a new cluster on this machine",
+    )
+    shard: Shard = running_option(
+        "Only share I of N shares of the scans, from 1/N to N/N.",
+        default=Shard(),
+        parse=Shard.asked_for,
+        metavar="I/N",
+        show_default="the share of this Slurm array task, else 1/1",
+    )
+    overwrite: bool = running_option("Replace existing results.", "--overwrite", default=False)
+    on_error: Literal["skip", "stop"] = running_option(
+        "Skip a scan that fails, or stop at the first.", default="skip"
+    )
     # Called after each scan, or for several together when a worker is done with them
     progress: Progress | None = None
-    # {"loky", "threading", "dask", "ray"}: processes, threads, or the workers of a cluster
-    backend: str = "loky"
-    # Address of a Dask or Ray cluster; without one, it is started on this machine
-    scheduler: str | None = None
-    # Share of the scans that this run works on, where other runs work on the others
-    shard: Shard = Shard()
 
     def __post_init__(self) -> None:
         worker_count(1 if self.jobs is None else self.jobs)

@@ -36,7 +36,7 @@ def local_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
 
     workers = min(max_workers, options.workers_here())
     threads = max(1, cores() // workers)
-    backend = {"backend": options.backend, "n_jobs": workers}
+    backend: dict[str, Any] = {"backend": options.backend, "n_jobs": workers}
     if options.backend == "threading":
         with threads_of_workers(threads):
             yield WorkerPool(backend, workers, CHUNKS_IN_FLIGHT * workers, threads)

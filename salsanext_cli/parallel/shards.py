@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+import logging
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
+from typing import TYPE_CHECKING
 
-from salsanext_cli.errors import UsageError
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.errors import NOTICE, UsageError
+
+if TYPE_CHECKING:
+    from salsanext_cli.results.layout import ScanFile
 
 PREFIX = "SLURM_ARRAY_TASK_"
 MAX_CHUNK_SCANS = 16
@@ -17,7 +22,9 @@ MAX_CHUNK_SCANS = 16
 MIN_CHUNKS_PER_WORKER = 4
 """Lower bound, so that the last chunks end at about the same time."""
 
-Chunk = tuple[ScanFile, ...]
+Chunk = tuple["ScanFile", ...]
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +48,16 @@ class Shard:
         if not found:
             raise UsageError("--shard", repr(text), "i/n, such as 1/8")
         return cls(int(found[1]), int(found[2]))
+
+    @classmethod
+    def asked_for(cls, text: str | None) -> Shard:
+        """Read ``i/n``; without it, return the share of this task of a Slurm array, else all."""
+        if text is not None:
+            return cls.parse(text)
+        if (of_array := cls.of_slurm(os.environ)) is None:
+            return cls()
+        log.log(NOTICE, "shard %s of the scans, as this is a task of a Slurm array", of_array)
+        return of_array
 
     @classmethod
     def of_slurm(cls, environment: Mapping[str, str]) -> Shard | None:

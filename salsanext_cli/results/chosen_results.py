@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.predictions import (
     require_same_weights,
@@ -12,7 +13,7 @@ from salsanext_cli.results.predictions import (
     space_of_results,
 )
 from salsanext_cli.results.scan_results import with_results
-from salsanext_cli.results.selection import ScanSelection, choose
+from salsanext_cli.results.selection import choose
 from salsanext_cli.results.sources import MissingResults, missing_results, recorded_scans
 
 

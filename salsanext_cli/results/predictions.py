@@ -13,15 +13,10 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import LabelError, OutputError, first_few
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ERROR, ScanFile
-from salsanext_cli.results.selection import (
-    ScanSelection,
-    choose,
-    data_set_of,
-    space_of,
-    with_splits,
-)
+from salsanext_cli.results.selection import choose, data_set_of, space_of, with_splits
 from salsanext_cli.results.sources import recorded_scans
 from salsanext_cli.results.stage_records import (
     origins,

@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
@@ -15,6 +15,7 @@ from salsanext_cli.classes.merging import ClassMerging, is_merged
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.recordings.address import recording_of
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import (
     SCAN_FOLDER,
     ScanFile,
@@ -28,21 +29,6 @@ LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
 
 log = logging.getLogger(__name__)
 Item = TypeVar("Item")
-
-
-@dataclass(frozen=True, slots=True)
-class ScanSelection:
-    """Selection among the scans that are found."""
-
-    split: str | None = None  # A split of the label space: only its sequences
-    sequences: tuple[str, ...] = ()  # Names of sequences; empty for all
-    limit: int | None = None  # At most so many scans, the first ones
-
-    def __post_init__(self) -> None:
-        if self.split is not None and self.sequences:
-            raise UsageError("--split and --sequences", "both given", "one of them")
-        if self.limit is not None and self.limit < 1:
-            raise UsageError("--limit", str(self.limit), "at least 1")
 
 
 def scans_of(source: Path) -> list[ScanFile]:

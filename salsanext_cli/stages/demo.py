@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, Progress, RunOptions
 from salsanext_cli.results.layout import ERROR, find_outputs
 from salsanext_cli.results.predictions import predicted_scans, provenance
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture

@@ -23,9 +23,10 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, OPSET
 from salsanext_cli.network.weights import read_weights
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.selection import ScanSelection, select_evenly
+from salsanext_cli.results.selection import select_evenly
 from salsanext_cli.sensors.sensor import Sensor
 
 MIN_SCANS = 2

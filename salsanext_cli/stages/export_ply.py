@@ -16,6 +16,7 @@ from salsanext_cli.formats.clouds.asprs import asprs_class, classification
 from salsanext_cli.formats.clouds.las import encode_las, import_laspy
 from salsanext_cli.formats.clouds.ply import encode_ply
 from salsanext_cli.formats.label_scalars import PREFIX
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import COLOURS, PointColours
 from salsanext_cli.report.scales import common_scales
@@ -28,7 +29,6 @@ from salsanext_cli.results.scan_results import (
     require_column,
     scalar_columns,
 )
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.results.sources import LABELLING_STAGES
 from salsanext_cli.results.stage_records import (
     origins,

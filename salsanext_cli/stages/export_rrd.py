@@ -12,6 +12,7 @@ from pathlib import Path
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, OutputError, printable
 from salsanext_cli.files.atomic import sweep_stale
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
 from salsanext_cli.report.colours import PointColours
@@ -21,7 +22,6 @@ from salsanext_cli.results.chosen_results import choose_results
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.scan_results import read_results, scalar_columns, with_column
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.results.stage_records import recorded_sensor
 from salsanext_cli.sensors.sensor import Sensor
 

@@ -20,9 +20,10 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.results.selection import ScanSelection, select_scans, space_of
+from salsanext_cli.results.selection import select_scans, space_of
 from salsanext_cli.sensors.sensor import Sensor
 
 MIN_POINTS_OF_FIT = 1000

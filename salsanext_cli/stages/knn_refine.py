@@ -15,10 +15,11 @@ from salsanext_cli.geometry.knn import KnnParameters, knn_refine
 from salsanext_cli.geometry.points import pixels_from_points
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile, find_scans, output_path, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.selection import ScanSelection, choose, space_of
+from salsanext_cli.results.selection import choose, space_of
 from salsanext_cli.results.sources import recorded_scans
 from salsanext_cli.results.stage_records import origins, recorded_label_space, recorded_sensor
 from salsanext_cli.sensors.sensor import Sensor

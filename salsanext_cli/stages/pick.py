@@ -22,6 +22,7 @@ from salsanext_cli.labelling.picked_data_set import SHEET, TABLE, PickedDataSet
 from salsanext_cli.labelling.picked_scans import STAGE, PickedScan, PickRecord
 from salsanext_cli.labelling.scan_choice import choose_scans, require_choice
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.picked import (
@@ -32,7 +33,7 @@ from salsanext_cli.report.picked import (
     picked_sheet,
 )
 from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.results.selection import ScanSelection, choose, evenly_spaced, scans_of, space_of
+from salsanext_cli.results.selection import choose, evenly_spaced, scans_of, space_of
 from salsanext_cli.results.stage_records import as_json
 from salsanext_cli.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.uncertainty.scan_description import ScanDescription, describe_scan, label_sampled

@@ -12,6 +12,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, NoInputError, UsageError
 from salsanext_cli.files.json_files import RecordedSettings
 from salsanext_cli.fitting.scan_fit import fitted_view
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.animation import animate, find_ffmpeg, require_animations_replaceable
 from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS
@@ -30,7 +31,7 @@ from salsanext_cli.results.scan_results import (
     uncertainty_meant,
     with_column,
 )
-from salsanext_cli.results.selection import ScanSelection, choose, scans_of
+from salsanext_cli.results.selection import choose, scans_of
 from salsanext_cli.results.sources import LABELLING_STAGES, MissingResults, recorded_scans
 from salsanext_cli.results.stage_records import known_sensor, origins, stage_settings
 from salsanext_cli.sensors.sensor import Sensor, sensor

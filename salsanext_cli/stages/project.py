@@ -8,10 +8,11 @@ from pathlib import Path
 from salsanext_cli.fitting.label_scan import project_scan
 from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.selection import ScanSelection, choose, scans_of, space_of
+from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.results.stage_records import stage_settings
 from salsanext_cli.sensors.sensor import Sensor
 

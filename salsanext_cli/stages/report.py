@@ -16,6 +16,7 @@ from salsanext_cli.files.atomic import sweep_stale
 from salsanext_cli.measures.drive import ScanRow, named, read_row, worth_looking_at
 from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.page.clouds import scales_of
 from salsanext_cli.report.page.html import html_of
@@ -31,7 +32,6 @@ from salsanext_cli.results.predictions import (
     space_of_labels,
 )
 from salsanext_cli.results.scan_results import with_results
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.results.sources import MissingResults, missing_results
 from salsanext_cli.results.stage_records import recorded_sensor, scans_trained_on
 

@@ -12,10 +12,11 @@ from salsanext_cli.files.atomic import require_absent, require_target
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.network.card import require_tensors
 from salsanext_cli.network.weights import save_with_card
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.report.plots import rate_curve
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.selection import ScanSelection, select_evenly
+from salsanext_cli.results.selection import select_evenly
 from salsanext_cli.training.tuning.batchnorm import fit_batchnorm, require_batchnorm
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout, require_dropout_search
 from salsanext_cli.training.tuning.error import fit_error_model

@@ -20,13 +20,14 @@ from salsanext_cli.fitting.recorded_network import (
 from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.geometry.points import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Steps
 from salsanext_cli.results.layout import ERROR, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.scan_results import uncertainty_meant, with_column
-from salsanext_cli.results.selection import ScanSelection, choose, scans_of, space_of
+from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.results.stage_records import owner, stage_settings
 from salsanext_cli.uncertainty.error_features import knows_error, label_error
 from salsanext_cli.uncertainty.method import (

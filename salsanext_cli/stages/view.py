@@ -12,13 +12,13 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
 from salsanext_cli.measures.drive import worth_looking_at
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions
 from salsanext_cli.report.page.clouds import encode_cloud, plain_scales, scales_of
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.report.page.shown_scans import ShownScan
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.results.sources import LABELLING_STAGES, MissingResults
 from salsanext_cli.stages.report import read_run
 

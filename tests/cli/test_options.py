@@ -11,10 +11,11 @@ import pytest
 from command_line import every_command, only_json, parsed
 from scans import SMALL, labels_below, write_weights
 
-from salsanext_cli.cli import options, selection_options
-from salsanext_cli.cli.option_groups import Default, Without, expanded
+from salsanext_cli.cli import options
+from salsanext_cli.cli.option_groups import Default, Shown, Without, expanded
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.card import default_weights
+from salsanext_cli.options import ScanSelection
 
 SHARDED = {"project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"}
 
@@ -26,7 +27,10 @@ def test_a_group_is_expanded_filled_and_handed_over():
         name: str = "x",
         *,
         selection: Annotated[
-            selection_options.Selection, Without({"split", "dataset"}), Default(limit=4)
+            ScanSelection,
+            Without({"split"}),
+            Default(limit=4),
+            Shown(limit={"help": "Some."}),
         ],
         knn: Annotated[options.Knn, Without({"knn_window", "knn_sigma", "knn_cutoff"})],
     ) -> None:
@@ -37,7 +41,7 @@ def test_a_group_is_expanded_filled_and_handed_over():
     defaults = {name: parameter.default for name, parameter in parameters.items()}
     assert defaults == {"name": "x", "sequences": None, "limit": 4, "knn_k": 5}
     typed(**defaults | {"sequences": "00", "knn_k": 3})
-    assert seen["selection"] == selection_options.Selection(sequences="00", limit=4)
+    assert seen["selection"] == ScanSelection(sequences=("00",), limit=4)
     assert seen["knn"] == options.Knn(knn_k=3)
 
 

@@ -8,7 +8,7 @@ import pytest
 from command_line import only_json
 
 from salsanext_cli.network.card import read_card
-from salsanext_cli.results.selection import ScanSelection
+from salsanext_cli.options import ScanSelection
 
 UPS = [f"up{i}" for i in range(1, 5)]
 

@@ -8,7 +8,7 @@ from world import Kept
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.json_files import RecordedSettings
-from salsanext_cli.results.selection import ScanSelection
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_range_images, predict_scans

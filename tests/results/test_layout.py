@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import SUFFIX_OF_FOLDER, find_outputs, find_scans, output_path
-from salsanext_cli.results.selection import ScanSelection, select_scans
+from salsanext_cli.results.selection import select_scans
 
 
 def make(folder: Path, *names: str) -> None:

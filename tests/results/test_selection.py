@@ -7,9 +7,9 @@ from scans import write_sequence
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import UsageError
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.selection import (
-    ScanSelection,
     choose,
     data_set_of,
     evenly_spaced,

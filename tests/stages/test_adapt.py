@@ -16,11 +16,11 @@ from salsanext_cli.fitting.adaptation import SHARE, network_of_run
 from salsanext_cli.fitting.batch_norm import PooledStatistics
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_bin
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.results.stage_records import stage_settings
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans

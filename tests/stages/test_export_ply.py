@@ -20,11 +20,11 @@ from salsanext_cli.errors import (
     UsageError,
 )
 from salsanext_cli.formats.clouds.asprs import classification
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.predictions import predicted_scans
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans

@@ -15,9 +15,9 @@ from salsanext_cli.errors import (
     NoInputError,
     OutputError,
 )
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.report.rerun_recording import import_rerun
 from salsanext_cli.results.layout import output_path
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages import export_rrd as stage
 from salsanext_cli.stages.export_rrd import export_rrd
 

@@ -10,9 +10,9 @@ from scans import SMALL, labels_below, write_sequence, write_weights
 from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.geometry.network_input import intensity_quantiles
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.point_files import write_bin
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.results.stage_records import (
     stage_settings,
 )

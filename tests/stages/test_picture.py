@@ -11,11 +11,11 @@ from scans import files_below, write_array
 from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
 from salsanext_cli.report import birds_eye, scan_pictures
 from salsanext_cli.report.colours import WRONG, screen_colours
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.project import project_scans

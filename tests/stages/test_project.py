@@ -9,8 +9,8 @@ from scans import SMALL
 from salsanext_cli import project, read_scan
 from salsanext_cli.errors import OutputError
 from salsanext_cli.fitting.label_scan import projected_sensor
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.project import project_scans
 
 

@@ -16,10 +16,10 @@ from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.fitting.recorded_network import network_of_labels
 from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.histograms import softmax_errors
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.point_files import write_labels
 from salsanext_cli.results.predictions import predicted_scans
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans

@@ -12,11 +12,11 @@ from salsanext_cli import label_space, read_labels, write_labels
 from salsanext_cli.errors import LabelError, OutputError, TrainingError, UsageError, WeightsError
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import save_with_card
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import ERROR, find_scans
 from salsanext_cli.results.predictions import provenance
 from salsanext_cli.results.scan_results import read_results
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans

@@ -10,10 +10,10 @@ from salsanext_cli import knn_refine, label_space, project, read_scan, sample
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.results.predictions import provenance
-from salsanext_cli.results.selection import ScanSelection
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans

@@ -12,9 +12,10 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import LabelError, first_few
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.selection import ScanSelection, select_evenly, space_of
+from salsanext_cli.results.selection import select_evenly, space_of
 from salsanext_cli.training.data.class_counts import require_labels
 from salsanext_cli.training.data.sources import read_labelled
 from salsanext_cli.training.data.targets import class_sets
