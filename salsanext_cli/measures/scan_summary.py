@@ -25,7 +25,8 @@ from salsanext_cli.fitting.scan_checks import (
     ScanTraits,
 )
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.output_run import OutputRun, Texts, keep_findings
+from salsanext_cli.results.output_run import OutputRun
+from salsanext_cli.results.owned_folder import Texts
 from salsanext_cli.sensors.sensor import Sensor
 
 LARGEST_CLASSES = 5
@@ -152,7 +153,7 @@ class RunSummary:
         return self
 
     @contextmanager
-    def kept_in(self, run: OutputRun, stage: str, scans: Sequence[ScanFile]) -> Iterator[None]:
+    def kept_in(self, run: OutputRun, scans: Sequence[ScanFile]) -> Iterator[None]:
         """Finish the summary when the run in an output folder ends, and keep what it found there.
 
         What earlier runs of the stage found of scans that have their results is added.
@@ -165,7 +166,7 @@ class RunSummary:
             for name, finding in (each for group in self.findings.values() for each in group):
                 texts = (finding.code, finding.found, finding.remedy)
                 found.setdefault(name, []).append(texts)
-            earlier = keep_findings(run.out, stage, found, self.looked_at)
+            earlier = run.keep_findings(found, self.looked_at)
             for name in earlier.keys() & {_name(file) for file in scans if run.is_there(file)}:
                 for texts in earlier[name]:
                     self.findings.setdefault(texts[0], []).append((name, Finding(*texts)))

@@ -56,7 +56,6 @@ def animate(
     output: OutputRun,
 ) -> None:
     """Write an animation of each sequence of which there are pictures."""
-    files = OwnedFolder(output.out)
     # Every fifth colour of the map, from the high end.
     kept = np.concatenate([OUTCOMES, map_on_dark()[::-5], screen_colours(space)])
     for sequence in dict.fromkeys(scan.sequence for scan in scans):
@@ -64,13 +63,13 @@ def animate(
         pictures = [
             path for path in (output.path(scan, "pictures") for scan in mine) if path.exists()
         ]
-        path = _animation(output.out, sequence, form)
+        path = _animation(output.root, sequence, form)
         if not pictures:
             continue
         if form == "gif":
-            files.write(path, encode_gif(pictures, frames_per_second, kept))
+            output.write(path, encode_gif(pictures, frames_per_second, kept))
         else:
-            files.write(path, encode_mp4(pictures, frames_per_second))
+            output.write(path, encode_mp4(pictures, frames_per_second))
         log.log(NOTICE, "animation of %s: %s", counted(len(pictures), "scan"), path)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The one owner of a folder that a stage fills: lock, record of settings, list of written files.
+"""The one owner of a folder that a stage fills: locks, record of settings, written files, findings.
 
 ``FOLDER/.salsanext.files/<machine>.tsv`` holds a line per file: its path below the folder
 (percent-encoded), its size in bytes and its time of modification in nanoseconds. Lines are only
@@ -13,26 +13,35 @@ import logging
 import os
 import re
 import socket
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 from urllib.parse import quote_from_bytes, unquote_to_bytes
+from uuid import uuid4
 
 from salsanext_cli.errors import OutputError, first_few
 from salsanext_cli.files.atomic import MARK, refusal, sweep, sweep_stale, writing
-from salsanext_cli.files.json_files import encode_json, read_json
+from salsanext_cli.files.json_files import encode_json, read_json, write_json
 from salsanext_cli.files.locks import locked
 from salsanext_cli.files.reading import filled, present, reading
 
 FILE_LISTS = ".salsanext.files"
-PLACES = ("sequences/*/", "sequences/*/*/", "samples/", "folds/*/", "folds/*/samples/")
-"""Folders below that stages which have a folder for themselves write into."""
+PLACES = (
+    *("sequences/*/", "sequences/*/*/", "sequences/*/*/*/"),
+    *("samples/", "folds/*/", "folds/*/samples/"),
+)
+"""Folders below that stages write into."""
+RECORDS_LOCK_TIMEOUT_S = 1800.0
+"""Others hold the lock for a moment each, seconds if it is a million scans, and there may be a
+hundred of them."""
 LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")
 States = dict[Path, set[tuple[int, int]]]
 """Sizes and times of modification that files were written with."""
+Texts = tuple[str, str, str]
+"""Code, message and remedy of a finding."""
 
 log = logging.getLogger(__name__)
 
@@ -51,20 +60,42 @@ class OwnedFolder:
         return self.root / self.part / f"{self.stage}.json"
 
     @contextmanager
-    def open(self) -> Iterator[None]:
-        """Keep other runs of the stage out of the folder while the body runs.
+    def open(self, *, shared: bool = False) -> Iterator[None]:
+        """Keep other runs of the stage out of the folder while the body runs, unless it is shared.
 
         Temporary files are removed: before, those of runs that were killed long ago; after, those
         that killed workers of this run have left.
         """
-        with locked(self.root / self.part / f".{self.stage}.lock", stage=self.stage):
-            for place in self._places():
-                sweep_stale(place)
-            try:
-                yield
-            finally:
+        mark = uuid4().hex
+        # Runs of other threads of this process keep their temporary files.
+        token = MARK.set(mark)
+        name = f".{self.stage}.{mark}.lock" if shared else f".{self.stage}.lock"
+        try:
+            with locked(self.root / self.part / name, stage=self.stage):
                 for place in self._places():
-                    sweep(place, MARK.get())
+                    sweep_stale(place)
+                try:
+                    yield
+                finally:
+                    for place in self._places():
+                        sweep(place, mark)
+        finally:
+            MARK.reset(token)
+
+    def is_shared(self) -> bool:
+        """Say whether runs of the stage share the folder now; locks of killed runs are removed."""
+        busy = False
+        for lock in self.root.glob(f".{self.stage}.*.lock"):
+            try:
+                with locked(lock):
+                    pass
+            except OutputError:
+                busy = True
+        return busy
+
+    def locked_records(self) -> AbstractContextManager[None]:
+        """Let no other process read or write the records of the folder while the body does."""
+        return locked(self.root / ".records.lock", RECORDS_LOCK_TIMEOUT_S)
 
     def _places(self) -> list[Path]:
         return [self.root, *(place for below in PLACES for place in self.root.glob(below))]
@@ -107,6 +138,16 @@ class OwnedFolder:
         """Write a file of the folder, unless it is there: it may be edited."""
         if not filled(path):
             self.write(path, content)
+
+    def replace(self, files: Mapping[Path, bytes], absent: Iterable[Path] = ()) -> None:
+        """Write files durably in the place of earlier ones; remove those that are to be absent."""
+        absent = list(absent)
+        with self.locked_records():
+            sweep_stale(self.root)
+            self.require_own([*files, *absent])
+            self.remove_own(absent)
+            for path, content in files.items():
+                self.write(path, content, durable=True)
 
     def add(self, path: Path) -> None:
         """List a file of the folder as it is now."""
@@ -169,6 +210,33 @@ class OwnedFolder:
                     states.setdefault(self.root / below, set()).add(state)
         return states
 
+    def findings(self) -> dict[str, list[Texts]]:
+        """Return what runs of the stage found, by the name of the scan; empty if none is kept."""
+        known = read_json(self._findings_path)
+        scans = {} if known is None else known.get("scans")
+        return {
+            name: [tuple(texts) for texts in findings]
+            for name, findings in (scans.items() if isinstance(scans, dict) else ())
+            if _are_findings(findings)
+        }
+
+    def keep_findings(
+        self, found: Mapping[str, list[Texts]], looked_at: Collection[str]
+    ) -> dict[str, list[Texts]]:
+        """Keep what a run found, by scan; return what earlier runs found of scans not looked at."""
+        with self.locked_records():
+            known = self.findings()
+            earlier = {name: texts for name, texts in known.items() if name not in looked_at}
+            if present(self._findings_path) or found:
+                everything = {**earlier, **{name: sorted(texts) for name, texts in found.items()}}
+                content = {"stage": self.stage, "scans": dict(sorted(everything.items()))}
+                write_json(self._findings_path, content)
+        return earlier
+
+    @property
+    def _findings_path(self) -> Path:
+        return self.root / f"{self.stage}.warnings.json"
+
     def _behind_link(self, path: Path) -> bool:
         above = path.relative_to(self.root).parents[:-1]
         return path.is_symlink() or any((self.root / part).is_symlink() for part in above)
@@ -195,3 +263,9 @@ def not_own(path: Path) -> OutputError:
     found = "was changed, or not written by salsanext, and is kept"
     found = "is a link, and is kept" if path.is_symlink() else found
     return OutputError(path, found, remedy="move it, or use another output folder")
+
+
+def _are_findings(value: object) -> bool:
+    return isinstance(value, list) and all(
+        isinstance(texts, list) and [*map(type, texts)] == [str, str, str] for texts in value
+    )

@@ -11,7 +11,6 @@ from typing import Any
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import LabelError, NoInputError, counted, escaped, first_few
-from salsanext_cli.files.atomic import sweep_stale
 from salsanext_cli.files.json_files import encode_json
 from salsanext_cli.files.reading import present
 from salsanext_cli.labelling.label_records import require_truth
@@ -30,7 +29,6 @@ from salsanext_cli.measures.uncertainty_evaluation import (
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.plots import PICTURES, evaluation_pictures
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.output_run import records_lock
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.predictions import merging_into, space_of_labels
 from salsanext_cli.results.sources import MissingResults, missing_predictions
@@ -147,12 +145,8 @@ def evaluate(
         log.warning("%s", text)
     _warn(evaluation)
     files = _files(evaluation)
-    with records_lock(out):
-        sweep_stale(out)
-        OwnedFolder(out).require_own(own_files)
-        OwnedFolder(out).remove_own(path for path in own_files if path.name not in files)
-        for name, content in files.items():
-            OwnedFolder(out).write(out / name, content, durable=True)
+    absent = [path for path in own_files if path.name not in files]
+    OwnedFolder(out).replace({out / name: content for name, content in files.items()}, absent)
     return evaluation
 
 

@@ -55,14 +55,14 @@ def export_scan(
 ) -> int:
     """Write one scan as a coloured cloud with every known scalar; return how many are rejected."""
     output.require_replaceable(file)
-    results = read_results(file, output.out, sensor, classes, (labels, colours.space))
+    results = read_results(file, output.root, sensor, classes, (labels, colours.space))
     if max_error is not None:
         if "error" not in results.uncertainty:
-            raise missing_column("error", file, output.out)
+            raise missing_column("error", file, output.root)
         results = results.rejecting(max_error, colours.space)
     columns = scalar_columns(results, colours.space)
     if colours.colour not in columns:
-        raise missing_column(colours.colour, file, output.out)
+        raise missing_column(colours.colour, file, output.root)
     rgb = dict(zip(("red", "green", "blue"), colours.of_points(columns).T, strict=True))
     drawn = dict(zip("xyz", results.scan.points.T, strict=True)) | rgb
     comments = [f"colour {colours.legend}", f"label space {colours.space.name}"]
@@ -73,12 +73,12 @@ def export_scan(
         # CloudCompare takes what is named so for scalars, and shows the first.
         shown = {colours.colour: columns[colours.colour]} | columns
         named = {f"{PREFIX}{name}": values for name, values in shown.items()}
-        output.write(file, folder, encode_ply(drawn | named, comments))
+        output.write_result(file, folder, encode_ply(drawn | named, comments))
         return results.rejected_points
     space, path = colours.space, output.path(file, folder)
     comments += [f"class {asprs_class(i, space)} {name}" for i, name in space.labels.items()]
     of_points = classification(columns.get("label", np.zeros(len(results.scan), np.uint32)), space)
-    output.write(file, folder, encode_las(path, drawn | columns, of_points, comments))
+    output.write_result(file, folder, encode_las(path, drawn | columns, of_points, comments))
     return results.rejected_points
 
 

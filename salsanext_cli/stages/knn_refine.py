@@ -128,7 +128,7 @@ def knn_refine_scans(
         overwrite=options.overwrite,
         record_scans=dataset is not None,
     )
-    with run as output, summary.kept_in(output, "knn-refine", scans):
+    with run as output, summary.kept_in(output, scans):
         task = partial(
             refine_scan, labels=labels, space=space, sensor=sensor, knn=knn, output=output
         )

@@ -55,16 +55,16 @@ def picture_scan(
     output.require_replaceable(file)
     shows_truth = not colours or {"truth", "wrong"} & {*colours}
     truth_in = (labels, space) if shows_truth else None
-    results = read_results(file, output.out, sensor, classes, truth_in)
+    results = read_results(file, output.root, sensor, classes, truth_in)
     columns = scalar_columns(results, space)
     for colour in colours:
         if colour not in columns:
-            raise missing_column(colour, file, output.out)
+            raise missing_column(colour, file, output.root)
     views = colours or known_views(columns)
     strips = colours or [colour for colour in COLOURINGS if colour in columns]
     name = f"{file.sequence}/{file.stem}"
     png = picture_of_results(name, results, space, sensor, scales, views, strips)
-    output.write(file, FOLDER, png)
+    output.write_result(file, FOLDER, png)
 
 
 def picture(

@@ -160,7 +160,7 @@ def predict_scans(
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
     folders = (*extras, "predictions")
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
-    with run as output, summary.kept_in(output, "predict", scans):
+    with run as output, summary.kept_in(output, scans):
         writer = LabelWriter(knn, output, reject)
         one = partial(predict_scan, writer=writer)
         several = partial(predict_batch, writer=writer)
@@ -215,7 +215,7 @@ def predict_range_images(
     settings, folders = network.record(loaded), ("pixel_labels",)
     summary = RunSummary(loaded.sensor)
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
-    with run as output, summary.kept_in(output, "predict", scans):
+    with run as output, summary.kept_in(output, scans):
         label = partial(predict_image, folder=folder, output=output)
         task = NetworkTask(label, network.resolved(loaded), loaded)
         outcome = run_over_scans(

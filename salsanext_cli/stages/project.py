@@ -51,7 +51,7 @@ def project_scans(
     settings, summary = {"sensor": sensor.to_dict()}, RunSummary.of_scans(scans, sensor)
     overwrite = options.overwrite
     run = output_run(out, "project", settings, FOLDERS, scans, overwrite=overwrite)
-    with run as output, summary.kept_in(output, "project", scans):
+    with run as output, summary.kept_in(output, scans):
         task = partial(write_projected, sensor=sensor, output=output)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add

@@ -12,7 +12,6 @@ from salsanext_cli.errors import (
     NoInputError,
     SalsanextError,
 )
-from salsanext_cli.files.atomic import sweep_stale
 from salsanext_cli.measures.drive import ScanRow, named, read_row, worth_looking_at
 from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
@@ -23,7 +22,6 @@ from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.shown_scans import ShownScan
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.output_run import records_lock
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.predictions import (
     merging_into,
@@ -114,10 +112,7 @@ def report(
     reasons = [failure.reason for failure in failures]
     content = run.content(shown, compared, reasons, scales_of(shown))
     written = html_of(content).encode()
-    with records_lock(out):
-        sweep_stale(out)
-        OwnedFolder(out).require_own([page])
-        OwnedFolder(out).write(page, written, durable=True)
+    OwnedFolder(out).replace({page: written})
     kept = compared.uncertainty.kept if compared else None
     return Report(
         page=page,

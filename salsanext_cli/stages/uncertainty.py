@@ -129,7 +129,7 @@ def uncertainty_of(
         overwrite=options.overwrite,
         record_scans=record_scans,
     )
-    with run as output, summary.kept_in(output, "uncertainty", scans):
+    with run as output, summary.kept_in(output, scans):
         function = partial(uncertainty_scan, knn=knn, method=method, output=output)
         task = NetworkTask(function, network.resolved(loaded), loaded)
         outcome = run_over_scans(

@@ -8,7 +8,6 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.report.page.facts import facts_of_run, warnings_of_run
 from salsanext_cli.results.layout import output_path
-from salsanext_cli.results.output_run import keep_findings
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import StageRecord
 
@@ -69,8 +68,8 @@ def test_the_time_per_scan_is_that_between_results(tmp_path):
 def test_findings_of_all_stages_are_one_line_for_each_kind(tmp_path):
     dark, few = ("dark", "no intensity", "look"), ("few-points", "12 points", "drive on")
     found = {f"00/{i}": [dark] for i in range(5)}
-    keep_findings(tmp_path, "predict", found, set(found))
-    keep_findings(tmp_path, "uncertainty", {"00/1": [dark, few]}, {"00/1"})
+    OwnedFolder(tmp_path, "predict").keep_findings(found, set(found))
+    OwnedFolder(tmp_path, "uncertainty").keep_findings({"00/1": [dark, few]}, {"00/1"})
     assert warnings_of_run(tmp_path, found) == [
         "dark in 5 scans (00/0, 00/1, 00/2 and 2 more): no intensity; look",
         "few-points in 1 scan (00/1): 12 points; drive on",

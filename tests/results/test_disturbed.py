@@ -64,7 +64,7 @@ def test_workers_that_find_other_weights_label_no_scan(world, tmp_path):
     network = NetworkSettings(weights, "cpu").load()
     settings = NetworkSettings(weights, "cpu").resolved(network)
     write_weights(weights, seed=1)
-    output = OutputRun(world.out, ("predictions",))
+    output = OutputRun(world.out, folders=("predictions",))
     task = NetworkTask(partial(predict_scan, knn=KnnParameters(), output=output), settings, network)
     with pytest.raises(WeightsError, match="was replaced since the run began"):
         run_over_scans(task, find_scans(world.data), RunOptions(jobs=2))

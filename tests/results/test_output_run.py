@@ -15,9 +15,10 @@ from scans import files_below, write_sequence
 from salsanext_cli import __version__, label_space, sensor
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import STALE_AFTER_S
-from salsanext_cli.results import output_run as run_registration
+from salsanext_cli.results import owned_folder
 from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.results.output_run import output_run, records_lock
+from salsanext_cli.results.output_run import output_run
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import (
     origins,
     owner,
@@ -307,16 +308,16 @@ def test_no_run_forgets_what_others_were_asked_for(tmp_path: Path) -> None:
 
 
 def test_who_never_ends_recording_is_named(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(run_registration, "RECORDS_LOCK_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(owned_folder, "RECORDS_LOCK_TIMEOUT_S", 0.1)
     held = r"records\.lock · held by another process · wait"
-    with records_lock(tmp_path), pytest.raises(OutputError, match=held):
+    with OwnedFolder(tmp_path).locked_records(), pytest.raises(OutputError, match=held):
         predict(tmp_path)
 
 
 def test_what_was_left_half_written_long_ago_is_removed(tmp_path: Path) -> None:
     """Nothing else is: others may be writing, and not all hidden files are ours."""
     out, mark, old = tmp_path / "out", "0123456789abcdef" * 2, STALE_AFTER_S + 60
-    folder, other = out / "sequences/08/predictions", out / "sequences/09/predictions"
+    folder = out / "sequences/08/predictions"
     gone = [place / f".{mark}.part" for place in (folder, folder.parent, out)]
     gone.append(folder / f".{mark}{mark}.part")
     kept = {
@@ -324,7 +325,6 @@ def test_what_was_left_half_written_long_ago_is_removed(tmp_path: Path) -> None:
         folder / f".{'f' * 32}.part": -old,
         folder / ".mine.part": old,
         folder / f"{mark}.part": old,
-        other / f".{mark}.part": old,
     }
     for path, age in (dict.fromkeys(gone, old) | kept).items():
         path.parent.mkdir(parents=True, exist_ok=True)

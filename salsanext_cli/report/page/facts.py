@@ -16,7 +16,6 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.fitting.view_fit import view_text
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.results.layout import ERROR, find_outputs
-from salsanext_cli.results.output_run import read_findings
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import owner, recorded_weights, stage_settings
 from salsanext_cli.sensors.sensor import Sensor
@@ -118,7 +117,7 @@ def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:
     scans: dict[str, list[str]] = {}
     words: dict[str, Counter[str]] = {}
     for stage in CHECKED_STAGES:
-        for name, findings in read_findings(out, stage).items():
+        for name, findings in OwnedFolder(out, stage).findings().items():
             if name not in wanted:
                 continue
             for code, message, remedy in findings:
