@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.formats.recordings.bags import POINT_CLOUD2, TYPES
+from salsanext_cli.formats.bags import POINT_CLOUD2, TYPES
 
 START = 1_600_000_000_123_456_789
 """Time of the first message in nanoseconds."""

@@ -253,7 +253,7 @@ def test_only_files_and_formats_open_point_files():
 def test_plyfile_is_imported_in_one_place_and_click_nowhere():
     """Plyfile is GPL, and the package MIT; Typer carries its own Click."""
     found = where(lambda m: {"plyfile", "click"} & {n.split(".")[0] for n in imported(tree_of(m))})
-    assert found == {"formats/clouds/ply.py": {"plyfile"}}
+    assert found == {"formats/ply.py": {"plyfile"}}
 
 
 def test_commands_are_short():

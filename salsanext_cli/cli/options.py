@@ -335,7 +335,7 @@ def in_topic(source: Path, topic: str | None) -> Path:
     """Return the path of a topic in a recording, of the recording where none is named."""
     if topic is None:
         return source
-    from salsanext_cli.formats.recordings.address import is_recording
+    from salsanext_cli.formats.recordings import is_recording
 
     if not is_recording(source):
         raise UsageError("--topic", f"{source} is no recording", "SCANS that are one")

@@ -4,9 +4,8 @@
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.clouds import kitti, las, numpy_scans, pcd, ply, text
-from salsanext_cli.formats.recordings.address import recording_of
-from salsanext_cli.formats.recordings.recorded_scans import read_recorded
+from salsanext_cli.formats import kitti, las, numpy_scans, pcd, ply, text
+from salsanext_cli.formats.recordings import read_recorded, recording_of
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import Sensor
 

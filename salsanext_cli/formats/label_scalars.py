@@ -14,11 +14,10 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.errors import FormatError, LabelError, UsageError, quoted, shortened
 from salsanext_cli.files.yaml_toml import read_yaml
-from salsanext_cli.formats.clouds.asprs import LAST_STANDARD_CLASS, UNASSIGNED
-from salsanext_cli.formats.clouds.las import las_columns
-from salsanext_cli.formats.clouds.pcd import pcd_columns
-from salsanext_cli.formats.clouds.ply import ply_columns
 from salsanext_cli.formats.columns import Columns
+from salsanext_cli.formats.las import LAST_STANDARD_CLASS, UNASSIGNED, las_columns
+from salsanext_cli.formats.pcd import pcd_columns
+from salsanext_cli.formats.ply import ply_columns
 from salsanext_cli.records import Float
 
 READERS: dict[str, Callable[[Path], Columns]] = {

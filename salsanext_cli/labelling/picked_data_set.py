@@ -15,7 +15,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, OutputError, UsageError, counted
 from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.formats import read_scan, scan_suffix
-from salsanext_cli.formats.clouds.kitti import encode_bin
+from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.labelling.label_records import IMPORTED, digest_of_file, name_of
 from salsanext_cli.labelling.picked_scans import STAGE, PickedScan, PickRecord
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, output_path

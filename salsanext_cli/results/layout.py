@@ -11,12 +11,12 @@ from pathlib import Path
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, first_few
 from salsanext_cli.files.reading import is_folder, present, reason
 from salsanext_cli.formats import CLOUD_SUFFIXES, SCAN_SUFFIXES, TABLE_SUFFIXES, scan_suffix
-from salsanext_cli.formats.recordings.address import (
+from salsanext_cli.formats.recordings import (
     is_recording,
+    recorded_paths,
     recording_of,
     sequence_of,
 )
-from salsanext_cli.formats.recordings.recorded_scans import recorded_paths
 
 MAX_LINE_BYTES = 200
 COMPANIONS = (".label", ".toml", ".yaml", ".md")

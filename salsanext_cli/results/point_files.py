@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.files.atomic import write_bytes
-from salsanext_cli.formats.clouds.kitti import encode_bin
-from salsanext_cli.formats.clouds.ply import encode_ply
+from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.formats.labels import encode_labels
+from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.records import Scan
 
 
@@ -28,5 +28,5 @@ def write_labels(path: Path, raw: RawIds) -> None:
 def write_ply(
     path: Path, columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] = ()
 ) -> None:
-    """Write a `.ply` file; columns and comments as `formats.clouds.ply.encode_ply` takes them."""
+    """Write a `.ply` file; columns and comments as `formats.ply.encode_ply` takes them."""
     write_bytes(path, encode_ply(columns, comments))

@@ -14,7 +14,7 @@ from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, is_merged
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.files.reading import is_folder, present
-from salsanext_cli.formats.recordings.address import recording_of
+from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import (
     SCAN_FOLDER,

@@ -10,7 +10,7 @@ from pathlib import Path
 from salsanext_cli.errors import NoInputError, OutputError, counted, first_few, shortened
 from salsanext_cli.files.reading import is_folder
 from salsanext_cli.formats import scan_suffix
-from salsanext_cli.formats.recordings.address import recording_of
+from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.results.layout import (
     SCAN_FOLDER,
     SUFFIX_OF_FOLDER,

@@ -9,8 +9,8 @@ from pathlib import Path
 from salsanext_cli.errors import OutputError, UsageError, counted, first_few, shortened
 from salsanext_cli.files.reading import filled
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.clouds.kitti import encode_bin
-from salsanext_cli.formats.recordings.address import recording_of
+from salsanext_cli.formats.kitti import encode_bin
+from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, require_none_hidden
 from salsanext_cli.results.owned_folder import OwnedFolder

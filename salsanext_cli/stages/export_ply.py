@@ -12,10 +12,9 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, UsageError
-from salsanext_cli.formats.clouds.asprs import asprs_class, classification
-from salsanext_cli.formats.clouds.las import encode_las, import_laspy
-from salsanext_cli.formats.clouds.ply import encode_ply
 from salsanext_cli.formats.label_scalars import PREFIX
+from salsanext_cli.formats.las import asprs_class, classification, encode_las, import_laspy
+from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import COLOURS, PointColours

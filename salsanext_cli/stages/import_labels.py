@@ -25,7 +25,7 @@ from salsanext_cli.files.reading import is_folder
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.label_scalars import LabelIds
 from salsanext_cli.formats.labels import encode_labels
-from salsanext_cli.formats.recordings.address import recording_of
+from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.labelling.edited_files import ScanNames, find_edited, scan_of_edited
 from salsanext_cli.labelling.edited_labels import (
     FileLabels,

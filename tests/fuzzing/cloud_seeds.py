@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from salsanext_cli.formats.clouds.las import encode_las
+from salsanext_cli.formats.las import encode_las
 
 Table = Mapping[str, np.ndarray]
 

@@ -24,13 +24,13 @@ from tiny_network import TinyNetwork
 from salsanext_cli import LabelSpace, label_space, project, read_labels, read_scan, sensor
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.fitting.scan_checks import field_of_view_coverage
+from salsanext_cli.formats import recordings
 from salsanext_cli.formats.npy import (
     encode_array,
     read_array,
     read_probabilities,
     read_uncertainty,
 )
-from salsanext_cli.formats.recordings import recorded_scans as recordings
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.weights import read_weights, save_weights

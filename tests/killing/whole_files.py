@@ -27,7 +27,7 @@ def _is_csv(path: Path) -> None:
 
 
 def _is_ply(path: Path) -> None:
-    from salsanext_cli.formats.clouds.ply import read_ply
+    from salsanext_cli.formats.ply import read_ply
 
     read_ply(path)
 

@@ -19,7 +19,7 @@ from salsanext_cli.errors import (
     OutputError,
     UsageError,
 )
-from salsanext_cli.formats.clouds.asprs import classification
+from salsanext_cli.formats.las import classification
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours

@@ -13,7 +13,7 @@ from salsanext_cli import Scan, __version__, label_space, read_labels
 from salsanext_cli.errors import MissingDependency, OutputError, UsageError
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.locks import locked
-from salsanext_cli.formats.clouds.kitti import read_bin
+from salsanext_cli.formats.kitti import read_bin
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import as_json

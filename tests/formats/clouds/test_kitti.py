@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.clouds import kitti
-from salsanext_cli.formats.clouds.column_count import evident_count
+from salsanext_cli.formats import kitti
 from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.raw_records import evident_count
 
 
 def five_columns(count, seed=0):

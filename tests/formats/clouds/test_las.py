@@ -12,8 +12,7 @@ from scans import make_scan
 from salsanext_cli import label_space, read_scan
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, MissingDependency, OutputError
-from salsanext_cli.formats.clouds.asprs import asprs_class, classification
-from salsanext_cli.formats.clouds.las import PANIC, encode_las
+from salsanext_cli.formats.las import PANIC, asprs_class, classification, encode_las
 
 laspy = pytest.importorskip("laspy")
 lazrs = pytest.importorskip("lazrs")

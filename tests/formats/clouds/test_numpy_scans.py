@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.clouds.numpy_scans import read_npy, read_npz
+from salsanext_cli.formats.numpy_scans import read_npy, read_npz
 
 TABLE = np.array([[1, -2, 3, 51], [4, 5, -6, 255]], np.float32)
 

@@ -9,7 +9,7 @@ from scans import IN_BYTES
 
 from salsanext_cli.errors import FormatError, MissingDependency
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.clouds.pcd import read_pcd
+from salsanext_cli.formats.pcd import read_pcd
 
 KINDS = {"F4": "f", "F8": "d", "U1": "B", "U2": "H", "U4": "I", "I1": "b", "I2": "h", "I4": "i"}
 

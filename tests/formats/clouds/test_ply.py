@@ -12,7 +12,7 @@ from scans import IN_BYTES
 
 from salsanext_cli import read_scan, write_ply
 from salsanext_cli.errors import FormatError, MissingDependency
-from salsanext_cli.formats.clouds.ply import read_ply
+from salsanext_cli.formats.ply import read_ply
 
 SCALARS = ["?", "u1", "i1", "u2", "i2", "u4", "i4", "i8", "f2", "f4", "f8"]
 

@@ -9,7 +9,7 @@ import pytest
 from scans import make_scan
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.clouds.kitti import encode_bin, read_bin
+from salsanext_cli.formats.kitti import encode_bin, read_bin
 
 SCAN = make_scan(3000)
 TABLE = np.column_stack([SCAN.points, SCAN.intensity])

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.clouds.text import read_text
+from salsanext_cli.formats.text import read_text
 
 ROWS = [[1.5, -2.0, 3e-3, 0.25], [4.0, 5.0, -6.0, 1.0]]
 TABLES = {

@@ -61,9 +61,7 @@ def test_packets_without_metadata_are_refused(recording):
 
 
 def test_a_file_at_which_the_library_crashes_is_one_error(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "salsanext_cli.formats.recordings.ouster.PROBE", "import os; os.kill(os.getpid(), 11)"
-    )
+    monkeypatch.setattr("salsanext_cli.formats.ouster.PROBE", "import os; os.kill(os.getpid(), 11)")
     path = tmp_path / "drive.osf"
     path.write_bytes(b"x")
     with pytest.raises(FormatError, match="crashes at it"):

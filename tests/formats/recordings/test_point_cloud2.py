@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.recordings.bags import TYPES, columns_of
+from salsanext_cli.formats.bags import TYPES, columns_of
 
 PATH = Path("drive.bag/points/1")
 FORMATS = dict(zip(range(1, 9), "bBhHiIfd", strict=True))

@@ -16,7 +16,6 @@ from salsanext_cli.errors import FormatError, error_text
 from salsanext_cli.files.optional_packages import require_rosbags
 from salsanext_cli.files.reading import filled, reading
 from salsanext_cli.formats.columns import Columns, rows_as_rings
-from salsanext_cli.formats.recordings.address import files_of
 
 POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -75,13 +74,13 @@ def _types(message: Any, path: Path) -> dict[str, tuple[str, int]]:
 class Bag:
     """ROS bag, a `Recording` whose topics are those of ROS, read by `rosbags`."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, files: list[Path]) -> None:
         require_rosbags()
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
 
         self.path, self._lock = path, Lock()
-        for file in files_of(path):
+        for file in files:
             # The library would wait at a pipe, and does not say what the system refuses.
             with reading(file):
                 log = file.with_name(f"{file.name}-wal")

@@ -7,16 +7,17 @@ import numpy as np
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.files.reading import read_values, reading, size_of
-from salsanext_cli.formats.clouds.column_count import evident_count, likely_names
-from salsanext_cli.formats.clouds.raw_records import (
+from salsanext_cli.formats.columns import normalised_intensity, ring_of, scan_of, unnamed_columns
+from salsanext_cli.formats.raw_records import (
     MIN_TEXT_BYTES,
     TEXT_BYTES,
     TEXT_SUFFIX,
     are_coordinates,
     are_float64,
+    evident_count,
+    likely_names,
     other_suffix,
 )
-from salsanext_cli.formats.columns import normalised_intensity, ring_of, scan_of, unnamed_columns
 from salsanext_cli.records import Float, Scan
 
 COLUMNS = 4
