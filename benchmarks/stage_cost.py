@@ -19,7 +19,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.options import threads_of_workers
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.predictions import predicted_scans
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
@@ -59,7 +59,8 @@ def main(dataset: str, out: str, samples: str = "30", weights: str | None = None
     few, method = ScanSelection(limit=4), UncertaintyMethod(samples=int(samples))
 
     def score(options: RunOptions) -> None:
-        evaluate(*((found := predicted_scans(whole, ScanSelection()))[0], whole, found[1]), options)
+        scans, space = ResultFolder(whole).predicted(ScanSelection())
+        evaluate(scans, whole, space, options)
 
     with threads_of_workers(1):
         measure("project", lambda o: project_scans(data, steps, sensor=sensor, options=o))

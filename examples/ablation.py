@@ -21,7 +21,7 @@ from salsanext_cli.network.complexity import PAPERS, multiply_accumulates, param
 from salsanext_cli.network.registry import build
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.predictions import predicted_scans
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.train import train
@@ -71,7 +71,7 @@ def mean_iou(dataset: Path, out: Path, weights: Path, knn: KnnParameters) -> flo
         selection=selection,
         options=options,
     )
-    scans, space = predicted_scans(out, selection)
+    scans, space = ResultFolder(out).predicted(selection)
     return 100 * evaluate(scans, out, space).scores.iou_mean_present
 
 

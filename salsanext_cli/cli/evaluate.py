@@ -28,16 +28,16 @@ def evaluate(
     from rich.text import Text
 
     from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
-    from salsanext_cli.results.predictions import predicted_scans, provenance
+    from salsanext_cli.results.result_folder import ResultFolder
     from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
     from salsanext_cli.stages.evaluate import evaluate as stage
 
     out = results.folder()
-    chosen, dataset = selection, dataset
+    folder = ResultFolder(out, dataset)
     labels = options.label_space(label_space)
-    files, space = predicted_scans(out, chosen, dataset, labels, options.label_space(classes))
+    files, space = folder.predicted(selection, labels, options.label_space(classes))
     with over_scans("eval", running, output.quiet) as run:
-        settings = provenance(out, chosen, dataset)
+        settings = folder.provenance(selection)
         evaluation = stage(
             *(files, out, space, run), by_distance=by_distance, settings=settings, labels=labels
         )

@@ -47,12 +47,12 @@ def knn_refine(
 
     Example: salsanext knn-refine out/
     """
-    from salsanext_cli.results.stage_records import recorded_sensor
+    from salsanext_cli.results.stage_records import StageRecords
     from salsanext_cli.stages.knn_refine import knn_refine_scans
 
     seen = options.sensor(sensor)
     if columns is not None:
-        seen = options.with_columns(seen or recorded_sensor(out), columns)
+        seen = options.with_columns(seen or StageRecords(out).sensor(), columns)
     with over_scans("knn-refine", running, output.quiet) as run:
         outcome = knn_refine_scans(
             out,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from salsanext_cli.measures.scan_summary import RunSummary
     from salsanext_cli.parallel.run import Failure, Outcome
-    from salsanext_cli.results.sources import MissingResults
+    from salsanext_cli.results.selection import MissingResults
 
 SUBMITTED_SPLIT = "test"
 SUBMISSION = "submission.zip"

@@ -26,7 +26,7 @@ from salsanext_cli.network.card import require_tensors
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.stage_records import earlier_settings
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 
 SHARE = 0.1
@@ -54,7 +54,7 @@ def network_of_run(
     `out`: its output folder: what earlier results there were made with stays; `overwrite`: whether
     such results will be replaced, and mean nothing; `image_of`: as `ScanSample` takes it.
     """
-    earlier = earlier_settings(out, network.engine.sha256, overwrite)
+    earlier = None if overwrite else StageRecords(out).settings_with(network.engine.sha256)
     sensor = Sensor.from_dict(earlier.table("sensor"), earlier.path) if earlier else None
     sample = ScanSample(files, network.sensor, image_of)
     network = fit_scans(settings, network, sample, sensor)

@@ -15,7 +15,7 @@ from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import CHANNELS, Float, RangeImage, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
-from salsanext_cli.results.stage_records import stage_settings
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 
 
@@ -84,7 +84,7 @@ def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> tuple[Path, Flo
 
 def projected_sensor(folder: Path) -> Sensor | None:
     """Return the sensor of the range images in an output folder, None if it holds none."""
-    settings = stage_settings(folder, "project")
+    settings = StageRecords(folder).settings("project")
     if settings is None:
         return None
     return Sensor.from_dict(settings.table("sensor"), settings.path)

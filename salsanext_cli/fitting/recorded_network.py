@@ -13,13 +13,7 @@ from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.geometry.network_input import NO_INTENSITY
 from salsanext_cli.network.card import read_card
-from salsanext_cli.results.stage_records import (
-    as_json,
-    earlier_settings,
-    owner,
-    recorded_weights,
-    stage_settings,
-)
+from salsanext_cli.results.stage_records import StageRecords, as_json
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor, presets
 
 
@@ -28,12 +22,13 @@ def require_network_of_labels(out: Path, settings: dict[str, Any]) -> None:
 
     `out`: the output folder; `settings`: of the run of `uncertainty`.
     """
-    stage = owner(out, "predictions")
-    recorded = stage_settings(out, stage) if stage not in (None, "uncertainty") else None
+    records = StageRecords(out)
+    stage = records.owner("predictions")
+    recorded = records.settings(stage) if stage not in (None, "uncertainty") else None
     if recorded is None:
         return
     compared: dict[str, tuple[str, Callable[..., object]]] = {"sensor": ("sensor", _view)}
-    if weights := recorded_weights(out, "predictions"):
+    if weights := records.weights("predictions"):
         recorded["weights"] = weights
         compared = {"weights": ("weights, and --adapt for both or neither", str)} | compared
         # Those of other programs may be in any classes.
@@ -65,8 +60,9 @@ def network_of_labels(out: Path, network: NetworkSettings) -> NetworkSettings:
 
     Its classes are those of the labels, else of uncertainties that are there.
     """
-    settings, weights = stage_settings(out, "predict"), fingerprint(network.path)
-    if earlier := earlier_settings(out, weights, overwrite=False):
+    records = StageRecords(out)
+    settings, weights = records.settings("predict"), fingerprint(network.path)
+    if earlier := records.settings_with(weights):
         space = LabelSpace.from_dict(earlier.table("label_space"), earlier.path)
         merging = ClassMerging.needed(read_card(network.path).space, space)
         network = replace(network, classes=space if merging else None)

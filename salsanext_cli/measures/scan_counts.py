@@ -34,7 +34,7 @@ from salsanext_cli.measures.histograms import (
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
-from salsanext_cli.results.predictions import rejected_points
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.scan_results import read_kind
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -215,7 +215,7 @@ def count_scan(
         if present(path := output_path(out, scan.sequence, folder, scan.stem)):
             counts.files[folder] = 1
             values[kind] = read_kind(path, kind, len(scored))[scored]
-    if "error" in values and (rejected := rejected_points(out, values["error"])).any():
+    if "error" in values and (rejected := ResultFolder(out).rejected(values["error"])).any():
         values = {kind: np.where(rejected, np.nan, each) for kind, each in values.items()}
     for kind, of_points in values.items():
         for name, group in groups.items():

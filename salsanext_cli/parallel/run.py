@@ -23,7 +23,7 @@ from salsanext_cli.parallel.shards import Chunk, chunks
 from salsanext_cli.parallel.tasks import Attempt, Task, opened
 from salsanext_cli.parallel.worker import WORKER, WorkerContext, attempt_chunk
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.sources import MissingResults
+from salsanext_cli.results.selection import MissingResults
 
 __all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
 

@@ -13,7 +13,8 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.report.colours import CLASS_COLOURS, value_range
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.scan_results import read_results, scalar_columns, with_column
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.scan_results import scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
 SCANS_FOR_SCALE = 20
@@ -35,19 +36,20 @@ def common_scales(
     classes have no scale and are left out; `space`: classes of the labels; `sensor`: what distances
     are measured from.
     """
+    folder = ResultFolder(out)
     values: dict[str, list[npt.NDArray[Any]]] = {}
     sampled: dict[ScanFile, list[str]] = {}
     for colour in colours:
         if colour in CLASS_COLOURS:
             continue
         values[colour] = [np.empty(0, np.float32)]
-        known = with_column(colour, scans, out)
+        known = folder.with_column(colour, scans)
         for file in known[:: -(-len(known) // SCANS_FOR_SCALE) or 1]:
             sampled.setdefault(file, []).append(colour)
     for file, wanted in sampled.items():
         # A scan that cannot be read is named when it is worked on.
         with suppress(SalsanextError):
-            columns = scalar_columns(read_results(file, out, sensor), space)
+            columns = scalar_columns(folder.read(file, sensor), space)
             for colour in wanted:
                 values[colour].append(columns[colour])
     return {colour: value_range(np.concatenate(found)) for colour, found in values.items()}

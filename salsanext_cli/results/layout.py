@@ -31,6 +31,8 @@ OWN_TABLES = {
 
 Lines that are a comment do not count.
 """
+LABELLING_STAGES = ("predict", "knn-refine", "uncertainty")
+"""The stages whose results later ones read."""
 UNCERTAINTY = ("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information")
 """The kinds of uncertainty that stages may have written; "error" is a probability."""
 ERROR = "uncertainty/error"

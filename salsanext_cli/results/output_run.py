@@ -10,21 +10,22 @@ from typing import Any
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
-from salsanext_cli.errors import OutputError
+from salsanext_cli.errors import OutputError, shortened
 from salsanext_cli.files.reading import filled
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.formats.npy import encode_array
 from salsanext_cli.results.layout import ERROR, ScanFile, find_outputs, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
-from salsanext_cli.results.sources import scan_sources
 from salsanext_cli.results.stage_records import (
     ScanSource,
     StageRecord,
+    StageRecords,
     as_json,
-    owner,
-    read_record,
     require_same_settings,
 )
+
+MAX_PATH_CHARACTERS = 500
+"""Characters of a folder's name that an error shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +78,11 @@ class OutputRun(OwnedFolder):
 
         Results of other settings or stages are removed if the run overwrites, else it is refused.
         """
-        recorded = read_record(self.root, self.stage)
+        records = StageRecords(self.root)
+        recorded = records.record(self.stage)
         before = recorded or StageRecord(self.stage, wanted.settings)
         same = before.settings == wanted.settings
-        owners = {folder: owner(self.root, folder) for folder in wanted.folders}
+        owners = {folder: records.owner(folder) for folder in wanted.folders}
         others = {f: other for f, other in owners.items() if other and other != self.stage}
         if not self.overwrite:
             require_same_settings(self.record_path, before.settings, wanted.settings)
@@ -116,7 +118,7 @@ class OutputRun(OwnedFolder):
 
         With its labels go the probabilities that these are wrong.
         """
-        record = read_record(self.root, other)
+        record = StageRecords(self.root).record(other)
         recorded = record.folders if record else ()
         with_error = folder == "predictions" and ERROR in recorded
         taken = [folder, ERROR] if with_error else [folder]
@@ -152,6 +154,26 @@ def _merged(recorded: StageRecord, wanted: StageRecord) -> StageRecord:
     return replace(wanted, folders=folders, scans=scans, kept=wanted.kept | recorded.kept)
 
 
+def _scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]:
+    """Return where scans lie and their stems, by sequence."""
+    known: dict[str, str] = {}
+    for record in StageRecords(out).records().values():
+        known |= {sequence: source.folder for sequence, source in record.scans.items()}
+    stems: dict[str, set[str]] = {}
+    for scan in scans:
+        folder = str(scan.path.parent)
+        recorded = known.setdefault(scan.sequence, folder)
+        if recorded != folder:
+            raise OutputError(
+                out,
+                f"sequence {scan.sequence} came from {shortened(recorded, MAX_PATH_CHARACTERS)}",
+                f"scans from there, not from {folder}",
+                "use another output folder",
+            )
+        stems.setdefault(scan.sequence, set()).add(scan.stem)
+    return {name: ScanSource(known[name], frozenset(names)) for name, names in stems.items()}
+
+
 @contextmanager
 def output_run(
     out: Path,
@@ -171,7 +193,7 @@ def output_run(
     since; `record_scans`: not for a stage that works on what an earlier one recorded.
     """
     # A contradiction of the scans themselves is an error before a folder is made.
-    sources = scan_sources(out, scans) if record_scans else {}
+    sources = _scan_sources(out, scans) if record_scans else {}
     run = OutputRun(out, stage, folders=tuple(folders), overwrite=overwrite)
     wanted = StageRecord(stage, as_json(settings), tuple(sorted(run.folders)), sources)
     with ExitStack() as stack:
@@ -182,7 +204,7 @@ def output_run(
         run = replace(run, kept=frozenset(run.others(out / name for name in recorded.kept)))
         todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
         yield replace(run, kept=frozenset(run.others(todo)))
-        record = read_record(out, stage)
+        record = StageRecords(out).record(stage)
         if record is None or record.settings != wanted.settings:
             found = "was removed or replaced while results were written into it"
             raise OutputError(out, found, remedy="run again with --overwrite")

@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
@@ -29,6 +29,25 @@ LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
 
 log = logging.getLogger(__name__)
 Item = TypeVar("Item")
+
+
+@dataclass(frozen=True, slots=True)
+class MissingResults:
+    """Scans without results."""
+
+    # Those that a stage was asked for: it failed, was interrupted, or its results were deleted.
+    # All, where no stage recorded what it was asked for
+    scans: tuple[ScanFile, ...] = ()
+    not_asked_for: int = 0  # Number of the others, which were left out on purpose
+
+    def log_error(self, count: int, what: str) -> None:
+        """Log how many of so many scans lack what they should have."""
+        if self.scans:
+            first = self.scans[0]
+            log.error(
+                "%d of %d scans have no %s and are left out, the first is %s/%s",
+                *(len(self.scans), count, what, first.sequence, first.stem),
+            )
 
 
 def scans_of(source: Path) -> list[ScanFile]:
@@ -160,3 +179,15 @@ def select_evenly(source: Path, selection: ScanSelection, space: LabelSpace) -> 
     """Find the scans of a selection, as `select_scans`; a limit takes evenly spaced ones."""
     scans = select_scans(source, replace(selection, limit=None), space)
     return evenly_spaced(scans, selection.limit or 0)
+
+
+def space_of_labels(
+    scans: Sequence[ScanFile], space: LabelSpace, labels: LabelSpace | None = None
+) -> LabelSpace:
+    """Return the meaning of the raw ids of labels that are compared in the classes of a space.
+
+    Labels may have their own for classes of the same names; `labels` is their label space, if it is
+    not that of the scans' data set.
+    """
+    own = labels or space_of(scans, space)
+    return own if own.names == space.names else space

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Record of a stage in an output folder, ``OUT/<stage>.json``: settings, results and scans."""
+"""Records of stages in an output folder, ``OUT/<stage>.json``: settings, results and scans."""
 
 import hashlib
 import json
@@ -62,26 +62,6 @@ class StageRecord:
         write_json(out / f"{self.stage}.json", self.to_dict())
 
 
-def read_record(out: Path, stage: str) -> StageRecord | None:
-    """Read the record of a stage, None if it did not run in this output folder."""
-    path = out / f"{stage}.json"
-    found = read_json(path)
-    if found is None:
-        return None
-    try:
-        settings, folders = found["settings"], tuple(found["writes"])
-        if not isinstance(settings, dict) or not all(f in SUFFIX_OF_FOLDER for f in folders):
-            raise TypeError
-        scans = {name: _scan_source(entry) for name, entry in found.get("scans", {}).items()}
-        kept = frozenset(
-            out.joinpath(name).relative_to(out).as_posix() for name in found.get("kept", ())
-        )
-        return StageRecord(stage, settings, folders, scans, kept)
-    except (TypeError, KeyError, AttributeError) as error:
-        remedy = "delete it or use another folder"
-        raise OutputError(path, f"not what `{stage}` writes", remedy=remedy) from error
-
-
 def _scan_source(entry: dict[str, Any]) -> ScanSource:
     folder, stems = entry["folder"], entry["asked_for"]
     if not isinstance(folder, str) or "\0" in folder or not isinstance(stems, list):
@@ -91,102 +71,117 @@ def _scan_source(entry: dict[str, Any]) -> ScanSource:
     return ScanSource(folder, frozenset(stems))
 
 
-def read_records(out: Path) -> dict[str, StageRecord]:
-    """Read the records of all stages that ran in an output folder, by stage."""
-    records = {stage: read_record(out, stage) for stage in RESULT_STAGES}
-    return {stage: record for stage, record in records.items() if record is not None}
+@dataclass(frozen=True, slots=True)
+class StageRecords:
+    """Records of the stages that ran in an output folder, read when they are asked for."""
 
+    root: Path
 
-def stage_settings(out: Path, stage: str) -> RecordedSettings | None:
-    """Return the settings a stage ran with in this output folder, None if it did not."""
-    record = read_record(out, stage)
-    return RecordedSettings(record.settings, out / f"{stage}.json") if record else None
+    def record(self, stage: str) -> StageRecord | None:
+        """Read the record of a stage, None if it did not run here."""
+        path = self.root / f"{stage}.json"
+        content = read_json(path)
+        if content is None:
+            return None
+        try:
+            settings, folders = content["settings"], tuple(content["writes"])
+            if not isinstance(settings, dict) or not all(f in SUFFIX_OF_FOLDER for f in folders):
+                raise TypeError
+            scans = {name: _scan_source(each) for name, each in content.get("scans", {}).items()}
+            paths = (self.root.joinpath(name) for name in content.get("kept", ()))
+            kept = frozenset(path.relative_to(self.root).as_posix() for path in paths)
+            return StageRecord(stage, settings, folders, scans, kept)
+        except (TypeError, KeyError, AttributeError) as error:
+            remedy = "delete it or use another folder"
+            raise OutputError(path, f"not what `{stage}` writes", remedy=remedy) from error
 
+    def records(self) -> dict[str, StageRecord]:
+        """Read the records of all stages that ran here, by stage."""
+        records = {stage: self.record(stage) for stage in RESULT_STAGES}
+        return {stage: record for stage, record in records.items() if record is not None}
 
-def owner(out: Path, folder: str) -> str | None:
-    """Return the stage that writes a folder of results in this output folder, if any does."""
-    records = read_records(out)
-    return next((stage for stage, record in records.items() if folder in record.folders), None)
+    def settings(self, stage: str) -> RecordedSettings | None:
+        """Return the settings a stage ran with, None if it did not."""
+        record = self.record(stage)
+        path = self.root / f"{stage}.json"
+        return RecordedSettings(record.settings, path) if record else None
 
+    def owner(self, folder: str) -> str | None:
+        """Return the stage that writes a folder of results, if any does."""
+        records = self.records()
+        return next((stage for stage, record in records.items() if folder in record.folders), None)
 
-def settings_of(out: Path, folder: str) -> RecordedSettings | None:
-    """Return the settings behind a folder of results, None if no stage recorded them."""
-    stage = owner(out, folder)
-    return stage_settings(out, stage) if stage else None
+    def settings_of(self, folder: str) -> RecordedSettings | None:
+        """Return the settings behind a folder of results, None if no stage recorded them."""
+        stage = self.owner(folder)
+        return self.settings(stage) if stage else None
 
+    def origins(self, stages: Iterable[str]) -> dict[str, str]:
+        """Return a digest of the settings of each of the stages that ran here.
 
-def origins(out: Path, stages: Iterable[str]) -> dict[str, str]:
-    """Return a digest of the settings of each of the stages that ran in this output folder.
+        A stage that reads their results records it, so as not to keep what it made of older ones.
+        """
+        settings = {stage: self.settings(stage) for stage in stages}
+        return {
+            stage: hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]
+            for stage, values in settings.items()
+            if values is not None
+        }
 
-    A stage that reads their results records it, so as not to keep what it made of older ones.
-    """
-    settings = {stage: stage_settings(out, stage) for stage in stages}
-    return {
-        stage: hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]
-        for stage, values in settings.items()
-        if values is not None
-    }
+    def label_space(self, *folders: str) -> LabelSpace | None:
+        """Return the classes of the first of the folders that a stage fills, else None.
 
+        It is of the predictions by default.
+        """
+        of_folders = map(self.settings_of, folders or ("predictions", "pixel_labels"))
+        settings = next((each for each in of_folders if each), None)
+        if settings is None:
+            return None
+        return LabelSpace.from_dict(settings.table("label_space"), settings.path)
 
-def recorded_label_space(out: Path, *folders: str) -> LabelSpace | None:
-    """Return the label space of results in an output folder, if a stage recorded one.
+    def weights(self, folder: str) -> str | None:
+        """Return the SHA-256 of the weights behind a folder of results, if one is recorded.
 
-    It is that of the first of the folders that a stage fills; of the predictions by default.
-    """
-    found = (settings_of(out, folder) for folder in folders or ("predictions", "pixel_labels"))
-    settings = next((each for each in found if each), None)
-    if settings is None:
+        Of weights that were adapted to the scans, it is that of the adapted ones.
+        """
+        settings = self._settings_of_network(folder)
+        digest = settings.get("adapted", settings.get("weights"))
+        return None if digest is None else str(digest)
+
+    def trained_on(self) -> frozenset[str]:
+        """Return the digests of the scans that the weights of the predictions were trained on."""
+        try:
+            recorded = self._settings_of_network("predictions").get("trained_on", "")
+            return frozenset(parted(recorded))
+        except ValueError as error:
+            found = f"its record holds {error} under trained_on"
+            raise OutputError(self.root, found, remedy="use another folder") from error
+
+    def _settings_of_network(self, folder: str) -> Mapping[str, Any]:
+        """Return the settings of the stage that computed what a folder of results is made of."""
+        settings: Mapping[str, Any] = self.settings_of(folder) or {}
+        if self.owner(folder) == "knn-refine" and settings.get("labels") is None:
+            return self._settings_of_network("pixel_labels")
+        return settings
+
+    def sensor(self) -> Sensor:
+        """Return the sensor that labels were made through; else the HDL-64."""
+        return self.known_sensor() or sensor("hdl64")
+
+    def known_sensor(self) -> Sensor | None:
+        """Return the sensor that results were made through, if one is recorded."""
+        for folder in ("pixel_labels", "predictions", "uncertainty/epistemic", "range"):
+            if (settings := self.settings_of(folder)) is not None:
+                return Sensor.from_dict(settings.table("sensor"), settings.path)
         return None
-    return LabelSpace.from_dict(settings.table("label_space"), settings.path)
 
-
-def recorded_weights(out: Path, folder: str) -> str | None:
-    """Return the SHA-256 of the weights behind a folder of results, None if none is recorded.
-
-    Of weights that were adapted to the scans, it is that of the adapted ones.
-    """
-    settings = _settings_of_network(out, folder)
-    found = settings.get("adapted", settings.get("weights"))
-    return None if found is None else str(found)
-
-
-def scans_trained_on(out: Path) -> frozenset[str]:
-    """Return the digests of the scans that the weights behind the predictions were trained on."""
-    try:
-        return frozenset(parted(_settings_of_network(out, "predictions").get("trained_on", "")))
-    except ValueError as error:
-        found = f"its record holds {error} under trained_on"
-        raise OutputError(out, found, remedy="use another folder") from error
-
-
-def _settings_of_network(out: Path, folder: str) -> Mapping[str, Any]:
-    """Return the settings of the stage that computed what a folder of results is made of."""
-    settings: Mapping[str, Any] = settings_of(out, folder) or {}
-    if owner(out, folder) == "knn-refine" and settings.get("labels") is None:
-        return _settings_of_network(out, "pixel_labels")
-    return settings
-
-
-def recorded_sensor(out: Path) -> Sensor:
-    """Return the sensor that labels in an output folder were made through; else the HDL-64."""
-    return known_sensor(out) or sensor("hdl64")
-
-
-def known_sensor(out: Path) -> Sensor | None:
-    """Return the sensor that results in an output folder were made through, if one is recorded."""
-    for folder in ("pixel_labels", "predictions", "uncertainty/epistemic", "range"):
-        if (settings := settings_of(out, folder)) is not None:
-            return Sensor.from_dict(settings.table("sensor"), settings.path)
-    return None
-
-
-def earlier_settings(out: Path, weights: str | None, overwrite: bool) -> RecordedSettings | None:
-    """Return the settings of labels or uncertainties that were made with these weights, if any."""
-    for stage in () if overwrite else ("predict", "uncertainty"):
-        settings = stage_settings(out, stage)
-        if settings is not None and settings.get("weights") == weights:
-            return settings
-    return None
+    def settings_with(self, weights: str | None) -> RecordedSettings | None:
+        """Return the settings of labels or uncertainties made with these weights, if any."""
+        for stage in ("predict", "uncertainty"):
+            settings = self.settings(stage)
+            if settings is not None and settings.get("weights") == weights:
+                return settings
+        return None
 
 
 def as_json(settings: Any) -> Any:

@@ -11,7 +11,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, Progress, RunOptions
 from salsanext_cli.results.layout import ERROR, find_outputs
-from salsanext_cli.results.predictions import predicted_scans, provenance
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
@@ -77,9 +77,9 @@ def demo(
     with step("picture") as run:
         drawn = picture(out, options=run)
     failures = tuple(f for each in (predicted, sampled, exported, drawn) for f in each.failures)
-    files, space = predicted_scans(out, valid)
+    files, space = ResultFolder(out).predicted(valid)
     with step("eval") as run:
-        evaluation = evaluate(files, out, space, run, settings=provenance(out, valid))
+        evaluation = evaluate(files, out, space, run, settings=ResultFolder(out).provenance(valid))
     pictures = tuple(find_outputs(out, "pictures").values())
     with step("report") as run:
         page = report(out, by_distance=True, selection=valid, options=run).page

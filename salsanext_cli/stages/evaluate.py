@@ -30,9 +30,9 @@ from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.plots import PICTURES, evaluation_pictures
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.predictions import merging_into, space_of_labels
-from salsanext_cli.results.sources import MissingResults, missing_predictions
-from salsanext_cli.results.stage_records import as_json, recorded_sensor, scans_trained_on
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.selection import MissingResults, space_of_labels
+from salsanext_cli.results.stage_records import as_json
 from salsanext_cli.version import __version__
 
 FILES = ("scores.txt", *PICTURES, "eval.json")
@@ -102,12 +102,13 @@ def evaluate(
     settings were. Scans that the weights were trained on are left out, unless all were.
 
     `scans`: scans with labels at `ScanFile.label_path`; `out`: output folder of `predict` or
-    `knn-refine`; `space`: classes to compare, as `predicted_scans` returns them; `options`: jobs,
-    errors and progress; `by_distance`: score rings of distance too, for which the scans are read;
-    `settings`: settings of the selection and of the predictions, for the record; `labels`: as
+    `knn-refine`; `space`: classes to compare, as `ResultFolder.predicted` returns them;
+    `options`: jobs, errors and progress; `by_distance`: score rings of distance too, for which the
+    scans are read; `settings`: settings of the selection and of the predictions, for the record; `labels`: as
     `space_of_labels` takes it.
     """
-    labels, merging = space_of_labels(scans, space, labels), merging_into(out, space)
+    results = ResultFolder(out)
+    labels, merging = space_of_labels(scans, space, labels), results.merging_into(space)
     own = {"by_distance": by_distance, "label_space": space.to_dict()}
     if labels.learning_map != space.learning_map:
         own["label_space_of_labels"] = labels.to_dict()
@@ -117,8 +118,8 @@ def evaluate(
     _require_labels(scans)
     apart = CountsApart.none(space, by_distance)
     count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
-    count = partial(count, by_distance=by_distance, sensor=recorded_sensor(out))
-    count = partial(count, trained_on=scans_trained_on(out))
+    count = partial(count, by_distance=by_distance, sensor=results.sensor())
+    count = partial(count, trained_on=results.trained_on())
     outcome = run_over_scans(count, scans, options, on_result=apart.add)
     counts = apart.scored()
     if not counts.scans:
@@ -136,7 +137,7 @@ def evaluate(
         scans=counts.scans,
         trained_on=counts.left_out,
         on_training_scans=counts.trained_on > 0,
-        missing=missing_predictions(out, counts.missing),
+        missing=results.missing_predictions(counts.missing),
         failures=outcome.failures,
         settings=settings,
         uncertainty=evaluate_uncertainty(counts, space),

@@ -19,21 +19,11 @@ from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import COLOURS, PointColours
 from salsanext_cli.report.scales import common_scales
-from salsanext_cli.results.chosen_results import choose_results
-from salsanext_cli.results.layout import UNCERTAINTY, ScanFile
+from salsanext_cli.results.layout import LABELLING_STAGES, UNCERTAINTY, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.scan_results import (
-    missing_column,
-    read_results,
-    require_column,
-    scalar_columns,
-)
-from salsanext_cli.results.sources import LABELLING_STAGES
-from salsanext_cli.results.stage_records import (
-    origins,
-    recorded_sensor,
-    stage_settings,
-)
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.scan_results import scalar_columns
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.stages.uncertainty import estimate_missing
 
@@ -54,14 +44,14 @@ def export_scan(
 ) -> int:
     """Write one scan as a coloured cloud with every known scalar; return how many are rejected."""
     output.require_replaceable(file)
-    results = read_results(file, output.root, sensor, classes, (labels, colours.space))
+    results = ResultFolder(output.root).read(file, sensor, classes, (labels, colours.space))
     if max_error is not None:
         if "error" not in results.uncertainty:
-            raise missing_column("error", file, output.root)
+            raise ResultFolder(output.root).missing_column("error", file)
         results = results.rejecting(max_error, colours.space)
     columns = scalar_columns(results, colours.space)
     if colours.colour not in columns:
-        raise missing_column(colours.colour, file, output.root)
+        raise ResultFolder(output.root).missing_column(colours.colour, file)
     rgb = dict(zip(("red", "green", "blue"), colours.of_points(columns).T, strict=True))
     drawn = dict(zip("xyz", results.scan.points.T, strict=True)) | rgb
     comments = [f"colour {colours.legend}", f"label space {colours.space.name}"]
@@ -109,6 +99,7 @@ def export_ply(
     is asked for but was not computed yet; and the classes into which those of labels and
     predictions are merged; `selection`, `options`: which scans, and how to go through them.
     """
+    results = ResultFolder(out, dataset)
     if colour not in COLOURS:
         raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
     if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
@@ -119,17 +110,17 @@ def export_ply(
         raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
     if form != "ply":
         import_laspy(f"--format {form}", compressed=form == "laz")
-    chosen = choose_results(out, selection, dataset, space, network.classes)
+    chosen = results.chosen(selection, space, network.classes)
     scans, space = chosen.scans, chosen.space
     if max_error is not None:
-        require_column("error", scans, out)
+        results.require_column("error", scans)
     unestimated: dict[ScanFile, Failure] = {}
     if colour in ("uncertainty", *UNCERTAINTY):
         colour, unestimated = estimate_missing(out, scans, colour, network, options)
-    require_column(colour, scans, out)
-    sensor = recorded_sensor(out)
+    results.require_column(colour, scans)
+    sensor = results.sensor()
     stage, folder = _place(out, colour, form)
-    made_of, earlier = origins(out, LABELLING_STAGES), stage_settings(out, stage)
+    made_of, earlier = results.origins(LABELLING_STAGES), results.settings(stage)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
     if scale is None and earlier is not None and not overwrite:
         # A run that goes on colours alike.
@@ -163,7 +154,7 @@ def export_ply(
 
 def _place(out: Path, colour: str, form: str) -> tuple[str, str]:
     """Return the name of the record of a colouring, and the folder for its clouds."""
-    first = stage_settings(out, "export-ply")
+    first = StageRecords(out).settings("export-ply")
     if first is None or first["colour"] == colour:
         return "export-ply", form
     return f"export-ply-{colour}", f"{form}/{colour}"

@@ -18,11 +18,10 @@ from salsanext_cli.records import Float
 from salsanext_cli.report.colours import PointColours
 from salsanext_cli.report.rerun_recording import Columns, LogScan, import_rerun, recording
 from salsanext_cli.report.scales import common_scales
-from salsanext_cli.results.chosen_results import choose_results
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.scan_results import read_results, scalar_columns, with_column
-from salsanext_cli.results.stage_records import recorded_sensor
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.scan_results import scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
 FOLDER = "rrd"
@@ -47,16 +46,17 @@ def export_rrd(
 
     `out`: the output folder, with what earlier stages left there; `dataset`: where the scans and
     labels are, if not where the scans came from; `space`, `classes`: of the labels, and into whose
-    classes others are merged; as for `predicted_scans`; `selection`: which scans; `options`: errors
-    and progress; the scans of a recording are read one after the other.
+    classes others are merged; as for `ResultFolder.predicted`; `selection`: which scans;
+    `options`: errors and progress; the scans of a recording are read one after the other.
     """
+    results = ResultFolder(out, dataset)
     import_rerun()
     _require_text(out)
-    chosen = choose_results(out, selection, dataset, space, classes)
-    scans, space, sensor = chosen.scans, chosen.space, recorded_sensor(out)
+    chosen = results.chosen(selection, space, classes)
+    scans, space, sensor = chosen.scans, chosen.space, results.sensor()
     OwnedFolder(out).require_own(_path(out, scan.sequence) for scan in scans)
     sweep_stale(out / FOLDER)
-    known = [name for name in VIEWS if with_column(name, scans, out)]
+    known = [name for name in VIEWS if results.with_column(name, scans)]
     scales = common_scales(out, scans, known, space, sensor)
     colourings = {
         name: PointColours(name, scales.get(name, (0, 1)), space, dark=True) for name in known
@@ -122,7 +122,7 @@ def _read(
     labels: LabelSpace,
 ) -> tuple[ScanFile, Float, Columns]:
     """Read the points of a scan and every known scalar."""
-    results = read_results(file, out, sensor, classes, (labels, space))
+    results = ResultFolder(out).read(file, sensor, classes, (labels, space))
     return file, results.scan.points, scalar_columns(results, space)
 
 

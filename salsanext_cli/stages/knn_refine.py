@@ -19,9 +19,8 @@ from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile, find_scans, output_path, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, space_of
-from salsanext_cli.results.sources import recorded_scans
-from salsanext_cli.results.stage_records import origins, recorded_label_space, recorded_sensor
 from salsanext_cli.sensors.sensor import Sensor
 
 
@@ -96,14 +95,15 @@ def knn_refine_scans(
     `out`; else the HDL-64; `space`: otherwise the one that `predict` recorded in `out`, else that
     of the scans' data set; `knn`, `selection`, `options`: as for `predict_scans`.
     """
+    results = ResultFolder(out)
     if labels and labels.resolve().is_relative_to(out.resolve()):
         raise UsageError("--labels", f"{labels} inside {out}", "a folder that is only read")
-    scans = find_scans(dataset) if dataset else recorded_scans(out)
-    recorded = recorded_label_space(out, "pixel_labels") if labels is None else None
+    scans = find_scans(dataset) if dataset else results.scans()
+    recorded = results.label_space("pixel_labels") if labels is None else None
     if recorded and space and not recorded.fits(space):
         found = f"{space.name}, for pixel labels in the classes of {recorded.name}"
         raise UsageError("--label-space", found, remedy="predict with --classes, or leave it out")
-    space = space or recorded or recorded_label_space(out) or space_of(scans)
+    space = space or recorded or results.label_space() or space_of(scans)
     if labels is None:
         scans = with_outputs(scans, out, "pixel_labels")
         if not scans:
@@ -112,7 +112,7 @@ def knn_refine_scans(
     scans = choose(scans, selection, space_of(scans, space), out)
     if labels is not None:
         _require_some(labels, scans)
-    sensor = sensor or recorded_sensor(out)
+    sensor = sensor or results.sensor()
     settings = {
         "labels": str(labels.absolute()) if labels else None,
         "label_space": space.to_dict(),
@@ -121,7 +121,7 @@ def knn_refine_scans(
     }
     if labels is None:
         # Labels of other weights must not be kept as those of these.
-        settings |= {"origins": origins(out, ["predict"])}
+        settings |= {"origins": results.origins(["predict"])}
     summary = RunSummary.of_scans(scans, sensor, space)
     run = output_run(
         *(out, "knn-refine", settings, ("predictions",), scans),

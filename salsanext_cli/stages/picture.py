@@ -18,22 +18,17 @@ from salsanext_cli.report.animation import animate, find_ffmpeg, require_animati
 from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS
 from salsanext_cli.report.scales import Scales, common_scales
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
-from salsanext_cli.results.chosen_results import ChosenResults, choose_results
-from salsanext_cli.results.layout import COLOURINGS, SUFFIX_OF_FOLDER, ScanFile, find_outputs
-from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.predictions import space_of_labels, space_of_results
-from salsanext_cli.results.scan_results import (
-    FOLDERS,
-    missing_column,
-    read_results,
-    require_column,
-    scalar_columns,
-    uncertainty_meant,
-    with_column,
+from salsanext_cli.results.layout import (
+    COLOURINGS,
+    LABELLING_STAGES,
+    SUFFIX_OF_FOLDER,
+    ScanFile,
+    find_outputs,
 )
-from salsanext_cli.results.selection import choose, scans_of
-from salsanext_cli.results.sources import LABELLING_STAGES, MissingResults, recorded_scans
-from salsanext_cli.results.stage_records import known_sensor, origins, stage_settings
+from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.result_folder import FOLDERS, ChosenResults, ResultFolder
+from salsanext_cli.results.scan_results import scalar_columns
+from salsanext_cli.results.selection import MissingResults, choose, scans_of, space_of_labels
 from salsanext_cli.sensors.sensor import Sensor, sensor
 
 STAGE, FOLDER = "picture", "pictures"
@@ -55,11 +50,11 @@ def picture_scan(
     output.require_replaceable(file)
     shows_truth = not colours or {"truth", "wrong"} & {*colours}
     truth_in = (labels, space) if shows_truth else None
-    results = read_results(file, output.root, sensor, classes, truth_in)
+    results = ResultFolder(output.root).read(file, sensor, classes, truth_in)
     columns = scalar_columns(results, space)
     for colour in colours:
         if colour not in columns:
-            raise missing_column(colour, file, output.root)
+            raise ResultFolder(output.root).missing_column(colour, file)
     views = colours or known_views(columns)
     strips = colours or [colour for colour in COLOURINGS if colour in columns]
     name = f"{file.sequence}/{file.stem}"
@@ -92,21 +87,22 @@ def picture(
     speed of these; `dataset`, `space`, `selection`, `options`: as for `export_ply`; `classes`: into
     which those of labels and predictions are merged.
     """
+    results = ResultFolder(out, dataset)
     _require_usable(colours, scale, animations, frames_per_second, options)
-    results = any(find_outputs(out, folder) for folder in FOLDERS)
-    if results:
-        chosen = choose_results(out, selection, dataset, space, classes)
+    has_results = any(find_outputs(out, folder) for folder in FOLDERS)
+    if has_results:
+        chosen = results.chosen(selection, space, classes)
     else:
         chosen = _scans_alone(out, selection, dataset, space, classes)
     scans, space = chosen.scans, chosen.space
-    meant = {"uncertainty": uncertainty_meant(scans, out)}
+    meant = {"uncertainty": results.meant_uncertainty(scans)}
     colours = list(dict.fromkeys(meant.get(colour, colour) for colour in colours))
     for colour in colours:
-        require_column(colour, scans, out)
-    made_of, earlier = origins(out, LABELLING_STAGES), stage_settings(out, STAGE)
+        results.require_column(colour, scans)
+    made_of, earlier = results.origins(LABELLING_STAGES), results.settings(STAGE)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
     going_on = None if overwrite else earlier
-    seen = known_sensor(out) or _sensor_of(scans, going_on)
+    seen = results.known_sensor() or _sensor_of(scans, going_on)
     values = [c for c in colours or COLOURINGS if c not in CLASS_COLOURS]
     scales = _scales(out, scans, values, space, seen, scale, going_on)
     settings = {
@@ -119,7 +115,7 @@ def picture(
     task = partial(picture_scan, colours=colours, scales=scales, space=space, sensor=seen)
     require_animations_replaceable(out, animations, scans)
     with output_run(
-        *(out, STAGE, settings, (FOLDER,), scans), overwrite=overwrite, record_scans=not results
+        *(out, STAGE, settings, (FOLDER,), scans), overwrite=overwrite, record_scans=not has_results
     ) as output:
         task = partial(task, output=output, classes=classes, labels=chosen.labels)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
@@ -165,12 +161,13 @@ def _scans_alone(
     classes: LabelSpace | None,
 ) -> ChosenResults:
     """Choose among the scans of a data set, or of what else a folder holds, without any labels."""
+    results = ResultFolder(out)
     if dataset is None and not any(find_outputs(out, folder) for folder in SUFFIX_OF_FOLDER):
         found = "holds no results" if out.is_dir() else "no such folder"
         remedy = f"run `salsanext predict SCANS {out}` first, or name scans with --dataset"
         raise NoInputError(out, found, "the output folder of an earlier stage", remedy)
-    found_scans = scans_of(dataset) if dataset else recorded_scans(out)
-    given, space = space, space_of_results(out, found_scans, space, classes, own_ids=True)
+    found_scans = scans_of(dataset) if dataset else results.scans()
+    given, space = space, results.compared_space(found_scans, space, classes, own_ids=True)
     scans = choose(found_scans, selection, space, dataset or out)
     labels = space_of_labels(found_scans, space, given)
     return ChosenResults(scans, space, labels, MissingResults(), found_scans)
@@ -193,7 +190,7 @@ def _scales(
     earlier: RecordedSettings | None,
 ) -> Scales:
     """Return the scale of every colour that is a value and known; a run that goes on keeps them."""
-    known = [colour for colour in colours if with_column(colour, scans, out)]
+    known = [colour for colour in colours if ResultFolder(out).with_column(colour, scans)]
     if given:
         return dict.fromkeys(known, given)
     recorded = earlier.table("scales") if earlier is not None else RecordedSettings({}, out)

@@ -36,8 +36,8 @@ from salsanext_cli.parallel.tasks import Attempt, Steps
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.results.layout import ERROR, ScanFile, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.results.sources import recorded_scans
 from salsanext_cli.uncertainty.error_features import error_model, label_error
 
 
@@ -205,7 +205,7 @@ def predict_range_images(
         found_view = fitted_view([], loaded.sensor, projected, view=network.fits_view)
         loaded = loaded.for_sensor(found_view)
     loaded = loaded.for_sensor(sensor_of_images(folder, projected, loaded.sensor))
-    found = with_outputs(recorded_scans(folder), folder, "range")
+    found = with_outputs(ResultFolder(folder).scans(), folder, "range")
     scans = choose(found, selection, space_of(found, loaded.card.space), folder)
     network, loaded = network_of_run(
         *(network, loaded, found, out),

@@ -13,7 +13,7 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.results.stage_records import stage_settings
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 
 FOLDERS = ("range", "pixels")
@@ -45,7 +45,7 @@ def project_scans(
     """
     found = scans_of(source)
     scans = choose(found, selection, space_of(found), source)
-    recorded = None if options.overwrite else stage_settings(out, "project")
+    recorded = None if options.overwrite else StageRecords(out).settings("project")
     earlier = Sensor.from_dict(recorded.table("sensor"), recorded.path) if recorded else None
     sensor = fitted_view(found, sensor, earlier, view=fit)
     settings, summary = {"sensor": sensor.to_dict()}, RunSummary.of_scans(scans, sensor)

@@ -23,15 +23,9 @@ from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.shown_scans import ShownScan
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.predictions import (
-    merging_into,
-    predicted_scans,
-    require_same_weights,
-    space_of_labels,
-)
-from salsanext_cli.results.scan_results import with_results
-from salsanext_cli.results.sources import MissingResults, missing_results
-from salsanext_cli.results.stage_records import recorded_sensor, scans_trained_on
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.selection import MissingResults, space_of_labels
+from salsanext_cli.results.stage_records import StageRecords
 
 PAGE = "report.html"
 """Name of the page in the output folder."""
@@ -90,7 +84,7 @@ def report(
     `out`: the output folder, with what earlier stages left there; `scans`: names of the scans to
     show point by point, ``08/000000``; without any, up to four that are worth looking at;
     `dataset`: where the scans and labels are, if not where the scans came from; `space`, `classes`:
-    of the labels, and into whose classes others are merged; as for `predicted_scans`;
+    of the labels, and into whose classes others are merged; as for `ResultFolder.predicted`;
     `by_distance`: score rings of distance too, for which all labelled scans are read; `selection`,
     `options`: which scans, and how to go through them.
     """
@@ -140,13 +134,15 @@ def read_run(
     options: RunOptions = RunOptions(),
 ) -> tuple[RunResults, tuple[Failure, ...]]:
     """Read the results of all scans of a run; arguments and errors are as for `report`."""
-    asked, results_space = predicted_scans(out, selection, dataset, space, classes)
-    require_same_weights(out)
-    files = with_results(out, asked)
-    missing = missing_results(out, set(asked) - set(files))
+    results = ResultFolder(out, dataset)
+    asked, results_space = results.predicted(selection, space, classes)
+    results.require_same_weights()
+    files = results.with_results(asked)
+    missing = results.missing_results(set(asked) - set(files))
     missing.log_error(len(asked), "results")
-    labels, merging = space_of_labels(files, results_space, space), merging_into(out, results_space)
-    sensor = recorded_sensor(out)
+    labels = space_of_labels(files, results_space, space)
+    merging = results.merging_into(results_space)
+    sensor = results.sensor()
     how = {"space": results_space, "labels": labels, "merging": merging, "sensor": sensor}
     rows, counts, failures = _rows(files, out, how, by_distance, options)
     return RunResults(out, rows, counts, missing, how), failures
@@ -172,7 +168,7 @@ def _rows(
         if of_scan:
             counts.add(of_scan)
 
-    known = scans_trained_on(out)
+    known = StageRecords(out).trained_on()
     task = partial(read_row, out=out, by_distance=by_distance, trained_on=known, **how)
     outcome = run_over_scans(task, files, options, on_result=keep)
     if not rows:

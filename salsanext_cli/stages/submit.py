@@ -19,9 +19,8 @@ from salsanext_cli.files.reading import is_folder, present, reading
 from salsanext_cli.measures.submission_check import Problem, problems
 from salsanext_cli.parallel.options import Progress
 from salsanext_cli.results.layout import ScanFile, find_outputs
-from salsanext_cli.results.predictions import space_of_results
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import data_set_of, space_of, with_splits
-from salsanext_cli.results.sources import recorded_scans
 
 OLDEST = (1980, 1, 1, 0, 0, 0)
 """First date that the format knows, given to all members."""
@@ -118,7 +117,7 @@ def submit(
         raise UsageError(f"--description {description}", "no such file", "a text file")
     scans = _scans_at_hand(out, dataset, files)
     root = data_set_of(scans[0]) if scans else None
-    space = with_splits(space_of_results(out, scans, space), root)
+    space = with_splits(ResultFolder(out).compared_space(scans, space), root)
     _require_full_classes(out, space, scans)
     expected = _expected(space, scans, files)
     if unseen := sorted(expected.keys() - {scan.sequence for scan in scans}):
@@ -170,7 +169,7 @@ def _scans_at_hand(out: Path, dataset: Path | None, files: Predictions) -> list[
     found: list[ScanFile] = []
     for sequence in sorted({sequence for sequence, _ in files}):
         with suppress(NoInputError):
-            found += recorded_scans(out, dataset, sequence)
+            found += ResultFolder(out, dataset).scans(sequence)
     if dataset is not None and not found:
         raise NoInputError(dataset, "no scans of the predictions", "a folder with sequences/")
     return found

@@ -26,9 +26,9 @@ from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_sc
 from salsanext_cli.parallel.tasks import Steps
 from salsanext_cli.results.layout import ERROR, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.scan_results import uncertainty_meant, with_column
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.results.stage_records import owner, stage_settings
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.uncertainty.error_features import knows_error, label_error
 from salsanext_cli.uncertainty.method import (
     UncertaintyMethod,
@@ -93,7 +93,7 @@ def uncertainty(
     found = scans_of(source)
     scans = choose(found, selection, space_of(found, loaded.card.space), source)
     # Labels of another stage stay, and with them what they were made with.
-    overwrite = options.overwrite and owner(out, "predictions") in (None, "uncertainty")
+    overwrite = options.overwrite and _owns_labels(out)
     network, loaded = network_of_run(network, loaded, found, out, overwrite=overwrite)
     return uncertainty_of(scans, out, network, options, loaded, knn=knn, method=method)
 
@@ -116,11 +116,11 @@ def uncertainty_of(
     method.require(loaded)
     settings = network.record(loaded) | {"knn": asdict(knn)} | method.settings(loaded.sensor)
     kinds = tuple(f"uncertainty/{kind}" for kind in method.kinds)
-    labels_too = owner(out, "predictions") in (None, "uncertainty")
+    labels_too = _owns_labels(out)
     folders = (*kinds, "predictions") if labels_too else kinds
     if knows_error(loaded) and labels_too:
         folders = (ERROR, *folders)
-    elif knows_error(loaded) and owner(out, ERROR) is None:
+    elif knows_error(loaded) and StageRecords(out).owner(ERROR) is None:
         log.log(NOTICE, "no errors: the labels in %s are another stage's; see predict --error", out)
     require_network_of_labels(out, settings)
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
@@ -138,6 +138,11 @@ def uncertainty_of(
     return replace(outcome, summary=summary)
 
 
+def _owns_labels(out: Path) -> bool:
+    """Say whether labels in a folder are, or will be, those of this stage."""
+    return StageRecords(out).owner("predictions") in (None, "uncertainty")
+
+
 def estimate_missing(
     out: Path, scans: list[ScanFile], colour: str, network: NetworkSettings, options: RunOptions
 ) -> tuple[str, dict[ScanFile, Failure]]:
@@ -147,15 +152,16 @@ def estimate_missing(
     and why. "uncertainty" is the error where all scans have it, else the entropy. Shards take what
     is there. An error is estimated only for scans that a run of `uncertainty` left out.
     """
-    earlier = stage_settings(out, "uncertainty")
-    kind = uncertainty_meant(scans, out) if colour == "uncertainty" else colour
-    known = set(with_column(kind, scans, out))
+    results = ResultFolder(out)
+    earlier = results.settings("uncertainty")
+    kind = results.meant_uncertainty(scans) if colour == "uncertainty" else colour
+    known = set(results.with_column(kind, scans))
     missing = [scan for scan in scans if scan not in known]
     some = colour != "uncertainty" or len(missing) < len(scans)
     if not missing or (options.shard.count > 1 and some):
         # Shards begin at different times: they would not agree on which scans lack it.
         return kind, {}
-    if kind == "error" and owner(out, ERROR) != "uncertainty":
+    if kind == "error" and results.owner(ERROR) != "uncertainty":
         return kind, {}
     if options.shard.count > 1:
         found = f"no uncertainty in {out} yet"
@@ -178,5 +184,5 @@ def estimate_missing(
         method=method,
         record_scans=False,
     )
-    kind = uncertainty_meant(scans, out) if colour == "uncertainty" else kind
+    kind = results.meant_uncertainty(scans) if colour == "uncertainty" else kind
     return kind, {failure.scan: failure for failure in outcome.failures}

@@ -19,7 +19,8 @@ from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.report.page.shown_scans import ShownScan
-from salsanext_cli.results.sources import LABELLING_STAGES, MissingResults
+from salsanext_cli.results.layout import LABELLING_STAGES
+from salsanext_cli.results.selection import MissingResults
 from salsanext_cli.stages.report import read_run
 
 SAMPLED = 5

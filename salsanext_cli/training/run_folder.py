@@ -11,9 +11,9 @@ from salsanext_cli.files.atomic import require_writable
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import (
     StageRecord,
+    StageRecords,
     as_json,
     require_same_settings,
-    stage_settings,
 )
 from salsanext_cli.training.recipe import Recipe
 
@@ -40,7 +40,7 @@ def fold_folder(run: Path, number: int) -> Path:
 def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
     """Refuse, before anything is done, a folder that a training may not have."""
     require_writable(run)
-    recorded = stage_settings(run, STAGE)
+    recorded = StageRecords(run).settings(STAGE)
     epochs = as_json(settings)["recipe"]["epochs"]
     replaced = [run / name for name in (*RESULTS, CLASS_COUNTS)]
     replaced += [sample_path(run, epoch) for epoch in range(1, epochs + 1)]
@@ -55,7 +55,7 @@ def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> 
 
 def recorded_precision(run: Path) -> str | None:
     """Return the number type of the training that a folder holds, None if it tells none."""
-    settings = stage_settings(run, STAGE)
+    settings = StageRecords(run).settings(STAGE)
     found = settings.table("recipe").get("precision") if settings else None
     return found if found in PRECISIONS and found != "auto" else None
 
@@ -66,7 +66,7 @@ def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
     `run`: the folder; `settings`: all that decides the result of the training, its recipe under
     that name; `overwrite`: whether to begin anew with the same settings too.
     """
-    recorded, owned = stage_settings(run, STAGE), OwnedFolder(run, STAGE)
+    recorded, owned = StageRecords(run).settings(STAGE), OwnedFolder(run, STAGE)
     if overwrite or recorded is None or _decisive(recorded) != _decisive(as_json(settings)):
         for folder in _folders(run):
             results = [folder / name for name in RESULTS]

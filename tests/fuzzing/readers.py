@@ -36,16 +36,8 @@ from salsanext_cli.network.published import read_published
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_labels, write_ply
-from salsanext_cli.results.sources import missing_results, recorded_scans
-from salsanext_cli.results.stage_records import (
-    StageRecord,
-    origins,
-    owner,
-    recorded_label_space,
-    recorded_sensor,
-    recorded_weights,
-    stage_settings,
-)
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.stage_records import StageRecord, StageRecords
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.data.class_counts import class_counts
 from salsanext_cli.training.data.sources import Source
@@ -262,15 +254,15 @@ def _record(folder: Path) -> Reader:
 
 def _read_record(path: Path) -> None:
     out = path.parent
-    stage_settings(out, "predict")
-    origins(out, ["predict"])
-    owner(out, "predictions")
-    recorded_weights(out, "predictions")
-    recorded_label_space(out)
-    recorded_sensor(out)
+    StageRecords(out).settings("predict")
+    StageRecords(out).origins(["predict"])
+    StageRecords(out).owner("predictions")
+    StageRecords(out).weights("predictions")
+    StageRecords(out).label_space()
+    StageRecords(out).sensor()
     begin_and_end(out, "knn-refine", {}, ["pixel_labels"], overwrite=True)
-    scans = recorded_scans(out)
-    missing_results(out, scans)
+    scans = ResultFolder(out).scans()
+    ResultFolder(out).missing_results(scans)
     begin_and_end(out, "export-ply", {}, ["ply"], scans[:1], overwrite=True)
 
 

@@ -10,7 +10,7 @@ from scans import SMALL, files_below, write_sequence
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.sources import recorded_scans
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.synth import synthesise
 
@@ -28,10 +28,10 @@ def test_records_of_scans_that_lead_elsewhere(tmp_path, stem):
     record["scans"]["08"]["asked_for"] = [stem]
     (out / "predict.json").write_text(json.dumps(record))
     if isinstance(stem, str):
-        assert recorded_scans(out) == scans
+        assert ResultFolder(out).scans() == scans
     else:
         with pytest.raises(OutputError, match=r"predict\.json · not what `predict` writes"):
-            recorded_scans(out)
+            ResultFolder(out).scans()
     assert files_below(tmp_path).keys() == before.keys()
 
 

@@ -19,14 +19,7 @@ from salsanext_cli.results import owned_folder
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.output_run import output_run
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.stage_records import (
-    origins,
-    owner,
-    read_record,
-    recorded_label_space,
-    recorded_sensor,
-    stage_settings,
-)
+from salsanext_cli.results.stage_records import StageRecords
 
 SETTINGS = {"weights": "abc", "knn": {"k": 5}}
 LABELS = np.full(5, 10, np.uint32)
@@ -59,10 +52,10 @@ def test_what_is_recorded(tmp_path: Path) -> None:
         "writes": ["predictions"],
         "scans": {"08": {"folder": str(scans[0].path.parent), "asked_for": ["a", "b"]}},
     }
-    assert stage_settings(tmp_path / "out", "predict") == SETTINGS
-    assert stage_settings(tmp_path / "out", "project") is None
-    assert owner(tmp_path / "out", "predictions") == "predict"
-    assert owner(tmp_path / "out", "range") is None
+    assert StageRecords(tmp_path / "out").settings("predict") == SETTINGS
+    assert StageRecords(tmp_path / "out").settings("project") is None
+    assert StageRecords(tmp_path / "out").owner("predictions") == "predict"
+    assert StageRecords(tmp_path / "out").owner("range") is None
 
 
 def test_the_same_settings_may_go_on_and_write_more(tmp_path: Path) -> None:
@@ -72,7 +65,7 @@ def test_the_same_settings_may_go_on_and_write_more(tmp_path: Path) -> None:
     before = files_below(tmp_path)
     predict(tmp_path, scans=scans[1:])
     assert files_below(tmp_path) == before
-    record = read_record(tmp_path, "predict")
+    record = StageRecords(tmp_path).record("predict")
     assert record is not None
     assert record.folders == ("pixel_labels", "predictions")
     assert record.scans["08"].stems == {"a", "b"}
@@ -95,10 +88,10 @@ def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: str)
     with pytest.raises(OutputError, match=f"{named}.*--overwrite"):
         predict(tmp_path, other)
     assert files_below(tmp_path) == before
-    first = origins(tmp_path, ["predict", "uncertainty"])
+    first = StageRecords(tmp_path).origins(["predict", "uncertainty"])
     predict(tmp_path, other, overwrite=True)
     assert first.keys() == {"predict"}
-    assert origins(tmp_path, ["predict"]) != first
+    assert StageRecords(tmp_path).origins(["predict"]) != first
     assert list(files_below(tmp_path)) == ["predict.json"]
 
 
@@ -110,7 +103,7 @@ def test_overwriting_removes_what_was_written_with_other_settings(tmp_path: Path
     assert all(path.exists() for path in paths)
     predict(tmp_path / "out", {"weights": "new"}, scans=scans[:1], overwrite=True)
     assert not any(path.exists() for path in paths)
-    record = read_record(tmp_path / "out", "predict")
+    record = StageRecords(tmp_path / "out").record("predict")
     assert record is not None
     assert record.scans["08"].stems == {"a"}
 
@@ -165,7 +158,7 @@ def test_results_of_another_stage_are_refused(tmp_path: Path) -> None:
         begin_and_end(*refine)
     assert path.exists()
     begin_and_end(*refine, overwrite=True)
-    assert owner(tmp_path, "predictions") == "knn-refine"
+    assert StageRecords(tmp_path).owner("predictions") == "knn-refine"
     assert not path.exists()
 
 
@@ -208,7 +201,7 @@ def test_damaged_records_are_named(tmp_path: Path, content: bytes) -> None:
     with pytest.raises(OutputError, match=r"predict\.json"):
         predict(tmp_path)
     with pytest.raises(OutputError, match=r"predict\.json"):
-        owner(tmp_path, "predictions")
+        StageRecords(tmp_path).owner("predictions")
 
 
 def test_an_output_folder_that_cannot_be_made(tmp_path: Path) -> None:
@@ -219,13 +212,16 @@ def test_an_output_folder_that_cannot_be_made(tmp_path: Path) -> None:
 
 
 def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
-    assert (recorded_label_space(tmp_path), recorded_sensor(tmp_path)) == (None, sensor("hdl64"))
+    assert (StageRecords(tmp_path).label_space(), StageRecords(tmp_path).sensor()) == (
+        None,
+        sensor("hdl64"),
+    )
     space, hdl32 = label_space(), sensor("hdl32")
     predict(tmp_path, {"label_space": space.to_dict(), "sensor": hdl32.to_dict()})
-    found = recorded_label_space(tmp_path)
+    found = StageRecords(tmp_path).label_space()
     assert found is not None
     assert found.to_dict() == space.to_dict()
-    assert recorded_sensor(tmp_path) == hdl32
+    assert StageRecords(tmp_path).sensor() == hdl32
 
 
 def test_another_source_of_the_same_name_is_refused_before_anything_is_removed(tmp_path) -> None:
@@ -260,7 +256,7 @@ def test_of_two_with_other_settings_one_has_the_folder(tmp_path: Path, overwrite
     (winner,) = (name for name, words in said.items() if words == "begun")
     (loser,) = {"a", "b"} - {winner}
     assert "weights was" in said[loser] or "another run of `predict` is at work" in said[loser]
-    assert stage_settings(tmp_path, "predict") == {"weights": winner}
+    assert StageRecords(tmp_path).settings("predict") == {"weights": winner}
     assert list(files_below(tmp_path)) == ["predict.json"]
 
 
@@ -302,7 +298,7 @@ def test_no_run_forgets_what_others_were_asked_for(tmp_path: Path) -> None:
     stems = [f"{number:03d}" for number in range(40)]
     with ThreadPoolExecutor(8) as threads:
         list(threads.map(lambda s: predict(tmp_path, scans=scans_of(tmp_path, s)), stems))
-    record = read_record(tmp_path, "predict")
+    record = StageRecords(tmp_path).record("predict")
     assert record is not None
     assert record.scans["08"].stems == {*stems}
 

@@ -7,7 +7,8 @@ from salsanext_cli import Scan, label_space
 from salsanext_cli.errors import FormatError, LabelError
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_bin, write_labels
-from salsanext_cli.results.scan_results import ScanResults, read_results, scalar_columns
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.scan_results import ScanResults, scalar_columns
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR = 10, 40, 252
@@ -20,7 +21,7 @@ def file(world):
 
 def test_only_what_is_known(world, file):
     file.label_path.unlink()
-    cloud = read_results(file, world.out)
+    cloud = ResultFolder(world.out).read(file)
     assert cloud.label is None
     assert cloud.truth is None
     assert cloud.uncertainty == {}
@@ -33,7 +34,7 @@ def test_everything_that_is_known(world, file):
     world.predict_by_hand(CAR | 3 << 16)
     for kind in ("entropy", "total"):
         write_array(world.result(f"uncertainty/{kind}"), np.linspace(0, 1, 1500, dtype=np.float32))
-    cloud = read_results(file, world.out, truth_in=(SPACE, SPACE))
+    cloud = ResultFolder(world.out).read(file, truth_in=(SPACE, SPACE))
     assert set(scalar_columns(cloud, SPACE)) == {
         *("intensity", "range", "label", "truth", "wrong"),
         *("entropy", "total"),
@@ -58,19 +59,19 @@ def test_ranges_too_large_for_their_squares():
 def test_files_of_another_scan_are_refused(world, file):
     world.predict_by_hand(count=9)
     with pytest.raises(LabelError, match="9 labels · expected 1,500"):
-        read_results(file, world.out)
+        ResultFolder(world.out).read(file)
     world.predict_by_hand()
     write_array(world.result("uncertainty/entropy"), np.zeros(3, np.float32))
     with pytest.raises(FormatError, match="entropy"):
-        read_results(file, world.out)
+        ResultFolder(world.out).read(file)
     write_labels(file.label_path, np.zeros(4, np.uint32))
     with pytest.raises(LabelError, match="4 labels"):
-        read_results(file, world.out, truth_in=(SPACE, SPACE))
+        ResultFolder(world.out).read(file, truth_in=(SPACE, SPACE))
 
 
 def test_intensities_are_scaled(world, file):
     scan = make_scan(7)
     write_bin(file.path, Scan(scan.points, scan.intensity * 255))
     file.label_path.unlink()
-    cloud = read_results(file, world.out, IN_BYTES)
+    cloud = ResultFolder(world.out).read(file, IN_BYTES)
     np.testing.assert_allclose(cloud.scan.intensity, scan.intensity, rtol=1e-6)

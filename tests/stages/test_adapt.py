@@ -21,7 +21,7 @@ from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_bin
-from salsanext_cli.results.stage_records import stage_settings
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
@@ -53,7 +53,7 @@ def test_it_is_what_tune_batchnorm_makes_of_the_scans(adapting, target, tmp_path
     run(adapting)
     plain = replace(adapting.network, adapt=False)
     tune("batchnorm", adapting.data, target, network=plain, share=SHARE)
-    settings, file = stage_settings(adapting.out, "predict"), adapted(adapting.out)
+    settings, file = StageRecords(adapting.out).settings("predict"), adapted(adapting.out)
     assert settings["weights"] == fingerprint(adapting.network.path)
     assert settings["adapted"] == fingerprint(file)
     assert f"re-estimated on 3 scans, share {SHARE:g}" in read_card(file).description
@@ -94,7 +94,7 @@ def test_later_runs_and_stages_take_the_same_statistics(adapting):
     # Which export-ply knows from the folder.
     plain = replace(adapting.network, adapt=False)
     export_ply(adapting.out, colour="epistemic", network=plain)
-    assert stage_settings(adapting.out, "uncertainty")["adapted"] == before
+    assert StageRecords(adapting.out).settings("uncertainty")["adapted"] == before
     assert fingerprint(adapted(adapting.out)) == before
 
 

@@ -13,7 +13,7 @@ from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.sources import recorded_scans
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.convert import convert
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.inspect import inspect
@@ -140,12 +140,12 @@ def test_stages_take_a_recording_and_find_it_again(world, bag, tmp_path):
     convert(bag, folder)
     predict_scans(folder, tmp_path / "ref", network=world.network)
     assert labels_below(out) == labels_below(tmp_path / "ref")
-    assert recorded_scans(out) == find_scans(bag)
+    assert ResultFolder(out).scans() == find_scans(bag)
     assert export_ply(out).done == 5
     moved = bag.rename(tmp_path / "moved.bag")
     with pytest.raises(NoInputError, match=r"drive\.bag"):
-        recorded_scans(out)
-    found = recorded_scans(out, moved)
+        ResultFolder(out).scans()
+    found = ResultFolder(out, moved).scans()
     assert {(scan.sequence, scan.path.parents[1]) for scan in found} == {("drive", moved)}
 
 

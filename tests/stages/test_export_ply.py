@@ -24,7 +24,7 @@ from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
 from salsanext_cli.results.point_files import write_bin
-from salsanext_cli.results.predictions import predicted_scans
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
@@ -277,7 +277,7 @@ def test_other_classes_than_those_predicted_are_refused(predicted):
     with pytest.raises(LabelError, match="predictions in the classes of"):
         export(predicted, space=two)
     with pytest.raises(LabelError, match="predictions in the classes of"):
-        predicted_scans(predicted.out, ScanSelection(), space=two)
+        ResultFolder(predicted.out).predicted(ScanSelection(), space=two)
 
 
 def test_labels_of_something_else_are_refused_where_they_would_be_shown(predicted):

@@ -10,7 +10,7 @@ from scans import SMALL, labels_below, write_weights
 from salsanext_cli import knn_refine, project, read_scan
 from salsanext_cli.geometry.network_input import fill_rows, row_gaps
 from salsanext_cli.results.point_files import write_bin
-from salsanext_cli.results.stage_records import stage_settings
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
@@ -37,7 +37,7 @@ def test_the_network_sees_no_gaps(knowing):
     assert run(knowing).done == 3
     scans = [read_scan(path) for path in sorted(knowing.data.rglob("*.bin"))]
     images = [project(scan, SMALL) for scan in scans]
-    recorded = stage_settings(knowing.out, "predict")["sensor"]
+    recorded = StageRecords(knowing.out).settings("predict")["sensor"]
     assert recorded["row_gaps"] == row_gaps(image.channels for image in images) > 0.3
     network = knowing.network.load()
     space = network.card.space
@@ -51,7 +51,7 @@ def test_beams_of_a_sensor_reach_every_stage(world, tmp_path):
     seen = replace(SMALL, beams=(3.0, -1.0, -3.0, -12.0, -25.0))
     network = replace(world.network, sensor=seen)
     predict_scans(world.data, world.out, network=network)
-    assert stage_settings(world.out, "predict")["sensor"]["beams"] == list(seen.beams)
+    assert StageRecords(world.out).settings("predict")["sensor"]["beams"] == list(seen.beams)
     steps = tmp_path / "steps"
     project_scans(world.data, steps, sensor=seen)
     predict_range_images(steps, steps, network=network)

@@ -13,9 +13,7 @@ from salsanext_cli.geometry.network_input import intensity_quantiles
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.point_files import write_bin
-from salsanext_cli.results.stage_records import (
-    stage_settings,
-)
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.limits import INTENSITY_LEVELS
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.stages.knn_refine import knn_refine_scans
@@ -84,14 +82,14 @@ def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, t
 def test_scans_that_come_later_are_matched_as_the_first_ones(knowing):
     run(knowing)
     images = [project(read_scan(p), SMALL).channels for p in sorted(knowing.data.rglob("*.bin"))]
-    before = stage_settings(knowing.out, "predict")["sensor"]
+    before = StageRecords(knowing.out).settings("predict")["sensor"]
     assert Sensor.from_dict(before).intensity_quantiles == intensity_quantiles(images)
     write_sequence(knowing.data / "sequences/09", ["000000"], seed=99)
     assert run(knowing).done == 1
-    assert stage_settings(knowing.out, "predict")["sensor"] == before
+    assert StageRecords(knowing.out).settings("predict")["sensor"] == before
     few = UncertaintyMethod(samples=2, aleatoric="none")
     uncertainty(knowing.data, knowing.out, network=knowing.network, method=few)
-    assert stage_settings(knowing.out, "uncertainty")["sensor"] == before
+    assert StageRecords(knowing.out).settings("uncertainty")["sensor"] == before
 
 
 def changed(world, folder, scans, change):
@@ -231,7 +229,7 @@ def test_weights_that_do_not_know_it(world, how):
     with pytest.raises(UsageError, match=f"--intensity · {how}, but these weights do not know"):
         predict_scans(world.data, world.out, network=network)
     predict_scans(world.data, world.out, network=replace(network, intensity="auto"))
-    recorded = stage_settings(world.out, "predict")["sensor"]
+    recorded = StageRecords(world.out).settings("predict")["sensor"]
     assert "intensity_quantiles" not in recorded
 
 

@@ -19,7 +19,7 @@ from salsanext_cli.measures.histograms import softmax_errors
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.point_files import write_labels
-from salsanext_cli.results.predictions import predicted_scans
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
@@ -46,7 +46,7 @@ def predict(world, **options):
 
 
 def compare(world, **options):
-    scans, space = predicted_scans(world.out, ScanSelection(), **options)
+    scans, space = ResultFolder(world.out).predicted(ScanSelection(), **options)
     return evaluate(scans, world.out, space, labels=options.get("space"))
 
 
@@ -107,7 +107,7 @@ def test_labels_are_compared_in_the_classes_of_the_predictions(coarse, own):
         expected.update(truth, COARSE.to_train(raw))
     np.testing.assert_array_equal(found.confusion.matrix, expected.matrix)
     assert found.space.fits(COARSE)
-    valid, _ = predicted_scans(coarse.out, ScanSelection(split="valid"))
+    valid, _ = ResultFolder(coarse.out).predicted(ScanSelection(split="valid"))
     assert len(valid) == (3 if own else 2)
     with pytest.raises(UsageError, match="vehicle is split into car"):
         compare(coarse, classes=FULL)
@@ -213,7 +213,7 @@ def test_classes_that_cannot_be_merged_serve_as_they_are(world, tmp_path, change
     assert again.load().space.fits(space)
     settings = json.loads((world.out / "predict.json").read_text())["settings"]
     recorded = LabelSpace.from_dict(settings["label_space"])
-    scans, found = predicted_scans(world.out, ScanSelection(), classes=recorded)
+    scans, found = ResultFolder(world.out).predicted(ScanSelection(), classes=recorded)
     assert (len(scans), found.fits(space)) == (1, True)
 
 
@@ -223,7 +223,7 @@ def test_a_split_is_the_data_sets_where_the_label_space_has_none(coarse):
     predict(coarse)
     valid = ScanSelection(split="valid")
     for space in (COARSE, replace(COARSE, splits={"valid": ("08",)})):
-        scans, found = predicted_scans(coarse.out, valid, space=space)
+        scans, found = ResultFolder(coarse.out).predicted(valid, space=space)
         assert {scan.sequence for scan in scans} == {*found.splits["valid"]}
         assert found.splits["valid"] == (("08",) if space.splits else ("00",))
 

@@ -15,8 +15,7 @@ from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import ERROR, find_scans
-from salsanext_cli.results.predictions import provenance
-from salsanext_cli.results.scan_results import read_results
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
@@ -74,7 +73,7 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     np.testing.assert_array_equal(kept, np.where(error > 0.5, 0, labels))
     with pytest.raises(OutputError, match=r"reject was 0\.5 and is 0\.4"):
         predict_scans(world.data, few, network=network, reject=0.4)
-    assert provenance(few, ALL)["reject"] == 0.5
+    assert ResultFolder(few).provenance(ALL)["reject"] == 0.5
     # What was rejected is missed, but says nothing of how good the error is.
     space, scans = label_space(), find_scans(world.data)
     judged, whole = (
@@ -85,7 +84,7 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     lost = sum((each[known] > 0.5).sum() for each, known in zip(errors, scored, strict=True))
     assert judged.points == whole.points - lost < whole.points
     assert judged.wrong < whole.wrong - 0.5 * lost
-    results = read_results(scans[0], few, truth_in=(space, space))
+    results = ResultFolder(few).read(scans[0], truth_in=(space, space))
     np.testing.assert_array_equal(np.isnan(results.wrong(space)), ~scored[0] | (errors[0] > 0.5))
     scans = find_scans(world.data)
     found = evaluate(scans, world.out, label_space()).uncertainty.error

@@ -13,7 +13,7 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.output_run import OutputRun
-from salsanext_cli.results.predictions import provenance
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
@@ -163,7 +163,9 @@ def test_labels_made_step_by_step_remember_their_weights(world, tmp_path):
     project_scans(world.data, world.out, sensor=SMALL)
     predict_range_images(world.out, world.out, network=other)
     knn_refine_scans(world.out)
-    assert provenance(world.out, ScanSelection())["weights"] == fingerprint(other.weights)
+    assert ResultFolder(world.out).provenance(ScanSelection())["weights"] == fingerprint(
+        other.weights
+    )
     with pytest.raises(OutputError, match="labels made with other weights"):
         run(world)
 

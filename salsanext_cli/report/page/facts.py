@@ -17,7 +17,7 @@ from salsanext_cli.fitting.view_fit import view_text
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.results.layout import ERROR, find_outputs
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.stage_records import owner, recorded_weights, stage_settings
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 
 DEFAULT_LIMITS = (
@@ -48,8 +48,9 @@ def facts_of_run(out: Path, sensor: Sensor) -> list[tuple[str, str]]:
 
 def _weights(out: Path) -> str:
     """Describe the weights behind the labels, else those behind the uncertainty."""
+    records = StageRecords(out)
     folders = ("predictions", "uncertainty/epistemic", "uncertainty/error", "pixel_labels")
-    found = (recorded_weights(out, folder) for folder in folders)
+    found = (records.weights(folder) for folder in folders)
     sha256 = next((each for each in found if each), None)
     if sha256 is None:
         return "not recorded"
@@ -67,8 +68,9 @@ def _weights(out: Path) -> str:
 
 def _labels(out: Path) -> Iterator[str]:
     """Say how labels came about, if a stage recorded it."""
-    stage = owner(out, "predictions")
-    settings: Mapping[str, Any] = stage_settings(out, stage) or {} if stage else {}
+    records = StageRecords(out)
+    stage = records.owner("predictions")
+    settings: Mapping[str, Any] = records.settings(stage) or {} if stage else {}
     if not stage:
         return
     words = [stage]
@@ -85,12 +87,13 @@ def _labels(out: Path) -> Iterator[str]:
 
 def _uncertainty(out: Path) -> Iterator[str]:
     """Say how the uncertainty came about, if a stage recorded it."""
-    settings: Mapping[str, Any] = stage_settings(out, "uncertainty") or {}
+    records = StageRecords(out)
+    settings: Mapping[str, Any] = records.settings("uncertainty") or {}
     if settings:
         numbers = ("samples", "seed", "aleatoric")
         given = (f"{key} {settings[key]}" for key in numbers if key in settings)
         yield ", ".join([str(settings.get("method")), *given])
-    if owner(out, ERROR) == "predict":
+    if records.owner(ERROR) == "predict":
         yield "probability of error, of predict --error"
 
 
@@ -99,8 +102,9 @@ def _times(out: Path) -> Iterator[str]:
 
     Nothing is said of a folder whose files are not those that were written there, such as a copy.
     """
+    records = StageRecords(out)
     folders = ("predictions", "uncertainty/epistemic")
-    for stage, folder in {owner(out, folder): folder for folder in folders}.items():
+    for stage, folder in {records.owner(folder): folder for folder in folders}.items():
         paths = list(find_outputs(out, folder).values())
         if stage and len(paths) >= LEAST_TIMED and not OwnedFolder(out).others(paths):
             written = sorted(path.stat().st_mtime_ns for path in paths)

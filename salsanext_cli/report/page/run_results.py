@@ -15,7 +15,7 @@ from salsanext_cli.report.page.content import Comparison, content_of
 from salsanext_cli.report.page.facts import facts_of_run, warnings_of_run
 from salsanext_cli.report.page.html import PageContent
 from salsanext_cli.report.page.shown_scans import ShownScan, read_shown
-from salsanext_cli.results.sources import MissingResults
+from salsanext_cli.results.selection import MissingResults
 
 
 @dataclass(frozen=True, slots=True, eq=False)

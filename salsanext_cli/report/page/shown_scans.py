@@ -17,7 +17,8 @@ from salsanext_cli.measures.histograms import lack_of_confidence
 from salsanext_cli.measures.scan_counts import SOFTMAX, read_softmax
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, output_path
-from salsanext_cli.results.scan_results import ScanResults, read_results
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.scan_results import ScanResults
 from salsanext_cli.sensors.sensor import Sensor
 
 DOUBT = "doubt"
@@ -60,7 +61,7 @@ def read_shown(
 
     Arguments are those of `count_scan`; the truth gets the raw ids of `space`.
     """
-    found = read_results(file, out, sensor, space, (labels, space))
+    found = ResultFolder(out).read(file, sensor, space, (labels, space))
     doubt = None
     if present(path := output_path(out, file.sequence, SOFTMAX, file.stem)):
         every = np.ones(len(found.scan), bool)

@@ -10,7 +10,7 @@ from salsanext_cli.errors import NoInputError
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_labels
-from salsanext_cli.results.sources import missing_predictions, missing_results, recorded_scans
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
@@ -29,13 +29,13 @@ def test_scans_are_found_where_they_came_from_or_where_one_says(world):
     scans = find_scans(world.data)
     ask(world, scans)
     world.predict_by_hand()
-    assert recorded_scans(world.out) == scans
+    assert ResultFolder(world.out).scans() == scans
     moved = world.data.rename(world.data.with_name("moved"))
     with pytest.raises(NoInputError, match=r"not in .*Daten für 1.*--dataset"):
-        recorded_scans(world.out)
-    assert recorded_scans(world.out, moved) == find_scans(moved)
+        ResultFolder(world.out).scans()
+    assert ResultFolder(world.out, moved).scans() == find_scans(moved)
     with pytest.raises(NoInputError, match="nowhere"):
-        recorded_scans(world.out, world.out.with_name("nowhere"))
+        ResultFolder(world.out, world.out.with_name("nowhere")).scans()
 
 
 @pytest.mark.parametrize("place", ["velodyne", "."])
@@ -44,8 +44,8 @@ def test_scans_of_one_sequence_may_move_under_another_name(world, tmp_path, plac
     predict_scans(drive / place, world.out, network=world.network)
     moved = drive.rename(tmp_path / "moved")
     with pytest.raises(NoInputError, match="--dataset"):
-        recorded_scans(world.out)
-    (scan,) = recorded_scans(world.out, moved / place)
+        ResultFolder(world.out).scans()
+    (scan,) = ResultFolder(world.out, moved / place).scans()
     assert (scan.sequence, scan.stem) == ("drive", "000000")
     assert scan.path == moved / "velodyne/000000.bin"
     assert scan.label_path == moved / "labels/000000.label"
@@ -54,45 +54,48 @@ def test_scans_of_one_sequence_may_move_under_another_name(world, tmp_path, plac
 def test_results_of_unknown_origin_are_looked_for_here_and_all_missing(world, monkeypatch):
     world.predict_by_hand()
     with pytest.raises(NoInputError, match="--dataset"):
-        recorded_scans(world.out)
+        ResultFolder(world.out).scans()
     monkeypatch.setenv("SALSANEXT_DATASET", str(world.data))
-    assert recorded_scans(world.out) == find_scans(world.data)
+    assert ResultFolder(world.out).scans() == find_scans(world.data)
     monkeypatch.delenv("SALSANEXT_DATASET")
     monkeypatch.chdir(world.data)
-    assert recorded_scans(world.out) == find_scans(world.data)
-    missing = missing_predictions(world.out, find_scans(world.data))
+    assert ResultFolder(world.out).scans() == find_scans(world.data)
+    missing = ResultFolder(world.out).missing_predictions(find_scans(world.data))
     assert names(missing) == (["00/000000", "08/000000", "08/000001"], 0)
 
 
 def test_an_output_folder_without_results(tmp_path):
     with pytest.raises(NoInputError, match=r"no such folder.*run `salsanext predict"):
-        recorded_scans(tmp_path / "none")
+        ResultFolder(tmp_path / "none").scans()
     with pytest.raises(NoInputError, match="holds no results"):
-        recorded_scans(tmp_path)
+        ResultFolder(tmp_path).scans()
 
 
 def test_names_that_are_no_text_are_recorded(tmp_path):
     scans, out = find_scans(write_sequence(tmp_path / "Stra\udcdfe", ["a"])), tmp_path / "out"
     begin_and_end(out, "predict", {}, ["pixel_labels"], scans)
     write_array(out / "sequences/Stra\udcdfe/pixel_labels/a.npy", np.zeros((2, 2), np.uint8))
-    assert recorded_scans(out) == scans
+    assert ResultFolder(out).scans() == scans
 
 
 def test_results_of_scans_that_were_not_asked_for_are_not_missing(world):
     scans = find_scans(world.data)
     ask(world, scans[1:2])
-    assert names(missing_predictions(world.out, scans[1:])) == (["08/000000"], 1)
-    assert names(missing_results(world.out, scans[1:])) == (["08/000000"], 1)
+    assert names(ResultFolder(world.out).missing_predictions(scans[1:])) == (["08/000000"], 1)
+    assert names(ResultFolder(world.out).missing_results(scans[1:])) == (["08/000000"], 1)
     ask(world, scans[2:])
-    assert names(missing_predictions(world.out, scans[1:])) == (["08/000000", "08/000001"], 0)
+    assert names(ResultFolder(world.out).missing_predictions(scans[1:])) == (
+        ["08/000000", "08/000001"],
+        0,
+    )
 
 
 def test_only_the_stage_that_predicts_can_lack_predictions(world):
     scans = find_scans(world.data, ["08"])
     ask(world, scans[:1])
     begin_and_end(world.out, "uncertainty", {}, ["uncertainty/epistemic"], scans)
-    assert names(missing_predictions(world.out, scans)) == (["08/000000"], 1)
-    assert names(missing_results(world.out, scans)) == (["08/000000", "08/000001"], 0)
+    assert names(ResultFolder(world.out).missing_predictions(scans)) == (["08/000000"], 1)
+    assert names(ResultFolder(world.out).missing_results(scans)) == (["08/000000", "08/000001"], 0)
 
 
 def test_refined_labels_are_those_that_predict_was_asked_for(world):
@@ -101,14 +104,14 @@ def test_refined_labels_are_those_that_predict_was_asked_for(world):
     predict_range_images(world.out, world.out, network=world.network, selection=first)
     assert knn_refine_scans(world.out).done == 1
     scans = find_scans(world.data, ["08"])
-    assert names(missing_predictions(world.out, scans)) == (["08/000000"], 1)
+    assert names(ResultFolder(world.out).missing_predictions(scans)) == (["08/000000"], 1)
 
 
 def test_the_results_of_a_scan_that_failed_are_missing(world):
     world.scan("08", "000001").write_bytes(b"1")
     predict_scans(world.data, world.out, network=world.network)
     scans = find_scans(world.data, ["08"])
-    assert names(missing_predictions(world.out, scans[1:])) == (["08/000001"], 0)
+    assert names(ResultFolder(world.out).missing_predictions(scans[1:])) == (["08/000001"], 0)
 
 
 def test_a_table_that_was_named_itself_is_found_again_beside_clouds(world, tmp_path):
@@ -117,4 +120,7 @@ def test_a_table_that_was_named_itself_is_found_again_beside_clouds(world, tmp_p
     write_array(folder / "other.npy", np.ones((5, 4)))
     ask(world, find_scans(folder / "table.npy"))
     write_labels(world.out / "sequences/drive/predictions/table.label", np.zeros(5, np.uint32))
-    assert [scan.path.name for scan in recorded_scans(world.out)] == ["000000.bin", "table.npy"]
+    assert [scan.path.name for scan in ResultFolder(world.out).scans()] == [
+        "000000.bin",
+        "table.npy",
+    ]

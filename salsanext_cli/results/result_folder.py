@@ -1,0 +1,396 @@
+# SPDX-License-Identifier: MIT
+"""The one reader of an output folder: its scans, their results, classes and provenance."""
+
+import logging
+import os
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.classes.merging import ClassMerging, contradiction
+from salsanext_cli.errors import (
+    LabelError,
+    NoInputError,
+    OutputError,
+    counted,
+    first_few,
+    shortened,
+)
+from salsanext_cli.files.reading import is_folder, present
+from salsanext_cli.formats import read_scan, scan_suffix
+from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.recordings import recording_of
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.records import Float
+from salsanext_cli.results.layout import (
+    ERROR,
+    LABELLING_STAGES,
+    SCAN_FOLDER,
+    SUFFIX_OF_FOLDER,
+    UNCERTAINTY,
+    ScanFile,
+    find_outputs,
+    find_scans,
+    names_in,
+    output_path,
+    with_outputs,
+)
+from salsanext_cli.results.scan_results import ScanResults, read_kind
+from salsanext_cli.results.selection import (
+    MissingResults,
+    choose,
+    data_set_of,
+    space_of,
+    space_of_labels,
+    with_splits,
+)
+from salsanext_cli.results.stage_records import ScanSource, StageRecords
+from salsanext_cli.sensors.sensor import Sensor
+
+FOLDERS = ("predictions", *(f"uncertainty/{kind}" for kind in UNCERTAINTY))
+"""Folders of what is known about the points of scans."""
+UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
+"""Settings of `uncertainty` that an evaluation records."""
+DATASET_VARIABLE = "SALSANEXT_DATASET"
+MAX_PATH_CHARACTERS = 500
+"""Characters of a folder's name that an error shows."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenResults:
+    """Scans with results, and those that lack them."""
+
+    scans: list[ScanFile]  # With labels or an uncertainty, at least one
+    space: LabelSpace  # Classes of their labels
+    # Meaning of the raw ids of the truth, which may have its own for these classes
+    labels: LabelSpace
+    missing: MissingResults  # The other scans of the selection
+    recorded: list[ScanFile]  # All scans of the sequences that there are results of
+
+
+@dataclass(frozen=True, slots=True)
+class ResultFolder(StageRecords):
+    """Output folder of earlier stages, to be read."""
+
+    dataset: Path | None = None  # Where scans and labels are, if not where the scans came from
+
+    def scans(self, sequence: str | None = None) -> list[ScanFile]:
+        """Find the scans whose results lie here, of all sequences or one.
+
+        If it is not recorded where scans came from, or they are gone, they are looked for in the
+        folder that the environment variable `DATASET_VARIABLE` names, else in the working folder.
+        Results whose scan is not there any more are logged.
+        """
+        there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(self.root, folder)}
+        wanted = {key for key in there if sequence in (None, key[0])}
+        sequences = sorted({name for name, _ in wanted})
+        if not sequences:
+            found = "holds no results" if self.root.is_dir() else "no such folder"
+            remedy = f"run `salsanext predict SCANS {self.root}` first"
+            raise NoInputError(self.root, found, "the output folder of an earlier stage", remedy)
+        if self.dataset and len(sequences) == 1 and _holds_scans(self.dataset):
+            # The scans themselves, or the recording, which may have another name by now.
+            scans = [replace(each, sequence=sequences[0]) for each in find_scans(self.dataset)]
+        else:
+            known = {
+                sequence: source
+                for record in self.records().values()
+                for sequence, source in record.scans.items()
+            }
+            scans = [
+                scan for name in sequences for scan in self._of_sequence(name, known.get(name))
+            ]
+        if gone := sorted(wanted - {(scan.sequence, scan.stem) for scan in scans}):
+            log.warning(
+                "%s with results not found any more and left out: %s",
+                counted(len(gone), "scan"),
+                first_few(["/".join(key) for key in gone]),
+            )
+        return scans
+
+    def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
+        folder = Path(source.folder) if source else None
+        if (
+            self.dataset is None
+            and source
+            and folder
+            and (is_folder(folder) or recording_of(folder))
+        ):
+            scans = find_scans(folder)
+            return scans + _scans_named_themselves(source, {scan.stem for scan in scans})
+        root = self.dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
+        if (root / "sequences").is_dir():
+            own = root / "sequences" / sequence / SCAN_FOLDER
+            # Not all of a data set once for each of its sequences.
+            return find_scans(own) if is_folder(own) else find_scans(root, [sequence])
+        looked_in = str(self.dataset or folder or root.absolute())
+        raise NoInputError(
+            self.root / "sequences" / sequence,
+            f"its scans are not in {shortened(looked_in, MAX_PATH_CHARACTERS)}",
+            "the folder that they came from",
+            "give with --dataset the folder that holds sequences/",
+        )
+
+    def missing_predictions(self, scans: Iterable[ScanFile]) -> MissingResults:
+        """Divide scans without predictions by whether the stage was asked for them."""
+        sources = {stage: record.scans for stage, record in self.records().items()}
+        # `knn-refine` takes what `predict` left, wherever that came from.
+        of_stage = sources.get(self.owner("predictions") or "") or sources.get("predict", {})
+        return _missing(scans, [of_stage])
+
+    def missing_results(self, scans: Iterable[ScanFile]) -> MissingResults:
+        """Divide scans without labels and uncertainty by whether any stage was asked for them."""
+        records = self.records()
+        return _missing(scans, [records[s].scans for s in LABELLING_STAGES if s in records])
+
+    def predicted(
+        self,
+        selection: ScanSelection,
+        space: LabelSpace | None = None,
+        classes: LabelSpace | None = None,
+    ) -> tuple[list[ScanFile], LabelSpace]:
+        """Choose among the scans, and return the classes in which their labels are compared.
+
+        `space`: of the labels; otherwise that of the scans' data set, else the one recorded here;
+        `classes`: into whose classes those of labels and predictions are merged.
+        """
+        scans = self.scans()
+        space = self.compared_space(scans, space, classes, own_ids=True)
+        if selection.split:
+            space = with_splits(space, data_set_of(scans[0]))
+        chosen = choose(scans, selection, space, self.root)
+        if selection.split:
+            members = set(space.split(selection.split))
+            sequences = {scan.sequence for scan in chosen}
+            if absent := sorted(members - sequences if members & sequences else ()):
+                log.warning("no predictions for %s of split %s", ", ".join(absent), selection.split)
+        return chosen, space
+
+    def chosen(
+        self,
+        selection: ScanSelection,
+        space: LabelSpace | None = None,
+        classes: LabelSpace | None = None,
+    ) -> ChosenResults:
+        """Choose among the scans of which any stage left results; log how many lack them.
+
+        A limit is of scans with results; `space`, `classes`: as for `predicted`.
+        """
+        recorded = self.scans()
+        given, space = space, self.compared_space(recorded, space, classes, own_ids=True)
+        self.require_same_weights()
+        chosen = choose(recorded, replace(selection, limit=None), space, self.root)
+        scans = self.with_results(chosen)[: selection.limit]
+        if len(scans) == selection.limit:
+            # What comes after the last that is wanted is not looked at.
+            chosen = chosen[: chosen.index(scans[-1]) + 1]
+        missing = self.missing_results(set(chosen) - set(scans))
+        missing.log_error(len(chosen), "results")
+        labels = space_of_labels(recorded, space, given)
+        return ChosenResults(scans, space, labels, missing, recorded)
+
+    def compared_space(
+        self,
+        scans: list[ScanFile],
+        space: LabelSpace | None = None,
+        classes: LabelSpace | None = None,
+        *,
+        own_ids: bool = False,
+    ) -> LabelSpace:
+        """Return the classes in which predictions and labels are compared.
+
+        They are those of both, or those of the predictions where these are merged ones of the
+        labels', or those that both are to be merged into. The splits are those of the labels; there
+        may be none, as `selection.with_splits` mends. `space`, `classes`: as for `predicted`;
+        `own_ids`: whether labels may have raw ids of their own for classes of the same names.
+        """
+        recorded = self.label_space()
+        space = space or space_of(scans, recorded)
+        target = classes or recorded or space
+        named_alike = own_ids and space.names == target.names
+        if classes is not None:
+            for own in (recorded or space, *(() if named_alike else (space,))):
+                ClassMerging.needed(own, classes)
+        elif target.fits(space):
+            return space
+        elif not named_alike and contradiction(space, target):
+            differences = first_few(target.differences(space))
+            raise LabelError(
+                self.root,
+                f"predictions in the classes of {target.name} ({differences})",
+                f"those of {space.name}, as the labels",
+                "predict with weights for these classes, or merge both with --classes",
+            )
+        return replace(target, splits=space.splits or (classes or space).splits)
+
+    def merging_into(self, space: LabelSpace) -> ClassMerging | None:
+        """Return the merging of the classes of the probabilities into others, if needed.
+
+        Probabilities of unknown origin are those of the other classes.
+        """
+        own = self.label_space("probabilities")
+        return None if own is None or own.fits(space) else ClassMerging.between(own, space)
+
+    def require_same_weights(self) -> None:
+        """Refuse to show the uncertainty of one network, or in other classes, beside the labels."""
+        labels, space = self.weights("predictions"), self.label_space("predictions")
+        remedy = f"run `salsanext uncertainty SCANS {self.root} --overwrite` with the"
+        for folder in ("uncertainty/epistemic", ERROR):
+            estimated, other = self.weights(folder), self.label_space(folder)
+            if labels and estimated and labels != estimated:
+                raise OutputError(
+                    self.root,
+                    f"labels by the weights {labels[:12]}…, uncertainty by {estimated[:12]}…",
+                    "the same weights for both",
+                    f"{remedy} weights of the labels",
+                )
+            if labels and space and other and not space.fits(other):
+                raise OutputError(
+                    self.root,
+                    f"labels in the classes of {space.name}, uncertainty in those of {other.name}",
+                    "the same for both",
+                    f"{remedy} --classes of the labels",
+                )
+
+    def provenance(self, selection: ScanSelection) -> dict[str, Any]:
+        """Return, as plain data, what was chosen and which stage and weights predicted it."""
+        stage = self.owner("predictions")
+        softmax: Mapping[str, Any] = self.settings("predict") or {}
+        estimated = self.settings("uncertainty")
+        made_by = sorted({*([stage] if stage else []), *(["uncertainty"] if estimated else [])})
+        recorded = {
+            "dataset": str(self.dataset.absolute()) if self.dataset else None,
+            "predictions_of": stage,
+            "weights": self.weights("predictions"),
+            "temperature": softmax.get("temperature"),
+            "reject": self._rejected_above(),
+            "uncertainty": {k: estimated[k] for k in UNCERTAINTY_SETTINGS if k in estimated}
+            if estimated
+            else None,
+            "origins": self.origins(made_by),
+        }
+        return asdict(selection) | recorded
+
+    def _rejected_above(self) -> float | None:
+        """Return the error above which points were left unlabelled; None if none."""
+        settings = self.settings_of("predictions")
+        return None if settings is None else settings.get("reject")
+
+    def rejected(self, error: Float) -> npt.NDArray[np.bool_]:
+        """Say of points, by their error (N,), which were left unlabelled for it."""
+        above = self._rejected_above()
+        return np.zeros(len(error), bool) if above is None else error > above
+
+    def read(
+        self,
+        file: ScanFile,
+        sensor: Sensor | None = None,
+        classes: LabelSpace | None = None,
+        truth_in: tuple[LabelSpace, LabelSpace] | None = None,
+    ) -> ScanResults:
+        """Read a scan and all that is known about it here and in its data set.
+
+        Predicted classes that are merged into `classes` get their raw ids. The truth is read if
+        `truth_in` has the label space of its ids and that to show it in, whose raw ids it gets.
+        """
+        scan = read_scan(file.path, sensor)
+        count = len(scan)
+        path, *kinds = (output_path(self.root, file.sequence, f, file.stem) for f in FOLDERS)
+        label = _labels(path, count)
+        if label is not None and classes is not None:
+            label = classes.to_raw(classes.to_train(label, strict=False))
+        truth = _labels(file.label_path, count) if truth_in else None
+        if truth is not None and truth_in:
+            own, space = truth_in
+            train = own.to_train(truth, strict=False, source=file.label_path)
+            truth = truth if own.learning_map == space.learning_map else space.to_raw(train)
+        uncertainty = {
+            kind: read_kind(path, kind, count)
+            for kind, path in zip(UNCERTAINTY, kinds, strict=True)
+            if present(path)
+        }
+        rejected = self.rejected(uncertainty["error"]) if "error" in uncertainty else None
+        return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
+
+    def with_results(self, scans: list[ScanFile]) -> list[ScanFile]:
+        """Leave out the scans for which no stage has left a result."""
+        chosen = with_outputs(scans, self.root, *FOLDERS)
+        if not chosen:
+            remedy = f"run `salsanext predict SCANS {self.root}` first"
+            raise NoInputError(self.root, "no results of these scans", remedy=remedy)
+        return chosen
+
+    def with_column(self, column: str, scans: Sequence[ScanFile]) -> list[ScanFile]:
+        """Return those scans of which there is what a column, one of `COLOURINGS`, is made of."""
+        known = list(scans)
+        if column in ("truth", "wrong"):
+            known = [scan for scan in known if present(scan.label_path)]
+        if column in ("label", "wrong"):
+            known = with_outputs(known, self.root, "predictions")
+        if column in UNCERTAINTY:
+            known = with_outputs(known, self.root, f"uncertainty/{column}")
+        return known
+
+    def require_column(self, column: str, scans: Sequence[ScanFile]) -> None:
+        """Refuse a column that is known of none of the scans, with `missing_column`."""
+        if column not in ("intensity", "range") and not self.with_column(column, scans):
+            raise self.missing_column(column, scans[0])
+
+    def missing_column(self, column: str, file: ScanFile) -> NoInputError:
+        """Return the error that says what is missing for a column, and where it would be."""
+        if column in ("truth", "wrong") and not present(file.label_path):
+            return NoInputError(file.path, "has no labels", str(file.label_path))
+        folder = f"uncertainty/{column}" if column in UNCERTAINTY else "predictions"
+        stage = "uncertainty" if column in UNCERTAINTY else "predict"
+        path = output_path(self.root, file.sequence, folder, file.stem)
+        remedy = f"run `salsanext {stage} SCANS {self.root}` first"
+        if column == "error":
+            remedy = (
+                f"run `salsanext predict SCANS {self.root} --error`, with weights that know it: "
+                "the default ones, or what `salsanext tune error` writes"
+            )
+        return NoInputError(file.path, f"no {column} known", str(path), remedy)
+
+    def meant_uncertainty(self, scans: Sequence[ScanFile]) -> str:
+        """Return what "uncertainty" means: the error where all scans have it, else entropy."""
+        return "error" if len(self.with_column("error", scans)) == len(scans) else "entropy"
+
+
+def _holds_scans(dataset: Path) -> bool:
+    """Say whether it is a folder of scans or a recording, not a data set."""
+    if recording_of(dataset.absolute()):
+        return True
+    return dataset.is_dir() and not (dataset / "sequences").is_dir()
+
+
+def _scans_named_themselves(source: ScanSource, known: Container[str]) -> list[ScanFile]:
+    """Return the files of a folder that were asked for by name and are no scans otherwise."""
+    wanted = {stem for stem in source.stems if stem not in known}
+    folder = Path(source.folder)
+    tables = [name for name in names_in(folder) if scan_suffix(name)] if wanted else []
+    scans = [scan for name in tables for scan in find_scans(folder / name)]
+    return [scan for scan in scans if scan.stem in wanted]
+
+
+def _missing(
+    scans: Iterable[ScanFile], sources: Sequence[Mapping[str, ScanSource]]
+) -> MissingResults:
+    listed = sorted(scans, key=lambda scan: (scan.sequence, scan.stem))
+
+    def is_asked_for(scan: ScanFile) -> bool:
+        recorded = [of_stage[scan.sequence] for of_stage in sources if scan.sequence in of_stage]
+        return not recorded or any(scan.stem in source.stems for source in recorded)
+
+    missing = tuple(scan for scan in listed if is_asked_for(scan))
+    return MissingResults(missing, len(listed) - len(missing))
+
+
+def _labels(path: Path, count: int) -> RawIds | None:
+    return read_labels(path, count) & np.uint32(0xFFFF) if present(path) else None
