@@ -104,8 +104,8 @@ def evaluate(
     `scans`: scans with labels at `ScanFile.label_path`; `out`: output folder of `predict` or
     `knn-refine`; `space`: classes to compare, as `ResultFolder.predicted` returns them;
     `options`: jobs, errors and progress; `by_distance`: score rings of distance too, for which the
-    scans are read; `settings`: settings of the selection and of the predictions, for the record; `labels`: as
-    `space_of_labels` takes it.
+    scans are read; `settings`: settings of the selection and of the predictions, for the record;
+    `labels`: as `space_of_labels` takes it.
     """
     results = ResultFolder(out)
     labels, merging = space_of_labels(scans, space, labels), results.merging_into(space)
