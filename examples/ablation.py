@@ -16,10 +16,9 @@ import torch
 
 import salsanext_cli as sn
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.network.complexity import PAPERS, multiply_accumulates, parameter_count
 from salsanext_cli.network.registry import build
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate

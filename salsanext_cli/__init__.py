@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from salsanext_cli.fitting.scan_fit import fit_network
     from salsanext_cli.formats import read_scan
     from salsanext_cli.formats.labels import read_labels
-    from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+    from salsanext_cli.geometry.knn import knn_refine
     from salsanext_cli.geometry.projection import project
+    from salsanext_cli.options import KnnParameters
     from salsanext_cli.records import RangeImage, Scan
     from salsanext_cli.results.point_files import write_labels, write_ply
     from salsanext_cli.sensors.sensor import Sensor, sensor
@@ -54,11 +55,12 @@ _HOMES = {
     "errors": ("SalsanextError",),
     "formats": ("read_scan",),
     "formats.labels": ("read_labels",),
-    "geometry.knn": ("KnnParameters", "knn_refine"),
+    "geometry.knn": ("knn_refine",),
     "geometry.projection": ("project",),
     "engines.loading": ("load_network",),
     "engines.network": ("Network",),
     "fitting.scan_fit": ("fit_network",),
+    "options": ("KnnParameters",),
     "records": ("RangeImage", "Scan"),
     "sensors.sensor": ("Sensor", "sensor"),
     "results.point_files": ("write_labels", "write_ply"),

@@ -5,6 +5,7 @@ The command line makes its options of the fields, so modules of such dataclasses
 imports neither numpy nor what computes.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -27,22 +28,22 @@ def option(
     *names: str,
     default: Any = None,
     parse: Callable[[str | None], Any] | None = None,
+    typed: Any = None,
     **shown: Any,
 ) -> Any:
     """Return a field that commands offer: panel and text of the help, names if not the field's.
 
-    `parse` makes the value of the text that was typed, or of None; `shown`: as `typer.Option`
-    takes it.
+    `parse` makes the value of the text that was typed, or of None; `typed`: type of what is typed,
+    if not that of the field; `shown`: as `typer.Option` takes it.
     """
     declared = {"help": text, "rich_help_panel": panel, **shown}
-    return field(default=default, metadata={"names": names, "parse": parse, "option": declared})
+    metadata = {"names": names, "parse": parse, "typed": typed, "option": declared}
+    return field(default=default, metadata=metadata)
 
 
 def argument(text: str, **shown: Any) -> Any:
     """Return a field that commands offer as an argument: text of the help."""
-    declared = {"help": text, **shown}
-    metadata = {"names": (), "parse": None, "argument": True, "option": declared}
-    return field(default=None, metadata=metadata)
+    return field(default=None, metadata={"argument": {"help": text, **shown}})
 
 
 def _sequences(text: str | None) -> tuple[str, ...]:
@@ -71,3 +72,45 @@ class ScanSelection:
             raise UsageError("--split and --sequences", "both given", "one of them")
         if self.limit is not None and self.limit < 1:
             raise UsageError("--limit", str(self.limit), "at least 1")
+
+
+LARGEST_WINDOW_PX = 63
+"""Largest side of the window in pixels."""
+knn_option = partial(option, "Network")
+
+
+@option_group
+class KnnParameters:
+    """Settings of the neighbourhood and of the vote; the defaults are the published ones.
+
+    The point's own pixel is one of the `k` neighbours, and the side of the window is odd.
+    """
+
+    k: int = knn_option("Number of neighbours that vote.", "--knn-k", default=5)
+    window: int = knn_option(
+        "Side of the window of neighbours, in pixels.", "--knn-window", default=5
+    )
+    sigma: float = knn_option(
+        "Standard deviation of the Gaussian weights, in pixels.", "--knn-sigma", default=1.0
+    )
+    cutoff: float = knn_option(
+        "Maximum range difference of a neighbour, in metres.", "--knn-cutoff", default=1.0
+    )
+
+    def __post_init__(self) -> None:
+        window, most = self.window, self.window**2
+        possible = {
+            "window": 1 <= window <= LARGEST_WINDOW_PX and window % 2 == 1,
+            "k": 1 <= self.k <= most,
+            "sigma": 0 < self.sigma < math.inf,
+            "cutoff": self.cutoff >= 0,
+        }
+        expected = {
+            "window": f"an odd window from 1 to {LARGEST_WINDOW_PX}",
+            "k": f"1 ≤ k ≤ {most} neighbours in a window of {window}",
+            "sigma": "a finite sigma above 0 pixels",
+            "cutoff": "a cutoff ≥ 0 metres",
+        }
+        for name, holds in possible.items():
+            if not holds:
+                raise UsageError("knn", f"{name} {getattr(self, name)}", expected[name])

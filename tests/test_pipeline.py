@@ -172,7 +172,7 @@ def test_real_scans_in_steps_or_in_one(golden, real_data, tmp_path):
     """Published weights on real scans, a quarter of the width to save time."""
     import_weights(golden / "SalsaNext", tmp_path / "w.safetensors", half=True)
     view = sensor("hdl64-512")
-    network = NetworkSettings(tmp_path / "w.safetensors", "cpu", view)
+    network = NetworkSettings(tmp_path / "w.safetensors", "cpu", sensor=view)
     data, selection = real_data / "data/semantickitti", ScanSelection(split="valid", limit=2)
     project_scans(data, tmp_path / "steps", sensor=view, selection=selection)
     predict_range_images(tmp_path / "steps", tmp_path / "steps", network=network)

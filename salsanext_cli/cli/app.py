@@ -9,62 +9,43 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from salsanext_cli.cli import look, models, own_data, pipeline
 from salsanext_cli.cli.console import WRONG_USE, guarded, usage_errors
-from salsanext_cli.cli.convert import convert
-from salsanext_cli.cli.demo import demo
-from salsanext_cli.cli.evaluate import evaluate
-from salsanext_cli.cli.export_onnx import export_onnx
-from salsanext_cli.cli.export_ply import export_ply
-from salsanext_cli.cli.export_rrd import export_rrd
-from salsanext_cli.cli.import_labels import import_labels
-from salsanext_cli.cli.import_weights import import_weights
-from salsanext_cli.cli.inspect import inspect
-from salsanext_cli.cli.knn_refine import knn_refine
-from salsanext_cli.cli.models import models
 from salsanext_cli.cli.option_groups import expanded
-from salsanext_cli.cli.pick import pick
-from salsanext_cli.cli.picture import picture
-from salsanext_cli.cli.predict import predict
-from salsanext_cli.cli.project import project
-from salsanext_cli.cli.report import report
-from salsanext_cli.cli.submit import submit
-from salsanext_cli.cli.synth import synth
 from salsanext_cli.cli.train import train
 from salsanext_cli.cli.tune import tune
-from salsanext_cli.cli.uncertainty import uncertainty
-from salsanext_cli.cli.view import view
 from salsanext_cli.version import __version__
 
 COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Pipeline": {
-        "project": project,
+        "project": pipeline.project,
         "train": train,
-        "predict": predict,
-        "knn-refine": knn_refine,
-        "uncertainty": uncertainty,
-        "eval": evaluate,
-        "export-ply": export_ply,
+        "predict": pipeline.predict,
+        "knn-refine": pipeline.knn_refine,
+        "uncertainty": pipeline.uncertainty,
+        "eval": pipeline.evaluate,
+        "export-ply": pipeline.export_ply,
     },
     "Your own data": {
-        "inspect": inspect,
-        "convert": convert,
-        "pick": pick,
-        "import-labels": import_labels,
-        "synth": synth,
-        "submit": submit,
+        "inspect": own_data.inspect,
+        "convert": own_data.convert,
+        "pick": own_data.pick,
+        "import-labels": own_data.import_labels,
+        "synth": own_data.synth,
+        "submit": own_data.submit,
     },
     "Models": {
-        "models": models,
-        "import-weights": import_weights,
-        "export-onnx": export_onnx,
+        "models": models.models,
+        "import-weights": models.import_weights,
+        "export-onnx": models.export_onnx,
         "tune": tune,
     },
     "Look": {
-        "picture": picture,
-        "export-rrd": export_rrd,
-        "demo": demo,
-        "report": report,
-        "view": view,
+        "picture": look.picture,
+        "export-rrd": look.export_rrd,
+        "demo": look.demo,
+        "report": look.report,
+        "view": look.view,
     },
 }
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Output and exit status of commands: results to stdout, everything else to stderr."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json
@@ -69,7 +67,7 @@ class Output:
         """Time since the command began."""
         return time.monotonic() - self.start
 
-    def result(self, data: Mapping[str, Any], shown: RenderableType | None = None) -> None:
+    def result(self, data: Mapping[str, Any], shown: "RenderableType | None" = None) -> None:
         """Give the result: JSON if asked for, else what is to be shown, on stdout."""
         if self.json:
             _print_json(dict(data) | {"seconds": round(self.seconds, 3)})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`salsanext models`."""
+"""Commands of the panel Models, but `tune`: weights files, described and converted."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,6 +7,9 @@ from typing import Annotated
 import typer
 
 from salsanext_cli.cli import console, options
+from salsanext_cli.engines.settings import DEFAULT_WEIGHTS, weights_file
+from salsanext_cli.errors import UsageError, counted
+from salsanext_cli.options import ScanSelection
 
 
 def models(
@@ -28,11 +31,112 @@ def models(
     from salsanext_cli.stages.models import models as stage
 
     listed = stage()
-    described = [
-        describe_weights(options.weights_file(path))
-        for path in weights or [options.DEFAULT_WEIGHTS]
-    ]
+    described = [describe_weights(weights_file(path)) for path in weights or [DEFAULT_WEIGHTS]]
     cards = map(card_table, described)
     networks = network_table(listed)
     tables = Group(*cards, networks) if weights else Group(networks, *cards)
     output.result({"stage": "models", "models": listed, "weights": described}, tables)
+
+
+def import_weights(
+    source: Annotated[
+        Path,
+        typer.Argument(help="Published checkpoint, or weights file of salsanext (.safetensors)."),
+    ],
+    target: Annotated[Path, typer.Argument(help="Weights file to write (.safetensors).")],
+    *,
+    label_space: Annotated[
+        str | None,
+        typer.Option(
+            help="Classes of a checkpoint: a label space, or a .yaml file in SemanticKITTI's "
+            "format.",
+            show_default="semantic-kitti",
+        ),
+    ] = None,
+    sensor: options.SensorWithoutWeights = None,
+    dropout: Annotated[
+        float | None,
+        typer.Option(help="Dropout rate that a checkpoint was trained with.", show_default="0.2"),
+    ] = None,
+    description: Annotated[
+        str, typer.Option(help="Description to store in the weights file.")
+    ] = "",
+    half: Annotated[
+        bool, typer.Option("--half", help="Store in float16, at half the size.")
+    ] = False,
+    overwrite: options.Overwrite = False,
+    output: console.Output,
+) -> None:
+    """Convert a published checkpoint to a weights file, without running anything inside it.
+
+    Example: salsanext import-weights pretrained/SalsaNext salsanext.safetensors
+    """
+    from salsanext_cli.stages.import_weights import import_weights as stage
+    from salsanext_cli.stages.models import describe_weights
+
+    stage(
+        source,
+        target,
+        space=options.label_space(label_space),
+        view=options.sensor(sensor),
+        dropout=dropout,
+        description=description,
+        half=half,
+        overwrite=overwrite,
+    )
+    output.result({"stage": "import-weights", **describe_weights(target)})
+    output.say(f"import-weights: {source} → {target}")
+
+
+WEIGHTS_HELP = "Weights file (.safetensors); default: those of the package."
+
+
+def export_onnx(
+    weights: Annotated[Path, typer.Argument(help=WEIGHTS_HELP)],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="ONNX model to write (.onnx).")],
+    *,
+    sensor: Annotated[
+        str | None,
+        typer.Option(help=options.SENSOR_HELP, show_default="the sensor of the weights"),
+    ] = None,
+    dynamic_width: Annotated[
+        bool,
+        typer.Option("--dynamic-width", help="Take images of any width that 16 or 32 divides."),
+    ] = False,
+    int8: Annotated[
+        bool, typer.Option("--int8", help="Quantise to bytes, with ranges from --calibrate.")
+    ] = False,
+    calibrate: Annotated[
+        Path | None,
+        typer.Option(metavar="SCANS", help="Scans for --int8, without labels: some tens."),
+    ] = None,
+    limit: Annotated[
+        int, typer.Option(help="At most this number of scans to calibrate, evenly spaced.")
+    ] = 40,
+    overwrite: options.Overwrite = False,
+    output: console.Output,
+) -> None:
+    """Write weights as an ONNX model for OpenVINO, ONNX Runtime and TensorRT.
+
+    Example: salsanext export-onnx weights.safetensors model.onnx
+    """
+    from salsanext_cli.stages.export_onnx import export_onnx as stage
+
+    if int8 != (calibrate is not None):
+        given, lacking = ("--int8", "--calibrate") if int8 else ("--calibrate", "--int8")
+        raise UsageError(given, f"without {lacking}", "both or neither")
+    done = stage(
+        weights_file(weights),
+        target,
+        view=options.sensor(sensor),
+        dynamic_width=dynamic_width,
+        calibrate=calibrate,
+        selection=ScanSelection(limit=limit),
+        overwrite=overwrite,
+    )
+    output.result(done)
+    output.say(f"largest difference from torch: {done['difference']:.1e} of the largest logit")
+    if int8:
+        scanned = counted(done["scans"], "scan")
+        output.say(f"int8: {done['equal_labels']:.2%} of the labels of {scanned} equal")
+    output.say(f"export-onnx: {weights} → {target}")

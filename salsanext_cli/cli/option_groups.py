@@ -14,6 +14,10 @@ class Without(frozenset[str]):
     """Fields that a command does not offer: ``Annotated[RunOptions, Without({"shard"})]``."""
 
 
+class Only(frozenset[str]):
+    """The only fields that a command offers."""
+
+
 class Default(dict[str, Any]):
     """Fields with another default: ``Annotated[ScanSelection, Default(limit=20)]``."""
 
@@ -65,7 +69,6 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _group(kind: type, marks: list[Any]) -> Group:
-    hints = get_type_hints(kind)
     fields = {field.name: field for field in dataclasses.fields(kind) if field.init}
     defaults = {name: field.default for name, field in fields.items()}
     changed: dict[str, dict[str, Any]] = {}
@@ -77,18 +80,24 @@ def _group(kind: type, marks: list[Any]) -> Group:
             changed |= mark
         elif isinstance(mark, Without):
             left_out |= mark
+        elif isinstance(mark, Only):
+            left_out |= fields.keys() - mark
     offered: dict[str, inspect.Parameter] = {}
     for name, field in fields.items():
-        if name in left_out or "option" not in field.metadata:
+        declared = field.metadata
+        if name in left_out or not declared:
             continue
-        how, parsed = field.metadata["option"] | changed.get(name, {}), field.metadata["parse"]
-        make = typer.Argument if field.metadata.get("argument") else typer.Option
+        default, typed = defaults[name], declared.get("typed") or field.type
+        if "argument" in declared:
+            shown = typer.Argument(**declared["argument"])
+        else:
+            shown = typer.Option(*declared["names"], **declared["option"] | changed.get(name, {}))
+        if declared.get("parse"):
+            default, typed = None, str | None
         offered[name] = inspect.Parameter(
             name,
             inspect.Parameter.KEYWORD_ONLY,
-            default=None if parsed else defaults[name],
-            annotation=Annotated[
-                str | None if parsed else hints[name], make(*field.metadata["names"], **how)
-            ],
+            default=default,
+            annotation=Annotated[typed, shown],
         )
     return Group(kind, defaults, offered)

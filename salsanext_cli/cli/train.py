@@ -8,8 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salsanext_cli.cli import console, options, run_end
-from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.cli.option_groups import Only
 from salsanext_cli.cli.progress import progress
+from salsanext_cli.engines.settings import (
+    COLUMNS_DEFAULT,
+    COLUMNS_HELP,
+    network_option,
+    weights_file,
+    with_columns,
+)
 from salsanext_cli.errors import counted
 from salsanext_cli.options import option_group
 
@@ -25,28 +32,26 @@ if TYPE_CHECKING:
 class Start:
     """Recipe, weights and sensor that a training starts from."""
 
-    recipe: str = options.network_option(
+    recipe: str = network_option(
         "paper, paper-v1, modern, street, finetune, quick, or a .toml file.", default="paper"
     )
-    changes: list[str] | None = options.network_option(
+    changes: list[str] | None = network_option(
         "Value instead of the recipe's; may be given several times.", "--set", metavar="KEY=VALUE"
     )
-    epochs: int | None = options.network_option("Number of epochs instead of the recipe's.")
-    weights: Path | None = options.network_option(
+    epochs: int | None = network_option("Number of epochs instead of the recipe's.")
+    weights: Path | None = network_option(
         "Weights to start from; default: those of the package.",
         show_default="random; with finetune those of the package",
     )
-    sensor: str | None = options.network_option(
+    sensor: str | None = network_option(
         options.SENSOR_HELP, show_default="the sensor of --weights, else hdl64"
     )
-    also: list[Path] | None = options.network_option(
+    also: list[Path] | None = network_option(
         "Further data set of the same classes, for a share of the samples (--set also=0.5); may be "
         "given several times.",
         metavar="DATASET",
     )
-    columns: str | None = options.network_option(
-        options.COLUMNS_HELP, show_default=options.COLUMNS_DEFAULT
-    )
+    columns: str | None = network_option(COLUMNS_HELP, show_default=COLUMNS_DEFAULT)
 
     def seen(self) -> "Sensor | None":
         """Return the sensor to train for, None for that of the weights, else the HDL-64."""
@@ -57,8 +62,8 @@ class Start:
         if self.columns is None:
             return named
         given = self.weights is not None or self.plan().initial == "default"
-        usual = read_card(options.weights_file(self.weights)).sensor if given else None
-        return options.with_columns(named or usual or find_sensor("hdl64"), self.columns)
+        usual = read_card(weights_file(self.weights)).sensor if given else None
+        return with_columns(named or usual or find_sensor("hdl64"), self.columns)
 
     def plan(self) -> "Recipe":
         """Return the recipe with its changes."""
@@ -76,28 +81,11 @@ def train(
     *,
     start: Start,
     label_space: options.LabelSpaceName = None,
-    network: Annotated[
-        options.NetworkOptions,
-        Without(
-            {
-                "weights",
-                "precision",
-                "engine",
-                "sensor",
-                "columns",
-                "min_range",
-                "ego",
-                "intensity",
-            }
-        ),
-    ],
+    network: Annotated[options.Network, Only({"device"})],
     jobs: options.Jobs = 1,
     overwrite: options.Overwrite = False,
     strict: Annotated[
-        bool,
-        typer.Option(
-            "--strict", help="Do not train if a scan is doubtful.", rich_help_panel="Running"
-        ),
+        bool, options.running("--strict", help="Do not train if a scan is doubtful.")
     ] = False,
     output: console.Output,
 ) -> None:
@@ -119,7 +107,7 @@ def train(
             space=options.label_space(label_space),
             device=network.device,
             jobs=jobs,
-            weights=start.weights and options.weights_file(start.weights),
+            weights=start.weights and weights_file(start.weights),
             overwrite=overwrite,
             strict=strict,
             also=start.also or (),

@@ -2,7 +2,8 @@
 """`salsanext tune`: a group of commands, one for each part of the weights that can be fitted."""
 
 from dataclasses import replace
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
@@ -10,6 +11,7 @@ from salsanext_cli.cli import console, options
 from salsanext_cli.cli.console import guarded
 from salsanext_cli.cli.option_groups import Default, expanded
 from salsanext_cli.cli.progress import progress
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
 from salsanext_cli.options import ScanSelection
 
@@ -19,7 +21,7 @@ def tune_temperature(
     target: options.WeightsOut,
     *,
     selection: options.LabelledSelection,
-    network: options.NetworkOptions,
+    network: options.Network,
     overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
@@ -28,22 +30,34 @@ def tune_temperature(
     Example: salsanext tune temperature streets/ tuned.safetensors --limit 50
     """
     from salsanext_cli.report.tables import temperature_table
-    from salsanext_cli.stages.tune import tune as stage
 
-    with progress("tune temperature", output.quiet) as on_progress:
-        tuned = stage(
-            "temperature",
-            dataset,
-            target,
-            network=network.settings(),
-            selection=_validation(selection),
-            overwrite=overwrite,
-            progress=on_progress,
-        )
-    table = temperature_table(tuned["before"], tuned["after"])
-    output.result(tuned | {"weights": str(target)}, table)
+    selection = _validation(selection)
+    tuned = _tuned("temperature", dataset, target, network, selection, overwrite, output)
+    output.result(tuned, temperature_table(tuned["before"], tuned["after"]))
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     output.say(f"tune temperature: {points} → {target}")
+
+
+def tune_error(
+    dataset: options.LabelledDataSet,
+    target: options.WeightsOut,
+    *,
+    selection: options.LabelledSelection,
+    network: options.Network,
+    overwrite: options.Overwrite = False,
+    output: console.Output,
+) -> None:
+    """Fit the probability that a label is wrong, and write new weights.
+
+    Example: salsanext tune error streets/ tuned.safetensors
+    """
+    from salsanext_cli.report.tables import error_table
+
+    selection = _validation(selection)
+    tuned = _tuned("error", dataset, target, network, selection, overwrite, output)
+    output.result(tuned, error_table(tuned) if tuned["folds"] else None)
+    points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
+    output.say(f"tune error: {points}, {100 * tuned['wrong']:.1f} % wrong → {target}")
 
 
 def tune_dropout(
@@ -58,7 +72,7 @@ def tune_dropout(
     ] = 10,
     seed: Annotated[int, typer.Option(help="Seed of the dropout masks.")] = 0,
     selection: Annotated[options.LabelledSelection, Default(limit=20)],
-    network: options.NetworkOptions,
+    network: options.Network,
     overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
@@ -68,26 +82,13 @@ def tune_dropout(
     """
     from salsanext_cli.report.tables import rate_table
     from salsanext_cli.stages.tune import curve_of
-    from salsanext_cli.stages.tune import tune as stage
 
-    with progress("tune dropout", output.quiet, unit="samplings") as on_progress:
-        tuned = stage(
-            "dropout",
-            dataset,
-            target,
-            network=network.settings(),
-            selection=_validation(selection),
-            samples=samples,
-            seed=seed,
-            lowest=lowest,
-            highest=highest,
-            steps=steps,
-            overwrite=overwrite,
-            progress=on_progress,
-        )
+    selection = _validation(selection)
+    rates = {"samples": samples, "seed": seed, "lowest": lowest, "highest": highest, "steps": steps}
+    tuned = _tuned("dropout", dataset, target, network, selection, overwrite, output, **rates)
     best, curve = tuned["best"], curve_of(target)
     table = rate_table(tuned["rates"], tuned["objectives"], best)
-    output.result(tuned | {"weights": str(target), "curve": str(curve)}, table)
+    output.result(tuned | {"curve": str(curve)}, table)
     output.say(f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}, {curve}")
 
 
@@ -102,7 +103,7 @@ def tune_batchnorm(
         ),
     ] = 0.1,
     selection: options.SpacedSelection,
-    network: options.NetworkOptions,
+    network: options.Network,
     overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
@@ -111,54 +112,39 @@ def tune_batchnorm(
     Example: salsanext tune batchnorm my/scans adapted.safetensors --sensor hdl32
     """
     from salsanext_cli.report.tables import moved_table
-    from salsanext_cli.stages.tune import tune as stage
 
-    with progress("tune batchnorm", output.quiet) as on_progress:
-        tuned = stage(
-            "batchnorm",
-            scans,
-            target,
-            network=network.settings(),
-            selection=selection,
-            share=share,
-            overwrite=overwrite,
-            progress=on_progress,
-        )
-    output.result(tuned | {"weights": str(target)}, moved_table(tuned["layers"]))
+    tuned = _tuned("batchnorm", scans, target, network, selection, overwrite, output, share=share)
+    output.result(tuned, moved_table(tuned["layers"]))
     scanned = counted(tuned["scans"], "scan")
     output.say(f"tune batchnorm: {scanned} of {tuned['sensor']} → {target}")
 
 
-def tune_error(
-    dataset: options.LabelledDataSet,
-    target: options.WeightsOut,
-    *,
-    selection: options.LabelledSelection,
-    network: options.NetworkOptions,
-    overwrite: options.Overwrite = False,
+def _tuned(
+    part: str,
+    source: Path,
+    target: Path,
+    network: NetworkSettings,
+    selection: ScanSelection,
+    overwrite: bool,
     output: console.Output,
-) -> None:
-    """Fit the probability that a label is wrong, and write new weights.
+    **numbers: float,
+) -> dict[str, Any]:
+    """Fit a part of the weights while a bar shows how far it is; return plain data."""
+    from salsanext_cli.stages.tune import tune
 
-    Example: salsanext tune error streets/ tuned.safetensors
-    """
-    from salsanext_cli.report.tables import error_table
-    from salsanext_cli.stages.tune import tune as stage
-
-    with progress("tune error", output.quiet) as on_progress:
-        tuned = stage(
-            "error",
-            dataset,
+    unit = "samplings" if part == "dropout" else "scans"
+    with progress(f"tune {part}", output.quiet, unit) as on_progress:
+        tuned = tune(
+            part,
+            source,
             target,
-            network=network.settings(),
-            selection=_validation(selection),
+            network=network,
+            selection=selection,
             overwrite=overwrite,
             progress=on_progress,
+            **numbers,
         )
-    table = error_table(tuned) if tuned["folds"] else None
-    output.result(tuned | {"weights": str(target)}, table)
-    points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
-    output.say(f"tune error: {points}, {100 * tuned['wrong']:.1f} % wrong → {target}")
+    return tuned | {"weights": str(target)}
 
 
 def _validation(selection: ScanSelection) -> ScanSelection:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.engines.engine import Engine
-from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.network_input import ScanFit
 from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.options import KnnParameters
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors.sensor import Sensor
 

@@ -1,75 +1,162 @@
 # SPDX-License-Identifier: MIT
-"""Settings of a network: weights, device, sensor and precision."""
-
-from __future__ import annotations
+"""Settings of a network: weights, device, precision and sensor."""
 
 import logging
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.engines.loading import load_network
-from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import NOTICE, WeightsError
-from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.network.card import default_weights, joined
-from salsanext_cli.sensors.limits import NOISE
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.errors import NOTICE, UsageError, WeightsError
+from salsanext_cli.options import option, option_group
+
+if TYPE_CHECKING:
+    from salsanext_cli.classes.label_space import LabelSpace
+    from salsanext_cli.engines.network import Network
+    from salsanext_cli.sensors.sensor import Sensor
+
+AUTO = "auto"
+DEFAULT_WEIGHTS = Path("default")
+"""Name of the weights of the package; a file of that name needs an absolute path."""
+COLUMNS_HELP = "Columns of files that do not name them, such as x,y,z,intensity,ring; _ for others."
+COLUMNS_DEFAULT = "those of the sensor, else x,y,z,intensity"
 
 log = logging.getLogger(__name__)
 
+network_option = partial(option, "Network")
 
-@dataclass(frozen=True, slots=True)
+
+@option_group
 class NetworkSettings:
     """Settings of a network to load; small enough to be sent to another process."""
 
-    weights: Path | None = None  # A weights file; None for the default weights
-    device: str = "auto"  # As `load_network` takes it
-    sensor: Sensor | None = None  # Origin of the scans, if not the sensor that the weights name
-    precision: str = "float32"  # As `load_network` takes them
-    engine: str = "auto"
-    # Whether a view and a mounting that differ much from the sensor's are those of the scans; None:
-    # if no sensor is named
+    weights: Path | None = network_option(
+        "Weights file (.safetensors), or .onnx of export-onnx; default: those of the package.",
+        show_default="default",
+    )
+    device: str = network_option(
+        "cpu, cuda, cuda:1 …; auto uses a GPU if there is one.", default=AUTO
+    )
+    precision: str = network_option(
+        "float32, bfloat16 or float16; auto chooses what is fast on the device.",
+        default="float32",
+        envvar="SALSANEXT_PRECISION",
+    )
+    engine: str = network_option(
+        "openvino (CPUs) or torch; auto takes OpenVINO on a CPU where it runs.",
+        default=AUTO,
+        envvar="SALSANEXT_ENGINE",
+    )
+    # A `Sensor` is taken as it is, whatever `columns`, `min_range` and `ego` say
+    sensor: "Sensor | str | None" = network_option(
+        "Name of a built-in sensor, or a .toml file; auto is that of the weights, with view, "
+        "direction up and place of the scans' own where they differ much. A name tells noise and "
+        "scale of intensity only.",
+        default=AUTO,
+        typed=str,
+    )
+    columns: str | None = network_option(COLUMNS_HELP, show_default=COLUMNS_DEFAULT)
+    min_range: float | None = network_option(
+        "Leave points nearer than this unlabelled, in metres: housing and mount of the sensor.",
+        show_default="1, or 0.8 of the height of a lower sensor",
+    )
+    ego: str = network_option(
+        "Box around what the sensor sees of its own vehicle, whose points stay unlabelled: least "
+        "x, y, z and largest x, y, z in metres, or none; auto finds it in the scans of a drive.",
+        default=AUTO,
+    )
+    intensity: Literal["auto", "match", "raw", "none"] = network_option(
+        "Match the intensity of the scans to that of training, take it raw, or take none; auto "
+        "matches it if the weights know that of their training.",
+        default=AUTO,
+    )
+    adapt: bool = network_option(
+        "Adapt batch normalisation to the scans, once for the output folder.",
+        "--adapt",
+        default=False,
+    )
+    # Whether a view and a mounting that differ much from the sensor's are those of the scans;
+    # None: unless a sensor with a view of its own is named
     fit: bool | None = None
-    # {"auto", "match", "raw", "none"}: as `fit_network` takes it; "auto" matches where the
-    # weights know their quantiles
-    intensity: str = "auto"
-    # Whether the batch norm is to be adapted to the scans, as `adaptation.network_of_run` does
-    adapt: bool = False
-    adapted: Path | None = None  # The weights file that came of it: this one is loaded
+    adapted: Path | None = None  # The weights file that came of `adapt`: this one is loaded
     sha256: str | None = None  # Of the weights file that a run began with; others are refused
-    classes: LabelSpace | None = None  # As `load_network` takes them
+    classes: "LabelSpace | None" = None  # As `load_network` takes them
 
     @property
     def path(self) -> Path:
         """The weights file that was asked for."""
-        return self.weights or default_weights()
+        return weights_file(self.weights)
 
     @property
     def fits_view(self) -> bool:
         """True if the view is to be fitted to the scans."""
-        return self.sensor is None if self.fit is None else self.fit
+        from salsanext_cli.sensors.sensor import presets
 
-    def load(self) -> Network:
+        own_view = self.sensor not in (None, AUTO, *presets())
+        return not own_view if self.fit is None else self.fit
+
+    def trained_sensor(self) -> "Sensor":
+        """Return the sensor that the weights were trained with."""
+        from salsanext_cli.network.card import read_card
+
+        return read_card(self.path).sensor
+
+    def named_sensor(self) -> "Sensor | None":
+        """Return the sensor that was asked for, None if none was: the rest is that of the weights.
+
+        A built-in sensor tells noise and scale of intensity only.
+        """
+        from salsanext_cli.sensors.sensor import OF_DEVICE, presets, sensor
+
+        named = self.sensor or AUTO
+        if not isinstance(named, str):
+            return named
+        if (named, self.columns, self.min_range, self.ego) == (AUTO, None, None, AUTO):
+            return None
+        seen = trained = self.trained_sensor()
+        if named != AUTO:
+            seen = sensor(named, trained)
+        if named in presets():
+            seen = replace(trained, **{key: getattr(seen, key) for key in OF_DEVICE})
+        seen = with_columns(seen, self.columns)
+        if self.min_range is not None:
+            seen = replace(seen, min_range=self.min_range)
+        if self.ego != AUTO:
+            seen = replace(seen, ego_box=_ego_box(self.ego))
+        # Those of training are not those of the scans.
+        return replace(seen, intensity_quantiles=(), row_gaps=None)
+
+    def load(self) -> "Network":
         """Load the network."""
+        from salsanext_cli.engines.loading import load_network
+        from salsanext_cli.files.identity import fingerprint
+
         file = self.adapted or self.path
         if self.sha256 and self.sha256 != fingerprint(file):
             found = "was replaced since the run began"
             raise WeightsError(file, found, "the same file", "run again with --overwrite")
-        wanted = self.adapted or self.weights
-        how = (self.device, self.sensor, self.precision, self.engine, self.classes)
-        return load_network(wanted, *how)
+        default = self.weights in (None, DEFAULT_WEIGHTS)
+        return load_network(
+            self.adapted or (None if default else self.weights),
+            self.device,
+            self.named_sensor(),
+            self.precision,
+            self.engine,
+            self.classes,
+        )
 
-    def announce(self, network: Network) -> None:
+    def announce(self, network: "Network") -> None:
         """Log what computes, and on what the default weights were trained."""
-        name = self.weights or f"default weights ({network.card.summary()})"
-        how = (network.device, network.engine.library, network.engine.precision)
+        default = self.weights in (None, DEFAULT_WEIGHTS)
+        name = f"default weights ({network.card.summary()})" if default else self.weights
         adapted = f", adapted: {self.adapted}" if self.adapted else ""
         merged = f", merged into the classes of {network.space.name}" if network.merging else ""
-        log.log(NOTICE, "%s on %s by %s in %s%s%s", name, *how, adapted, merged)
+        library, precision = network.engine.library, network.engine.precision
+        computing = f"on {network.device} by {library} in {precision}"
+        log.log(NOTICE, "%s %s%s%s", name, computing, adapted, merged)
 
-    def resolved(self, network: Network) -> NetworkSettings:
+    def resolved(self, network: "Network") -> "NetworkSettings":
         """Log what computes, and return the settings for workers: all the same, same weights.
 
         What is "auto" here might be something else on their machines, and a training that goes on
@@ -85,8 +172,11 @@ class NetworkSettings:
             sha256=network.engine.sha256,
         )
 
-    def record(self, network: Network) -> dict[str, Any]:
+    def record(self, network: "Network") -> dict[str, Any]:
         """Return what the results of a stage depend on, as plain data for its record."""
+        from salsanext_cli.files.identity import fingerprint
+        from salsanext_cli.network.card import joined
+
         engine = network.engine
         known = {"adapted": engine.sha256} if self.adapted else {}
         if network.card.trained_on:
@@ -100,6 +190,40 @@ class NetworkSettings:
         }
 
 
-def recorded_view(sensor: Sensor) -> dict[str, Any]:
+def weights_file(path: Path | None) -> Path:
+    """Return a weights file, that of the package for none or for the name `DEFAULT_WEIGHTS`."""
+    from salsanext_cli.network.card import default_weights
+
+    return default_weights() if path in (None, DEFAULT_WEIGHTS) else path
+
+
+def recorded_view(sensor: "Sensor") -> dict[str, Any]:
     """Return what labels depend on of a sensor, and its name, as plain data."""
+    from salsanext_cli.sensors.limits import NOISE
+
     return {key: value for key, value in sensor.to_dict().items() if key not in NOISE}
+
+
+def with_columns(sensor: "Sensor", columns: str | None) -> "Sensor":
+    """Return a sensor whose files have other columns, if some were named."""
+    if columns is None:
+        return sensor
+    from salsanext_cli.sensors.limits import COLUMNS_EXPECTED, are_columns
+
+    names = tuple(name.strip().lower() for name in columns.split(","))
+    if not are_columns(names):
+        raise UsageError("--columns", columns, COLUMNS_EXPECTED)
+    return replace(sensor, columns=names)
+
+
+def _ego_box(text: str) -> tuple[float, ...]:
+    """Return the box that a text tells, nothing for ``none``."""
+    from salsanext_cli.sensors.limits import BOX_EXPECTED, is_box
+
+    box: tuple[float, ...] = ()
+    if text != "none":
+        with suppress(ValueError):
+            box = tuple(float(number) for number in text.split(","))
+        if not box or not is_box(box):
+            raise UsageError("--ego", text, f"auto, or {BOX_EXPECTED}")
+    return box

@@ -11,8 +11,8 @@ from salsanext_cli.errors import UsageError, shortened
 from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.options import KnnParameters
 from salsanext_cli.records import CHANNELS, Float, RangeImage, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.stage_records import StageRecords

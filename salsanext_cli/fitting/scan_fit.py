@@ -137,7 +137,7 @@ def fit_scans(
     if sample.image_of is None:
         view = _fitted_view(sample, network.sensor, earlier, view=settings.fits_view)
         network = network.for_sensor(view)
-    known = [sensor for sensor in (earlier, settings.sensor) if sensor]
+    known = [sensor for sensor in (earlier, settings.named_sensor()) if sensor]
     quantiles: tuple[float, ...] = ()
     if method == "none":
         quantiles = NO_INTENSITY

@@ -10,8 +10,6 @@ The window goes on around the image in azimuth. Pixels that are empty or above o
 are no candidates, and a point without a vote keeps its pixel's label.
 """
 
-import math
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -20,80 +18,37 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices
 from salsanext_cli.errors import LabelError, UsageError
+from salsanext_cli.options import KnnParameters
 from salsanext_cli.records import Float, Int, RangeImage
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 Candidates = npt.NDArray[np.int64]
-LARGEST_WINDOW_PX = 63
-"""Largest side of the window in pixels."""
 BLOCK = 256
 """Number of points per block, which fits the fastest cache."""
 LAST = np.int64(2**63 - 256)
 """Candidate farther than all others, with label 0."""
 
 
-@dataclass(frozen=True, slots=True)
-class KnnParameters:
-    """Settings of the neighbourhood and of the vote; the defaults are the published ones.
+def candidates(parameters: KnnParameters, width: int) -> tuple[Int, Float]:
+    """Return the offsets of a point's candidates and the factors of their distances.
 
-    Attributes
-    ----------
-    k : int
-        Number of nearest neighbours that may vote, the point's own pixel included.
-    window : int
-        Odd side of the window in pixels.
-    sigma : float
-        Standard deviation of the Gaussian in pixels.
-    cutoff : float
-        Maximum range difference of a neighbour, in metres.
+    In an image narrower than the window no pixel comes round twice.
+
+    Returns
+    -------
+    offsets : (M,) int32
+        Flat offsets from the point's pixel, itself left out, in an image that is framed by
+        ``window // 2`` pixels on each side.
+    weights : (M,) float32
+        Their factors, 1 − Gaussian.
     """
-
-    k: int = 5
-    window: int = 5
-    sigma: float = 1.0
-    cutoff: float = 1.0
-
-    def __post_init__(self) -> None:
-        window, k = self.window, self.k
-        possible = {
-            "window": 1 <= window <= LARGEST_WINDOW_PX and window % 2 == 1,
-            "k": 1 <= k <= window**2,
-            "sigma": 0 < self.sigma < math.inf,
-            "cutoff": self.cutoff >= 0,
-        }
-        expected = {
-            "window": f"an odd window from 1 to {LARGEST_WINDOW_PX}",
-            "k": f"1 ≤ k ≤ {window**2} neighbours in a window of {window}",
-            "sigma": "a finite sigma above 0 pixels",
-            "cutoff": "a cutoff ≥ 0 metres",
-        }
-        for name, holds in possible.items():
-            if not holds:
-                raise UsageError("knn", f"{name} {getattr(self, name)}", expected[name])
-
-    def candidates(self, width: int) -> tuple[Int, Float]:
-        """Return the offsets of a point's candidates and the factors of their distances.
-
-        Parameters
-        ----------
-        width : int
-            W of the range image. If it is narrower than the window, no pixel comes round twice.
-
-        Returns
-        -------
-        offsets : (M,) int32
-            Flat offsets from the point's pixel, itself left out, in an image that is framed by
-            ``window // 2`` pixels on each side.
-        weights : (M,) float32
-            Their factors, 1 − Gaussian.
-        """
-        half = self.window // 2
-        dy, dx = np.mgrid[-half : half + 1, -half : half + 1]
-        kept = (dx >= -((width - 1) // 2)) & (dx <= width // 2) & ((dx != 0) | (dy != 0))
-        offsets = dy * (width + 2 * half) + dx
-        gaussian = np.exp(-(dy**2 + dx**2) / (2 * self.sigma**2))
-        weights = 1 - gaussian / gaussian.sum()
-        return offsets[kept].astype(np.int32), weights[kept].astype(np.float32)
+    half = parameters.window // 2
+    dy, dx = np.mgrid[-half : half + 1, -half : half + 1]
+    kept = (dx >= -((width - 1) // 2)) & (dx <= width // 2) & ((dx != 0) | (dy != 0))
+    offsets = dy * (width + 2 * half) + dx
+    gaussian = np.exp(-(dy**2 + dx**2) / (2 * parameters.sigma**2))
+    weights = 1 - gaussian / gaussian.sum()
+    return offsets[kept].astype(np.int32), weights[kept].astype(np.float32)
 
 
 def knn_refine(
@@ -134,14 +89,14 @@ def knn_refine(
     ranges = _framed(np.where(empty, np.float32(np.inf), image.channels[0]), half, np.inf)
     framed_labels = _framed(np.where(empty, np.uint8(0), labels), half, 0)
     points = (image.pixel_of_point, image.point_range)
-    candidates = parameters.candidates(width)
+    others = candidates(parameters, width)
     votes = (parameters.k, parameters.cutoff)
     if device == "cpu":
-        return _refine_on_cpu(*points, ranges, framed_labels, width, half, *candidates, *votes)
+        return _refine_on_cpu(*points, ranges, framed_labels, width, half, *others, *votes)
     from salsanext_cli.geometry import knn_torch
 
     return knn_torch.refine(
-        *points, ranges, framed_labels, width, half, *candidates, *votes, device=device
+        *points, ranges, framed_labels, width, half, *others, *votes, device=device
     )
 
 
@@ -186,7 +141,7 @@ def _refine_on_cpu(
     """Return the label of every point.
 
     Ranges and labels are those of an image of this width, flattened after a frame of `half` pixels
-    was added, so that no step has to test for its border; see `KnnParameters.candidates`.
+    was added, so that no step has to test for its border; see `candidates`.
     """
     pixel_of_point = argument(pixel_of_point, np.int32)
     point_range = argument(point_range, np.float32)

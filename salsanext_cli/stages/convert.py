@@ -34,9 +34,7 @@ def convert(
     scan without points is left out, since a `.bin` file of it would be one without content.
     Intensities are those that stages read: bytes divided by 255, others as they are.
 
-    `recording`: a recording, or a topic in it; `folder`: root of the data set; `every`, `limit`:
-    take every so many scans only, the first one included, and then at most `limit`; `options`:
-    workers, errors, overwriting and progress.
+    `recording`: a recording, or a topic in it.
     """
     for name, value in {"--every": every, "--limit": 1 if limit is None else limit}.items():
         if value < 1:

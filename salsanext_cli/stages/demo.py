@@ -49,11 +49,9 @@ def demo(
     options: RunOptions,
     bars: StepProgress,
 ) -> Demonstration:
-    """Run every stage on a synthetic drive; existing results are kept unless overwriting.
+    """Run every stage on a synthetic drive, in ``data/`` and ``out/`` of a folder.
 
-    `folder`: folder of ``data/`` and ``out/``; `scans`: number of scans of the drive; `samples`:
-    Monte-Carlo passes per scan; `network`: weights and device; `options`: jobs, errors and
-    overwriting; `bars`: gives the progress of a step, by its name.
+    Existing results are kept unless overwriting.
     """
     data, out = folder / "data", folder / "out"
     method, valid = UncertaintyMethod(samples=samples), ScanSelection(split="valid")

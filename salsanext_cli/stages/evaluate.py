@@ -101,11 +101,9 @@ def evaluate(
     and uncertainties that lie there are evaluated too. An earlier result is replaced, whatever its
     settings were. Scans that the weights were trained on are left out, unless all were.
 
-    `scans`: scans with labels at `ScanFile.label_path`; `out`: output folder of `predict` or
-    `knn-refine`; `space`: classes to compare, as `ResultFolder.predicted` returns them;
-    `options`: jobs, errors and progress; `by_distance`: score rings of distance too, for which the
-    scans are read; `settings`: settings of the selection and of the predictions, for the record;
-    `labels`: as `space_of_labels` takes it.
+    `space`: classes to compare, as `ResultFolder.predicted` returns them; `by_distance`: score
+    rings of distance too, for which the scans are read; `settings`: settings of the selection and
+    of the predictions, for the record; `labels`: as `space_of_labels` takes it.
     """
     results = ResultFolder(out)
     labels, merging = space_of_labels(scans, space, labels), results.merging_into(space)

@@ -49,13 +49,10 @@ def export_onnx(
 
     It is computed by ONNX Runtime and compared with torch before it is written.
 
-    `weights`: a weights file; `target`: the `.onnx` file to write; `view`: origin of the range
-    images, if not the sensor that the weights name; its intensity is matched to that of their
-    training; `dynamic_width`: the model takes every width that the network's stride divides;
-    `calibrate`: scans, a sequence or a data set for quantisation to int8; no label is read. The
-    model sees them as in `predict`: without `view`, the sensor is fitted to them; their intensity
-    is matched; `selection`: which of these; a limit takes evenly spaced ones; `overwrite`: whether
-    the target may exist.
+    `view`: origin of the range images, if not the sensor that the weights name; its intensity is
+    matched to that of their training; `dynamic_width`: take every width that the network's stride
+    divides; `calibrate`: scans, without labels, for quantisation to int8. The model sees them as in
+    `predict`: without `view`, the sensor is fitted to them.
 
     Returns plain data: `opset`, `bytes`, shapes of `input` and `output`, the largest `difference`
     from torch relative to the largest logit; for int8 the number of `scans` and the share of pixels

@@ -89,15 +89,11 @@ def export_ply(
     The first colouring of a folder goes there, each further one to `ply/<colour>/*.ply`. Clouds of
     results that have been made anew since are replaced.
 
-    `out`: the output folder, with what earlier stages left there; `colour`: one of `COLOURS`;
-    `scale`: the values at the ends of the colour map, for colours that are values. Otherwise what
-    most points of the first scans span; it is the same for all scans and written down in every
-    file; `max_error`: points whose error is above it, 0…1, are written as unlabelled; `form`
-    {"ply", "las", "laz"}, format of the files, and folder; `dataset`: where the scans and labels
-    are, if not where the scans came from; `space`: otherwise the one that `predict` recorded in
-    `out`, else that of the scans' data set; `network`: what to sample scans with whose uncertainty
-    is asked for but was not computed yet; and the classes into which those of labels and
-    predictions are merged; `selection`, `options`: which scans, and how to go through them.
+    `colour`: one of `COLOURS`; `scale`: values at the ends of the colour map, the same for all
+    scans, otherwise what most points of the first scans span; `max_error`: points whose error, 0…1,
+    is above it are written as unlabelled; `form`: of `FORMATS`; `network`: what to sample scans
+    with whose uncertainty is asked for but was not computed yet, and the classes into which those
+    of labels and predictions are merged.
     """
     results = ResultFolder(out, dataset)
     if colour not in COLOURS:

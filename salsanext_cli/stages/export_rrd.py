@@ -43,11 +43,7 @@ def export_rrd(
     """Write `OUT/rrd/<seq>.rrd`: points, classes, uncertainties and every other known scalar.
 
     Recordings of earlier runs are replaced. A sequence gets none if none of its scans can be read.
-
-    `out`: the output folder, with what earlier stages left there; `dataset`: where the scans and
-    labels are, if not where the scans came from; `space`, `classes`: of the labels, and into whose
-    classes others are merged; as for `ResultFolder.predicted`; `selection`: which scans;
-    `options`: errors and progress; the scans of a recording are read one after the other.
+    `space`, `classes`: as for `ResultFolder.predicted`.
     """
     results = ResultFolder(out, dataset)
     import_rerun()

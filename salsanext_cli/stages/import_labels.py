@@ -61,14 +61,10 @@ def import_labels(
 ) -> LabelImport:
     """Write label files of the scans of a data set from what a labelling tool wrote.
 
-    `edited`: a cloud with a label scalar (PLY, PCD, LAS, LAZ), a `.label` or `.npy` file, or a
-    folder of such files, which are matched to scans by their names as `scan_of_edited` does. Those
-    of one scan are merged; `dataset`: data set or folder of scans, as `find_scans` takes it;
-    `scalar`: name of the scalar that holds the labels; `ids`: YAML file that maps the tool's ids to
-    names or raw ids of the label space; `space`: classes of the labels, if they are not those of
-    the data set; `sensor`: columns of the scans, if their files do not name them; `overwrite`:
-    whether label files that were changed, or not written by salsanext, may be replaced; `progress`:
-    called with the number of scans done and of those to do.
+    `edited`: a file, or a folder of files, which `scan_of_edited` matches to scans; those of one
+    scan are merged; `ids`: YAML file that maps the tool's ids to names or raw ids; `space`: by
+    default the classes of the data set; `overwrite`: whether label files that were changed, or not
+    written by salsanext, may be replaced.
     """
     scans = find_scans(dataset)
     if recording_of(scans[0].path) is not None:

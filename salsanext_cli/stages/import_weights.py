@@ -32,13 +32,8 @@ def import_weights(
 ) -> WeightsCard:
     """Write a weights file from a published checkpoint, or again from one of ours.
 
-    `source`: what the published code saved with ``torch.save``, or a `.safetensors` file of ours;
-    `target`: the `.safetensors` file to write; `space`: the classes of a published checkpoint;
-    SemanticKITTI's by default. Ours know theirs, and refuse others; `view`: the sensor of a
-    published checkpoint, the HDL-64 by default; or another than ours say; `dropout`: the dropout
-    rate that a published checkpoint was trained with, 0.2 by default. Ours know theirs, and refuse
-    another; `description`: what these weights are; replaces what ours say; `half`: store in
-    float16; `overwrite`: whether the target may exist.
+    A published checkpoint, saved with ``torch.save``, is of SemanticKITTI's classes, the HDL-64 and
+    `DROPOUT` by default; ours know theirs, and refuse another `space` or `dropout`.
     """
     require_target(target, overwrite)
     if source.suffix == WEIGHTS_SUFFIX:

@@ -84,11 +84,8 @@ def inspect(
 ) -> Inspection:
     """Survey scans and check them.
 
-    `source`: a scan, a folder of scans, a sequence or a data set; `sensor`: size of the range
-    images, over whose pixels means and deviations are computed; `space`: names of the classes;
-    otherwise the data set's own, else SemanticKITTI's; `selection`, `options`: selection of the
-    scans, and options of the run; `fit`: read the scans twice: first for field of view and beams,
-    then for their range images.
+    `sensor`: size of the range images, over whose pixels means and deviations are computed; `fit`:
+    read the scans twice, first for field of view and beams, then for their range images.
     """
     scans = select_scans(source, selection, space)
     if fit:

@@ -11,11 +11,11 @@ from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.geometry.knn import KnnParameters, knn_refine
+from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.points import pixels_from_points
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile, find_scans, output_path, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
@@ -88,12 +88,9 @@ def knn_refine_scans(
 ) -> Outcome:
     """Refine labels into `OUT/sequences/<seq>/predictions`.
 
-    `out`: the output folder; holds `pixel_labels` unless `labels` is given; `labels`: a folder of
-    point labels to refine instead, of any origin: `.label` files in the layout of the benchmark's
-    predictions, or directly; `dataset`: where the scans are, a folder of scans or a data set, if
-    not where those of `out` came from; `sensor`: otherwise the one that earlier stages recorded in
-    `out`; else the HDL-64; `space`: otherwise the one that `predict` recorded in `out`, else that
-    of the scans' data set; `knn`, `selection`, `options`: as for `predict_scans`.
+    `labels`: a folder of point labels to refine instead of `pixel_labels`, of any origin: `.label`
+    files in the layout of the benchmark's predictions, or directly; `sensor`, `space`: otherwise
+    those that earlier stages recorded, else the HDL-64 and the classes of the scans' data set.
     """
     results = ResultFolder(out)
     if labels and labels.resolve().is_relative_to(out.resolve()):

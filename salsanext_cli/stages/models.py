@@ -23,13 +23,11 @@ HEIGHT, WIDTH = 64, 2048
 
 
 def models() -> list[dict[str, Any]]:
-    """Build every network, without its numbers, and return what it costs and what papers print.
+    """Build every network, without its numbers; return what it costs and what papers print.
 
-    Returns plain data: the `name` in weights files and recipes; the number of
-    `parameters`, with 20 classes; the `multiply_accumulates` of the convolutions on an image of
-    64×2048, of which the papers print twice as many, with those of the rest, as FLOPs; the
-    `receptive_field`, height and width of what a pixel's logits depend on; the figures of the
-    `paper`; whether its number of parameters `agrees` to the digit.
+    Numbers of plain data are those of 20 classes and an image of 64×2048: `parameters`,
+    `multiply_accumulates` of the convolutions, `receptive_field` in rows and columns, figures of
+    the `paper`, and whether its number of parameters `agrees` to the digit.
     """
     found = []
     for name in ARCHITECTURES:

@@ -103,12 +103,9 @@ def pick(
     Files of it that are there already stay, since they may be edited. A pick that nobody changed is
     replaced if `options.overwrite` says so.
 
-    `source`: a scan, a folder of scans, a sequence, a data set or a recording; `out`: root of the
-    data set to write; `count`: number of scans to pick; all if there are no more; `strategy`
-    {"both", "uncertainty", "diverse", "random"}, as `choose_scans` takes it; `seed`: of the dropout
-    masks, and of "random"; `network`, `options`: as for `predict_scans`; `selection`: which scans
-    to choose from; a limit takes evenly spaced ones; `labelled`: data sets of scans that are
-    labelled already, by sequence and name: other scans are picked, unlike them.
+    `count`: number of scans to pick, all if there are no more; `strategy`: as `choose_scans` takes
+    it; `labelled`: data sets of scans that are labelled already, by sequence and name: other scans
+    are picked, unlike them.
     """
     require_choice(count, strategy, seed)
     loaded = network.load()

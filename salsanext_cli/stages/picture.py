@@ -77,15 +77,12 @@ def picture(
 ) -> Outcome:
     """Write `OUT/sequences/<seq>/pictures/*.png`, and `pictures.gif` or `.mp4` beside that.
 
-    Pictures of results that have been made anew since are replaced, and animations always.
+    Pictures of results that have been made anew since are replaced, and animations always. Without
+    any results, pictures are of the scans of `dataset` alone.
 
-    `out`: the output folder, with what earlier stages left there; without that, pictures are of the
-    scans of `dataset` alone; `colours`: of `COLOURS`; otherwise everything known of each scan is
-    drawn; `scale`: the values at the ends of the colour map, for a single colour that is a value.
-    Otherwise what most points of some scans span; it is the same for all scans; `animations`: of
-    "gif" and "mp4": formats of an animation of the pictures of each sequence; `frames_per_second`:
-    speed of these; `dataset`, `space`, `selection`, `options`: as for `export_ply`; `classes`: into
-    which those of labels and predictions are merged.
+    `colours`: of `COLOURS`, otherwise everything known of each scan; `scale`: values at the ends of
+    the colour map, the same for all scans, otherwise what most points of some scans span;
+    `animations`: of "gif" and "mp4"; `space`, `classes`: as for `ResultFolder.predicted`.
     """
     results = ResultFolder(out, dataset)
     _require_usable(colours, scale, animations, frames_per_second, options)

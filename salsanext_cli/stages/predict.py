@@ -26,10 +26,9 @@ from salsanext_cli.fitting.label_scan import (
 )
 from salsanext_cli.fitting.scan_checks import check_image
 from salsanext_cli.fitting.scan_fit import fitted_view
-from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.geometry.points import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Attempt, Steps
@@ -132,12 +131,9 @@ def predict_scans(
 ) -> Outcome:
     """Label scans into `OUT/sequences/<seq>/predictions`.
 
-    `source`: a scan, a folder of scans, a sequence or a data set; `out`: the output folder;
-    `network`: weights, device, sensor and precision; `knn`: neighbours in the kNN refinement;
-    `extras`: further results to write; `reject`: points whose error is above it, 0…1, are
-    unlabelled; the error is written too; `batch`: scans computed together, at least 1; by default
-    one on a CPU, on a GPU as many as keep it busy. Halved where memory runs out; `selection`,
-    `options`: which scans, and how to go through them.
+    `extras`: further results to write, of "pixel_labels", "probabilities" and "uncertainty/error";
+    `reject`: points whose error, 0…1, is above it are unlabelled, and the error is written too;
+    `batch`: scans computed together, halved where memory runs out; None for what suits the device.
     """
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
@@ -194,10 +190,7 @@ def predict_range_images(
 ) -> Outcome:
     """Label range images that `project` wrote into `OUT/sequences/<seq>/pixel_labels`.
 
-    `knn_refine` makes point labels of them, the same as `predict_scans` does.
-
-    `folder`: the output folder of `project`; `out`: the output folder, which may be the same;
-    `network`, `selection`, `options`: as for `predict_scans`.
+    `knn_refine_scans` makes point labels of them, the same as `predict_scans` does.
     """
     loaded = network.load()
     projected = projected_sensor(folder)

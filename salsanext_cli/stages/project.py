@@ -39,9 +39,8 @@ def project_scans(
 ) -> Outcome:
     """Project scans to `OUT/sequences/<seq>/range` and `pixels`.
 
-    `sensor`: field of view and size of the range images; `fit`: whether its view and direction up
-    are those of the scans where they differ much; what it does not tell of housing and vehicle is
-    found either way; `source`, `out`, `selection`, `options`: as for `predict_scans`.
+    `fit`: whether view and direction up of the sensor are those of the scans where they differ
+    much; what it does not tell of housing and vehicle is found either way.
     """
     found = scans_of(source)
     scans = choose(found, selection, space_of(found), source)

@@ -1,27 +1,28 @@
 # SPDX-License-Identifier: MIT
-"""Stage `report`: one page of a run, a single HTML file that needs nothing else."""
+"""Stages `report` and `view`: the page of a run, as one HTML file or served to a browser."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from threading import Lock
+from typing import Any, TypedDict, Unpack
+
+import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import (
-    NoInputError,
-    SalsanextError,
-)
+from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
 from salsanext_cli.measures.drive import ScanRow, named, read_row, worth_looking_at
 from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.report.page.clouds import scales_of
+from salsanext_cli.report.page.clouds import encode_cloud, plain_scales, scales_of
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import RunResults
+from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.report.page.shown_scans import ShownScan
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import MissingResults, space_of_labels
@@ -29,6 +30,19 @@ from salsanext_cli.results.stage_records import StageRecords
 
 PAGE = "report.html"
 """Name of the page in the output folder."""
+SAMPLED = 5
+"""Evenly spaced scans that `view` takes the scales from, besides those worth looking at."""
+
+
+class RunChoice(TypedDict, total=False):
+    """Arguments of `read_run` but the output folder."""
+
+    dataset: Path | None
+    space: LabelSpace | None
+    classes: LabelSpace | None
+    by_distance: bool
+    selection: ScanSelection
+    options: RunOptions
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,50 +76,25 @@ class Report:
             "accuracy": plain(self.accuracy),
             "iou_mean_present": plain(self.iou_mean_present),
             "sentence": self.sentence,
-            "missing": [str(scan.path) for scan in self.missing.scans],
-            "not_asked_for": self.missing.not_asked_for,
-            "failures": [failure.to_dict() for failure in self.failures],
+            **_left_out(self.missing, self.failures),
         }
 
 
-def report(
-    out: Path,
-    *,
-    scans: Sequence[str] = (),
-    dataset: Path | None = None,
-    space: LabelSpace | None = None,
-    classes: LabelSpace | None = None,
-    by_distance: bool = False,
-    selection: ScanSelection = ScanSelection(),
-    options: RunOptions = RunOptions(),
-) -> Report:
+def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice]) -> Report:
     """Write `OUT/report.html`: what was run, the numbers of all scans, and some scans to look at.
 
-    `out`: the output folder, with what earlier stages left there; `scans`: names of the scans to
-    show point by point, ``08/000000``; without any, up to four that are worth looking at;
-    `dataset`: where the scans and labels are, if not where the scans came from; `space`, `classes`:
-    of the labels, and into whose classes others are merged; as for `ResultFolder.predicted`;
-    `by_distance`: score rings of distance too, for which all labelled scans are read; `selection`,
-    `options`: which scans, and how to go through them.
+    `scans`: names of those to show point by point, ``08/000000``; without any, up to four that are
+    worth looking at; all else as for `read_run`.
     """
     page = out / PAGE
     OwnedFolder(out).require_own([page])
-    run, failures = read_run(
-        out,
-        dataset=dataset,
-        space=space,
-        classes=classes,
-        by_distance=by_distance,
-        selection=selection,
-        options=options,
-    )
+    run, unread = read_run(out, **choice)
     chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.how["space"])
-    shown, unreadable = _shown(run, chosen)
-    failures += unreadable
-    compared = run.compared()
+    rows = {row.name: row for row in run.rows}
+    shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
+    failures, compared = (*unread, *unshown), run.compared()
     reasons = [failure.reason for failure in failures]
-    content = run.content(shown, compared, reasons, scales_of(shown))
-    written = html_of(content).encode()
+    written = html_of(run.content(shown, compared, reasons, scales_of(shown))).encode()
     OwnedFolder(out).replace({page: written})
     kept = compared.uncertainty.kept if compared else None
     return Report(
@@ -123,6 +112,74 @@ def report(
     )
 
 
+class View(PageServer):
+    """Server of a run's page; `serve_forever` answers, and leaving the context closes the port.
+
+    `scans`: number of scans that can be looked at; `missing`: scans without results, left out;
+    `failures`: scans that could not be read.
+    """
+
+    def __init__(self, port: int) -> None:
+        super().__init__(port)
+        self.scans, self.missing = 0, MissingResults()
+        self.failures: tuple[Failure, ...] = ()
+        self._lock = Lock()
+
+    def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
+        """Take the results that are served; raises `NoInputError` if no scan can be shown."""
+        self._run, self._state = run, _state_of(run.out)
+        reasons = worth_looking_at(run.rows, run.how["space"])
+        spaced = {*np.linspace(0, len(run.rows) - 1, SAMPLED).astype(int).tolist()}
+        chosen = (r for i, r in enumerate(run.rows) if i in spaced or r.name in reasons)
+        sample, unread = _readable(run, ((row, "") for row in chosen))
+        self.scans, self.missing = len(run.rows), run.missing
+        self.failures = (*failures, *unread)
+        self._scales = scales_of(sample)
+        failed = [failure.reason for failure in self.failures]
+        served = {row.name: reasons.get(row.name, "") for row in run.rows}
+        content = run.content((), run.compared(), failed, self._scales, served)
+        self._page = html_of(content, self.token).encode()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        found = {"stage": "view", "url": self.url, "scans": self.scans}
+        return found | _left_out(self.missing, self.failures)
+
+    def page(self) -> bytes:
+        """Return the page as HTML."""
+        return self._page
+
+    def cloud(self, place: int) -> dict[str, Any] | None:
+        """Read a scan; a kind of values keeps the scale that it first got."""
+        if place >= self.scans:
+            return None
+        run = self._run
+        if _state_of(run.out) != self._state:
+            raise OutputError(run.out, "results were made anew since", remedy="start view again")
+        shown = run.read(run.rows[place])
+        with self._lock:
+            if new := shown.values().keys() - self._scales:
+                self._scales |= {name: scales_of([shown])[name] for name in new}
+        cloud = encode_cloud(shown, run.how["space"], run.how["sensor"], self._scales)
+        cloud["scales"] = plain_scales(self._scales)
+        found: dict[str, Any] = escaped(cloud)
+        return found
+
+
+def view(out: Path, *, port: int = 0, **choice: Unpack[RunChoice]) -> View:
+    """Read the results of a run, and open a port on which a browser can look at them.
+
+    `port`: port on the loopback interface, 0 for any free one; all else as for `read_run`.
+    """
+    server = View(port)
+    try:
+        server.take(*read_run(out, **choice))
+    except BaseException:
+        server.server_close()
+        raise
+    return server
+
+
 def read_run(
     out: Path,
     *,
@@ -133,17 +190,24 @@ def read_run(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> tuple[RunResults, tuple[Failure, ...]]:
-    """Read the results of all scans of a run; arguments and errors are as for `report`."""
+    """Read the results of all scans of a run, and name the scans that cannot be read.
+
+    `dataset`: where scans and labels are, if not where the scans came from; `space`, `classes`: as
+    for `ResultFolder.predicted`; `by_distance`: score rings of distance too, for which all labelled
+    scans are read.
+    """
     results = ResultFolder(out, dataset)
     asked, results_space = results.predicted(selection, space, classes)
     results.require_same_weights()
     files = results.with_results(asked)
     missing = results.missing_results(set(asked) - set(files))
     missing.log_error(len(asked), "results")
-    labels = space_of_labels(files, results_space, space)
-    merging = results.merging_into(results_space)
-    sensor = results.sensor()
-    how = {"space": results_space, "labels": labels, "merging": merging, "sensor": sensor}
+    how = {
+        "space": results_space,
+        "labels": space_of_labels(files, results_space, space),
+        "merging": results.merging_into(results_space),
+        "sensor": results.sensor(),
+    }
     rows, counts, failures = _rows(files, out, how, by_distance, options)
     return RunResults(out, rows, counts, missing, how), failures
 
@@ -163,10 +227,10 @@ def _rows(
     def keep(found: tuple[ScanRow, ScanCounts | None]) -> None:
         row, of_scan = found
         rows.append(row)
-        if of_scan and of_scan.trained_on:
-            trained_on.add(row)
         if of_scan:
             counts.add(of_scan)
+            if of_scan.trained_on:
+                trained_on.add(row)
 
     known = StageRecords(out).trained_on()
     task = partial(read_row, out=out, by_distance=by_distance, trained_on=known, **how)
@@ -180,18 +244,33 @@ def _rows(
     return rows, scored if scored.scans else None, outcome.failures
 
 
-def _shown(
-    run: RunResults, chosen: Mapping[str, str]
+def _readable(
+    run: RunResults, chosen: Iterable[tuple[ScanRow, str]]
 ) -> tuple[list[ShownScan], tuple[Failure, ...]]:
-    """Read the chosen scans; if none can be read, there is nothing to show."""
-    rows = {row.name: row for row in run.rows}
+    """Read scans to be shown, each for a reason; if none can be read, there is nothing to show."""
     shown: list[ShownScan] = []
     failures: list[Failure] = []
-    for name, reason in chosen.items():
+    for row, reason in chosen:
         try:
-            shown.append(run.read(rows[name], reason))
+            shown.append(run.read(row, reason))
         except SalsanextError as error:
-            failures.append(Failure(rows[name].file, str(error), error.code))
+            failures.append(Failure(row.file, str(error), error.code))
     if not shown:
         raise NoInputError(run.out, f"no scan can be shown, as {failures[0].reason}")
     return shown, tuple(failures)
+
+
+def _state_of(out: Path) -> list[tuple[int, int] | None]:
+    """Return size and time of the records of the stages whose results are shown."""
+    paths = [out / f"{stage}.json" for stage in LABELLING_STAGES]
+    states = [path.stat() if path.exists() else None for path in paths]
+    return [state and (state.st_size, state.st_mtime_ns) for state in states]
+
+
+def _left_out(missing: MissingResults, failures: tuple[Failure, ...]) -> dict[str, Any]:
+    """Return the scans that are not on the page, as plain data."""
+    return {
+        "missing": [str(scan.path) for scan in missing.scans],
+        "not_asked_for": missing.not_asked_for,
+        "failures": [failure.to_dict() for failure in failures],
+    }

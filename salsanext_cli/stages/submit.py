@@ -43,11 +43,7 @@ log = logging.getLogger(__name__)
 def write_zip(
     path: Path, members: Mapping[str, Path], advance: Callable[[], None] = lambda: None
 ) -> None:
-    """Write a ZIP file of files, with an entry for each folder before the files in it.
-
-    `path`: the file; `members`: files by their names in the ZIP file, with slashes, in its order;
-    `advance`: called after each file.
-    """
+    """Write a ZIP file of files by their names in it, with an entry for each folder before them."""
     with writing(path, durable=True) as file, ZipFile(file, "w", ZIP_DEFLATED) as made:
         folders: set[str] = set()
         for name, member in members.items():

@@ -61,16 +61,10 @@ def synthesise(
 ) -> dict[str, Any]:
     """Write a data set of synthetic streets: scans, labels, poses, times, `labels.yaml`.
 
-    Where a run with the same settings was interrupted, what is missing is added.
-
-    `out`: the data set's root; `out/sequences/00` and so on are written; `train`, `valid`, `test`:
-    number of sequences per split, numbered in this order; `scans`: scans per sequence; `seed`: the
-    same seed gives the same bytes, whatever `jobs` is; another number of scans or another spacing
-    gives other streets; `spacing`: distance driven between two scans, metres; `sensor`:
-    ``"hdl64"``, or ``"random"``: another sensor in each sequence; `jobs`: number of processes, each
-    for a sequence at a time; -1 is one per core; `overwrite`: whether an earlier synthetic data set
-    in `out` may be replaced. Only files that were written by it, are unchanged since and are not
-    behind a link are removed; `progress`: called with the number of scans done and in total.
+    Where a run with the same settings was interrupted, what is missing is added. The same `seed`
+    gives the same bytes, whatever `jobs` is; another number of scans or another spacing gives other
+    streets. To overwrite removes only files that were written by it, are unchanged since and are
+    not behind a link.
 
     Returns plain data: the number of all `scans`, the names of sequences by split, `splits`, and
     the number of points by raw id, `points`.

@@ -90,20 +90,15 @@ def train(
     With a recipe of some folds, scans without a validation split are cross-validated: that chooses
     the number of epochs and the temperature of the weights, which are then trained on all scans.
 
-    Started by torchrun, each worker learns from its share of every batch, and the first writes.
+    Started by torchrun, each worker learns from its share of every batch, on its own GPU, and the
+    first writes.
 
-    `dataset`: a data set root; its label space says which sequences are for training and
-    validation; `run`: gets ``best.safetensors``, ``last.safetensors``, ``log.csv``, ``curve.png``,
-    ``recipe.toml``, a picture per epoch in ``samples`` and a checkpoint to resume from; `recipe`:
-    how to train; `sensor`: how to project; by default the sensor of `weights`, else the HDL-64;
-    `space`: meaning of the labels and split of the sequences; by default what the data set says,
-    else SemanticKITTI's; `device`: as `choose_device` takes it; under torchrun each worker of a
-    machine has its own GPU; `jobs`: processes that prepare samples; with 1 the training process
-    does it itself; `weights`: weights to start from; otherwise those that the recipe says;
-    `overwrite`: whether to start anew where the folder holds a training; `strict`: whether to
-    refuse doubtful scans; `also`: roots of further data sets of the same classes, whose training
-    splits the recipe's share `also` of the samples is drawn from; `progress`: called with a
-    `StepReport` after every step.
+    `run`: gets ``best.safetensors``, ``last.safetensors``, ``log.csv``, ``curve.png``,
+    ``recipe.toml``, a picture per epoch in ``samples`` and a checkpoint to resume from; `sensor`:
+    by default that of the weights to start from, else the HDL-64; `space`: by default what the
+    data set says, else SemanticKITTI's; `jobs`: processes that prepare samples; `weights`: those to
+    start from, otherwise those that the recipe says; `also`: further data sets of the same classes,
+    from which the recipe's share `also` of the samples is drawn.
     """
     workers = worker_count(jobs)
     if recipe.batch < (size := group_of_environment().size):

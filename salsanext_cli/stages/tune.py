@@ -59,11 +59,8 @@ def tune(
 ) -> dict[str, Any]:
     """Write a weights file of which one part is fitted to scans; all else stays, bit for bit.
 
-    `part`: a name of `PARTS`; `source`: labelled scans that the network was not trained on, but any
-    scans for "batchnorm"; `target`: the `.safetensors` file to write; `network`: weights, device
-    and sensor; `selection`: which scans, by default those for validation, or all where no labels
-    are needed; a limit takes scans that are evenly spaced; `overwrite`: whether the target may
-    exist; `progress`: called after each step; `numbers`: of the part's `fit`.
+    `part`: a name of `PARTS`; `selection`: by default the scans for validation, or all where no
+    labels are needed, and a limit takes evenly spaced ones; `numbers`: of the part's `fit`.
 
     Returns plain data: the name of the `stage`, and what the part's `fit` reports.
     """

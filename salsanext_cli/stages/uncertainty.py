@@ -17,10 +17,9 @@ from salsanext_cli.fitting.recorded_network import (
     network_of_labels,
     require_network_of_labels,
 )
-from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.geometry.points import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Steps
@@ -85,9 +84,6 @@ def uncertainty(
 
     The labels of the mean softmax go to `predictions`, unless another stage keeps its
     labels there already: those stay.
-
-    `method`: how; by default 30 passes of Monte-Carlo dropout and eight over noisy copies;
-    `source`, `out`, `network`, `knn`, `selection`, `options`: as for `predict_scans`.
     """
     loaded = network.load()
     found = scans_of(source)
@@ -109,10 +105,7 @@ def uncertainty_of(
     method: UncertaintyMethod = UncertaintyMethod(),
     record_scans: bool = True,
 ) -> Outcome:
-    """Do what `uncertainty` does to scans already chosen, with a network already loaded.
-
-    `record_scans` is as `output_run` takes it.
-    """
+    """Do what `uncertainty` does to scans already chosen, with a network already loaded."""
     method.require(loaded)
     settings = network.record(loaded) | {"knn": asdict(knn)} | method.settings(loaded.sensor)
     kinds = tuple(f"uncertainty/{kind}" for kind in method.kinds)

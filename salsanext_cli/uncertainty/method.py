@@ -8,9 +8,9 @@ from typing import Any
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
 from salsanext_cli.files.json_files import RecordedSettings
-from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import require_dropout
+from salsanext_cli.options import KnnParameters
 from salsanext_cli.records import RangeImage
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.sensors.sensor import Sensor

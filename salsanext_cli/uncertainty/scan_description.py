@@ -12,8 +12,8 @@ from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.errors import FormatError
 from salsanext_cli.fitting.label_scan import LabelledScan, labelled, project_for
 from salsanext_cli.fitting.scan_checks import ScanCheck
-from salsanext_cli.geometry.knn import KnnParameters
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.options import KnnParameters
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.estimate import Estimate

@@ -35,7 +35,7 @@ def test_what_cannot_be_compared_is_refused(tmp_path, weights):
     write_bin(tmp_path / "1.bin", make_scan(10))
     silent = replace(SMALL, range_noise=None)
     with pytest.raises(UsageError, match="noise is not known"):
-        benchmark(tmp_path, network=NetworkSettings(weights, "cpu", silent))
+        benchmark(tmp_path, network=NetworkSettings(weights, "cpu", sensor=silent))
     certain = write_weights(tmp_path / "certain.safetensors", dropout=0.0)
     with pytest.raises(WeightsError, match=r"without dropout .* --parts"):
         benchmark(tmp_path, network=NetworkSettings(certain, "cpu"))
@@ -69,7 +69,7 @@ def test_sides_take_turns_on_the_same_scan(monkeypatch, tmp_path, weights):
     monkeypatch.setattr(speed, "take_turn", take_turn)
     found = benchmark(
         tmp_path,
-        network=NetworkSettings(weights, "cpu", replace(SMALL, intensity_scale=255.0)),
+        network=NetworkSettings(weights, "cpu", sensor=replace(SMALL, intensity_scale=255.0)),
         parts=("knn", "help"),
         progress=lambda *counts: progress.append(counts),
     )
@@ -120,7 +120,7 @@ def test_everything_is_measured(tmp_path, weights, device):
     """One round of all parts, both sides in their processes."""
     write_bin(tmp_path / "000000.bin", make_scan())
     height, width = (64, 512) if device == "cuda" else (16, 64)
-    network = NetworkSettings(weights, device, replace(SMALL, height=height, width=width))
+    network = NetworkSettings(weights, device, sensor=replace(SMALL, height=height, width=width))
     found = benchmark(tmp_path, network=network, rounds=1, threads=1)
     if device == "cuda":
         assert found["machine"]["device"] == torch.cuda.get_device_name()

@@ -383,11 +383,8 @@ def test_settings_reach_the_stage(run, weights, monkeypatch):
         seen[name] for name in ("network", "selection", "knn", "options")
     )
     assert (selection.sequences, selection.limit) == (("00", "08"), 7)
-    assert (network.weights, network.device, network.sensor.name) == (weights, "cpu", "hdl32")
-    # Of a built-in sensor; size and view are those of the weights.
-    assert (network.sensor.intensity_scale, network.fit) == (255, True)
-    assert network.sensor.view() == replace(SMALL, intensity_scale=255.0).view()
-    assert network.precision == "bfloat16"
+    settings = (network.weights, network.device, network.precision, network.sensor)
+    assert settings == (weights, "cpu", "bfloat16", "hdl32")
     assert (knn.k, knn.window, knn.sigma, knn.cutoff) == (3, 7, 2.0, 0.5)
     assert (run.jobs, run.overwrite, run.on_error) == (2, True, "stop")
 

@@ -12,10 +12,11 @@ from command_line import every_command, only_json, parsed
 from scans import SMALL, labels_below, write_weights
 
 from salsanext_cli.cli import options
-from salsanext_cli.cli.option_groups import Default, Shown, Without, expanded
+from salsanext_cli.cli.option_groups import Default, Only, Shown, Without, expanded
+from salsanext_cli.engines.settings import NetworkSettings, weights_file
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.card import default_weights
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.options import KnnParameters, ScanSelection
 
 SHARDED = {"project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"}
 
@@ -32,30 +33,27 @@ def test_a_group_is_expanded_filled_and_handed_over():
             Default(limit=4),
             Shown(limit={"help": "Some."}),
         ],
-        knn: Annotated[options.Knn, Without({"knn_window", "knn_sigma", "knn_cutoff"})],
+        knn: Annotated[KnnParameters, Only({"k"})],
     ) -> None:
         seen.update(name=name, selection=selection, knn=knn)
 
     typed = expanded(command)
     parameters = inspect.signature(typed).parameters
     defaults = {name: parameter.default for name, parameter in parameters.items()}
-    assert defaults == {"name": "x", "sequences": None, "limit": 4, "knn_k": 5}
-    typed(**defaults | {"sequences": "00", "knn_k": 3})
+    assert defaults == {"name": "x", "sequences": None, "limit": 4, "k": 5}
+    typed(**defaults | {"sequences": "00", "k": 3})
     assert seen["selection"] == ScanSelection(sequences=("00",), limit=4)
-    assert seen["knn"] == options.Knn(knn_k=3)
+    assert seen["knn"] == KnnParameters(k=3)
 
 
 def test_the_default_weights_have_a_name():
-    assert options.NetworkOptions(weights=Path("default")).settings().weights is None
-    assert options.weights_file(Path("default")) == options.weights_file(None) == default_weights()
-    other = Path("a/default")
-    assert options.NetworkOptions(weights=other).settings().weights == other
-    assert options.weights_file(other) == other
+    assert weights_file(Path("default")) == weights_file(None) == default_weights()
+    assert weights_file(Path("a/default")) == Path("a/default")
 
 
 def test_the_error_of_an_unknown_sensor_lists_auto_where_that_is_one():
     with pytest.raises(UsageError, match="expected one of auto, hdl64"):
-        options.NetworkOptions(sensor="atuo").named_sensor()
+        NetworkSettings(sensor="atuo").named_sensor()
     with pytest.raises(UsageError, match="expected one of hdl64"):
         options.sensor("atuo")
 
@@ -119,26 +117,27 @@ KNOWING = {"intensity_quantiles": (0.0,) * 64 + (1.0,), "row_gaps": 0.3}
 def network(tmp_path):
     """Return a function that builds settings of weights that know the scans of their training."""
     weights = write_weights(tmp_path / "knowing.safetensors", sensor=replace(SMALL, **KNOWING))
-    return lambda **changed: options.NetworkOptions(weights=weights, **changed)
+    return lambda **changed: NetworkSettings(weights, **changed)
 
 
 def test_a_built_in_sensor_tells_noise_and_scale_of_intensity(network):
-    settings = network(sensor="hdl32").settings()
+    settings = network(sensor="hdl32")
     own = {"name": "hdl32", "intensity_scale": 255.0}
-    assert settings.sensor == replace(SMALL, **own, range_noise=0.02, intensity_noise=0.02)
-    assert settings.fit
+    seen = replace(SMALL, **own, range_noise=0.02, intensity_noise=0.02)
+    assert settings.named_sensor() == seen
+    assert settings.fits_view
 
 
 def test_a_file_tells_view_and_size(network, tmp_path):
     (tmp_path / "own.toml").write_text("fov_up = 10\nfov_down = -10\nheight = 8\nwidth = 32\n")
-    settings = network(sensor=str(tmp_path / "own.toml")).settings()
-    seen = settings.sensor
+    settings = network(sensor=str(tmp_path / "own.toml"))
+    seen = settings.named_sensor()
     assert (seen.fov_up, seen.height, seen.means) == (10, 8, SMALL.means)
-    assert not settings.fit
+    assert not settings.fits_view
 
 
 def test_what_training_measured_is_not_taken_for_the_scans(network):
     """Else scans whose columns are named would not be matched to it."""
-    named = network(columns="x,y,z,i").settings().sensor
+    named = network(columns="x,y,z,i").named_sensor()
     assert named == replace(SMALL, columns=("x", "y", "z", "i"))
-    assert network().settings().sensor is None
+    assert network().named_sensor() is None

@@ -92,7 +92,7 @@ def test_settings_reach_the_stage(typed, weights, what, split, limit):
     assert seen["selection"] == ScanSelection(sequences=("00",), limit=7)
     assert (seen["overwrite"], seen["progress"]) == (True, None)
     used = seen["network"]
-    assert (used.weights, used.sensor.name, used.device) == (weights, "hdl32", "cpu")
+    assert (used.weights, used.sensor, used.device) == (weights, "hdl32", "cpu")
     assert typed(what, "--split", "train", "--limit", 1)["selection"].split == "train"
 
 

@@ -71,7 +71,7 @@ def overwriting(folder: Path) -> Run:
     from scans import write_sequence, write_weights
 
     from salsanext_cli.engines.settings import NetworkSettings
-    from salsanext_cli.geometry.knn import KnnParameters
+    from salsanext_cli.options import KnnParameters
     from salsanext_cli.parallel.run import RunOptions
     from salsanext_cli.stages.predict import predict_scans
 

@@ -20,8 +20,7 @@ from salsanext_cli import write_labels
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.stage_records import StageRecord
-from salsanext_cli.stages.report import report
-from salsanext_cli.stages.view import view
+from salsanext_cli.stages.report import report, view
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: make test installs it")

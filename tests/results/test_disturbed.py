@@ -17,7 +17,7 @@ from scans import files_below, labels_below, write_sequence, write_weights
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, WeightsError
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.geometry.knn import KnnParameters
+from salsanext_cli.options import KnnParameters
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
 from salsanext_cli.results.layout import find_scans

@@ -10,8 +10,7 @@ from scans import files_below, write_array
 
 from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError
-from salsanext_cli.geometry.knn import KnnParameters
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
 from salsanext_cli.report import birds_eye, scan_pictures

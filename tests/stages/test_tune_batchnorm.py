@@ -92,7 +92,9 @@ def test_the_card_keeps_what_is_still_true(folder, target, weights, tmp_path):
     tempered = replace(card, temperature=1.5, scores={"miou": 0.5}, recipe={"name": "quick"})
     source = tmp_path / "source.safetensors"
     save_weights(source, module, tempered)
-    tune("batchnorm", folder, target, network=NetworkSettings(source, "cpu", WIDER), share=0.5)
+    tune(
+        "batchnorm", folder, target, network=NetworkSettings(source, "cpu", sensor=WIDER), share=0.5
+    )
     found = read_card(target)
     said = "random Batch norm re-estimated on 3 scans of wider, share 0.5."
     expected = replace(tempered, scores={}, sensor=WIDER, description=said)

@@ -17,8 +17,7 @@ from served import served
 from salsanext_cli.errors import UsageError
 from salsanext_cli.report.page import run_results
 from salsanext_cli.results.stage_records import StageRecord
-from salsanext_cli.stages.report import report
-from salsanext_cli.stages.view import view
+from salsanext_cli.stages.report import report, view
 
 
 @pytest.fixture

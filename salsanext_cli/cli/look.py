@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: MIT
+"""Commands of the panel Look: pictures, recordings and pages of results."""
+
+import os
+import shlex
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.cli.progress import over_scans, progress
+from salsanext_cli.errors import counted
+from salsanext_cli.interruption import ARRIVED
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.options import RunOptions
+
+
+def picture(
+    *,
+    results: options.Results,
+    colour: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--colour",
+            "--color",
+            help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
+            "error, epistemic, aleatoric, total, entropy, mutual_information; may be given "
+            "several times.",
+            show_default="everything known",
+        ),
+    ] = None,
+    scale: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            help="Values at the two ends of the colour map, for a single --colour.",
+            show_default="range of most of the values",
+        ),
+    ] = None,
+    gif: Annotated[bool, typer.Option("--gif", help="Animate each sequence as GIF.")] = False,
+    mp4: Annotated[
+        bool, typer.Option("--mp4", help="Animate each sequence as MP4; needs ffmpeg.")
+    ] = False,
+    fps: Annotated[float, typer.Option(help="Scans per second of the animations.")] = 5.0,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    running: RunOptions,
+    output: console.Output,
+) -> None:
+    """Draw scans and their results, from above and as range images, as PNG, GIF or MP4.
+
+    Example: salsanext picture --colour label --colour uncertainty
+    """
+    from salsanext_cli.stages.picture import picture as stage
+
+    out = results.folder()
+    with over_scans("picture", running, output.quiet) as run:
+        outcome = stage(
+            out,
+            colours=colour or (),
+            scale=scale,
+            animations=[form for form, wanted in (("gif", gif), ("mp4", mp4)) if wanted],
+            frames_per_second=fps,
+            dataset=dataset,
+            space=options.label_space(label_space),
+            classes=options.label_space(classes),
+            selection=selection,
+            options=run,
+        )
+    run_end.finish("picture", outcome, out, output)
+
+
+def export_rrd(
+    *,
+    results: options.Results,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    running: Annotated[RunOptions, Without({"jobs", "backend", "scheduler", "shard", "overwrite"})],
+    output: console.Output,
+) -> None:
+    """Write recordings for the Rerun viewer that hold every known value of every point.
+
+    Example: salsanext export-rrd out/
+    """
+    from salsanext_cli.stages.export_rrd import export_rrd as stage
+
+    out = results.folder()
+    with over_scans("export-rrd", running, output.quiet) as run:
+        outcome = stage(
+            out,
+            dataset=dataset,
+            space=options.label_space(label_space),
+            classes=options.label_space(classes),
+            selection=selection,
+            options=run,
+        )
+    run_end.finish("export-rrd", outcome, out, output)
+
+
+def demo(
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Folder for the data and the results.")
+    ] = Path("demo"),
+    *,
+    scans: Annotated[int, typer.Option(help="Number of scans of the synthetic drive.")] = 4,
+    samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
+    classes: options.MergedInto = None,
+    network: Annotated[options.Network, Without({"sensor", "columns", "min_range", "ego"})],
+    jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
+    output: console.Output,
+) -> None:
+    """Run the whole pipeline on a synthetic drive and list what to look at.
+
+    Example: salsanext demo demo/
+    """
+    from salsanext_cli.report.tables import score_table
+    from salsanext_cli.stages.demo import demo as stage
+
+    made = stage(
+        folder,
+        scans=scans,
+        samples=samples,
+        network=replace(network, classes=options.label_space(classes)),
+        options=RunOptions(jobs=jobs, overwrite=overwrite),
+        bars=lambda step: progress(step, output.quiet),
+    )
+    pictures, out = [str(path) for path in made.pictures], folder / "out"
+    result = made.evaluation.to_dict() | {"stage": "demo", "pictures": pictures}
+    result["page"] = str(made.page)
+    output.result(result, score_table(made.evaluation.scores))
+    failures = (*made.failures, *made.evaluation.failures)
+    run_end.name_failures(failures)
+    output.say("look at:")
+    for path in (
+        f"{out}/sequences/00/pictures/*.png",
+        f"{out}/eval_iou.png",
+        f"{out}/eval_confusion.png",
+    ):
+        output.say(f"  {path}")
+    output.say(f"  {out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
+    output.say(f"scans: {folder / 'data'}; results of every stage: {out}/sequences/00")
+    output.say(f"everything on one page, for any browser: {made.page}")
+    run_end.leave(failures, made.evaluation.missing)
+
+
+def report(
+    *,
+    results: options.Results,
+    scans: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Scans to show point by point, such as 08/000000,08/000010.",
+            show_default="up to four that are worth looking at",
+        ),
+    ] = None,
+    by_distance: options.ByDistance = False,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    running: options.Reading,
+    output: console.Output,
+) -> None:
+    """Write one page of a run that opens in any browser: numbers, plots, and scans in 3-D.
+
+    Example: salsanext report out/
+    """
+    from salsanext_cli.stages.report import report as stage
+
+    with over_scans("report", running, output.quiet) as run:
+        made = stage(
+            results.folder(),
+            scans=[name.strip() for name in (scans or "").split(",") if name.strip()],
+            dataset=dataset,
+            space=options.label_space(label_space),
+            classes=options.label_space(classes),
+            by_distance=by_distance,
+            selection=selection,
+            options=run,
+        )
+    output.result(made.to_dict())
+    run_end.name_failures(made.failures)
+    for name, reason in made.shown.items():
+        output.say(f"  {name}: {reason}")
+    left_out = run_end.left_out(made.missing)
+    size = f"{made.bytes / 1e6:.1f} MB"
+    output.say(f"report: {counted(made.scans, 'scan')}{left_out} → {made.page} ({size})")
+    run_end.leave(made.failures, made.missing)
+
+
+def view(
+    *,
+    results: options.Results,
+    port: Annotated[
+        int, typer.Option(help="Port on this machine; 0: any free one.", min=0, max=65535)
+    ] = 8765,
+    by_distance: options.ByDistance = False,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    running: options.Reading,
+    output: console.Output,
+) -> None:
+    """Show all scans of a run in the browser, until Ctrl-C.
+
+    Example: salsanext view out/
+    """
+    from salsanext_cli.stages.report import view as stage
+
+    with over_scans("view", running, output.quiet) as run:
+        server = stage(
+            results.folder(),
+            port=port,
+            dataset=dataset,
+            space=options.label_space(label_space),
+            classes=options.label_space(classes),
+            by_distance=by_distance,
+            selection=selection,
+            options=run,
+        )
+    run_end.name_failures(server.failures)
+    scans, left_out = counted(server.scans, "scan"), run_end.left_out(server.missing)
+    output.say(f"view: {scans}{left_out}, until Ctrl-C at")
+    if forwarding := _forwarding(server.server_port, os.environ.get("SSH_CONNECTION", "")):
+        output.say(f"from the machine that you sit at, first: {forwarding}")
+    try:
+        with server:
+            output.result(server.to_dict(), server.url)
+            server.serve_forever()
+    except KeyboardInterrupt:
+        ARRIVED.clear()
+        output.say("view: ended")
+    run_end.leave(server.failures, server.missing)
+
+
+def _forwarding(port: int, connection: str) -> str:
+    """Return the command that brings a port of this machine to where an SSH session comes from.
+
+    `connection` is the environment variable SSH_CONNECTION: client, its port, server, its port.
+    """
+    match connection.split():
+        case [_, _, host, ssh_port]:
+            user = f"{name}@" if (name := os.environ.get("USER")) else ""
+            other_port = ["-p", ssh_port] if ssh_port != "22" else []
+            forwarded = f"{port}:127.0.0.1:{port}"
+            return shlex.join(["ssh", "-N", "-L", forwarded, *other_port, user + host])
+    return ""

@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: MIT
+"""Commands of the panel Your own data: any scans to data sets, their labels, a submission."""
+
+import shlex
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.option_groups import Shown
+from salsanext_cli.cli.progress import over_scans, progress, tell
+from salsanext_cli.engines.settings import with_columns
+from salsanext_cli.errors import counted, printable
+from salsanext_cli.options import ScanSelection
+
+
+def inspect(
+    scans: options.Scans = None,
+    *,
+    fit: Annotated[
+        Path | None,
+        typer.Option(help="Write a sensor file (.toml) with view, beams, statistics of the scans."),
+    ] = None,
+    height: Annotated[int | None, typer.Option(help="Rows of its range image.")] = None,
+    width: Annotated[int | None, typer.Option(help="Columns of its range image.")] = None,
+    dataset: options.DataSet = None,
+    selection: ScanSelection,
+    topic: options.Topic = None,
+    label_space: options.LabelSpaceName = None,
+    sensor: options.SensorWithoutWeights = None,
+    columns: options.Columns = None,
+    running: options.Unsharded,
+    strict: options.Strict = False,
+    output: console.Output,
+) -> None:
+    """Summarise a set of scans; fit a sensor to them.
+
+    Example: salsanext inspect my/scans --fit my-sensor.toml --height 32 --width 1024
+    """
+    from salsanext_cli.fitting.view_fit import view_text
+    from salsanext_cli.report.descriptions import survey_tables
+    from salsanext_cli.sensors.sensor import sensor as find_sensor
+    from salsanext_cli.stages.inspect import inspect as stage
+    from salsanext_cli.stages.inspect import write_sensor
+
+    view = with_columns(find_sensor(sensor or "hdl64"), columns).resized(height, width)
+    with over_scans("inspect", running, output.quiet) as run:
+        found = stage(
+            options.source(scans, dataset, topic),
+            sensor=view,
+            space=options.label_space(label_space),
+            selection=selection,
+            options=run,
+            fit=fit is not None,
+        )
+    if fit is not None:
+        # For weights to come; those that are there have a size and normalisation of their own.
+        images = height is not None or width is not None
+        fitted = found.fitted_sensor(fit.stem, images=images)
+        write_sensor(fit, fitted, images=images, overwrite=running.overwrite)
+        beams = f", {len(fitted.beams)} beams" if fitted.beams else ", beams not discernible"
+        output.say(f"inspect: sensor, {view_text(fitted)}{beams} → {fit}")
+    tables = survey_tables(found.sequences, found.total, found.space, found.sensor)
+    output.result(found.to_dict(), tables)
+    run_end.name_failures(found.failures)
+    for line in run_end.warning_lines(found.warnings):
+        output.say(line)
+    run_end.leave(found.failures, failed=strict and bool(found.warnings))
+
+
+def convert(
+    recording: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDING",
+            help="ROS bag (.bag, .mcap, .db3, a folder) or Ouster recording (.pcap, .osf).",
+        ),
+    ],
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Root of the data set to write.")
+    ],
+    *,
+    topic: options.TopicOfRecording = None,
+    every: Annotated[int, typer.Option(help="Take every so many scans only.")] = 1,
+    limit: Annotated[int | None, typer.Option(help="At most this number of scans.")] = None,
+    running: options.Unsharded,
+    output: console.Output,
+) -> None:
+    """Write the scans of a recording as `.bin` files, in SemanticKITTI's layout.
+
+    Example: salsanext convert drive.bag drives/ --every 10
+    """
+    from salsanext_cli.stages.convert import convert as stage
+
+    source = options.in_topic(recording, topic)
+    with over_scans("convert", running, output.quiet) as run:
+        outcome = stage(source, folder, every=every, limit=limit, options=run)
+    run_end.finish("convert", outcome, folder, output)
+
+
+def pick(
+    scans: options.RequiredScans,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Root of the data set to write.")],
+    *,
+    count: Annotated[int, typer.Option(help="Number of scans to pick.")] = 10,
+    strategy: Annotated[
+        Literal["both", "uncertainty", "diverse", "random"],
+        typer.Option(help="Pick what is uncertain, what is unlike the rest, both, or any."),
+    ] = "both",
+    seed: Annotated[int, typer.Option(help="Seed of dropout masks and of random picks.")] = 0,
+    labelled: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="DATASET",
+            help="Data set of scans that are labelled already: others are picked, unlike them; may "
+            "be given several times.",
+        ),
+    ] = None,
+    selection: Annotated[
+        ScanSelection,
+        Shown(limit={"help": "Look at this number of scans only, evenly spaced."}),
+    ],
+    topic: options.Topic = None,
+    network: options.Network,
+    running: options.Unsharded,
+    strict: options.Strict = False,
+    output: console.Output,
+) -> None:
+    """Pick the scans most worth labelling; write them as a data set with labels to correct.
+
+    Example: salsanext pick my/drive to-label/ --count 10
+    """
+    from salsanext_cli.report.picked import picked_table
+    from salsanext_cli.stages.pick import pick as stage
+
+    with over_scans("pick", running, output.quiet) as run:
+        found = stage(
+            options.in_topic(scans, topic),
+            out,
+            count=count,
+            strategy=strategy,
+            seed=seed,
+            network=network,
+            selection=selection,
+            options=run,
+            labelled=labelled or (),
+        )
+    table = picked_table(found.picked) if found.picked else None
+    output.result(found.to_dict() | {"out": str(out)}, table)
+    outcome, doubted = found.outcome, found.warnings
+    run_end.name_failures(outcome.failures)
+    already = f", {outcome.skipped} there already" if outcome.skipped else ""
+    failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
+    chosen = f"{len(found.picked):,} of {counted(found.scans, 'scan')}"
+    output.say(f"pick: {chosen}{already}{failed} → {out}")
+    for line in run_end.warning_lines(doubted):
+        output.say(line)
+    if found.picked:
+        started = ["--weights", str(network.weights)] if network.weights else []
+        following = shlex.join(
+            ["salsanext", "train", str(out), "RUN", "--recipe", "finetune", *started]
+        )
+        edited = shlex.join(["salsanext", "import-labels", "EDITED", str(out)])
+        output.say(f"next: correct the labels, take them back with `{edited}`, then `{following}`")
+    run_end.leave(outcome.failures, failed=strict and bool(doubted))
+
+
+def import_labels(
+    edited: Annotated[
+        Path,
+        typer.Argument(
+            metavar="EDITED",
+            help="Cloud with a label scalar (.ply, .pcd, .las, .laz), .label or .npy file, or "
+            "folder of such files.",
+        ),
+    ],
+    dataset: Annotated[
+        Path, typer.Argument(metavar="DATASET", help="Data set of pick, or folder of scans.")
+    ],
+    *,
+    scalar: Annotated[
+        str | None,
+        typer.Option(help="Scalar that holds the labels.", show_default="the only label there is"),
+    ] = None,
+    ids: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            help="YAML file that maps a tool's ids to classes by name or raw id, such as 3: car.",
+            show_default="raw ids of the label space",
+        ),
+    ] = None,
+    label_space: options.LabelSpaceName = None,
+    columns: options.Columns = None,
+    overwrite: options.Overwrite = False,
+    output: console.Output,
+) -> None:
+    """Take back the labels that a labelling tool wrote, as the label files of a data set.
+
+    Example: salsanext import-labels edited/ to-label/
+    """
+    from salsanext_cli.report.imported import imported_lines, imported_table
+    from salsanext_cli.sensors.sensor import sensor
+    from salsanext_cli.stages.import_labels import import_labels as stage
+
+    with progress("import-labels", output.quiet) as bar:
+        made = stage(
+            *(edited, dataset),
+            scalar=scalar,
+            ids=ids,
+            space=options.label_space(label_space),
+            sensor=with_columns(sensor("hdl64"), columns),
+            overwrite=overwrite,
+            progress=bar,
+        )
+    output.result(made.to_dict(), imported_table(made.scans) if made.scans else None)
+    for failure in made.failures:
+        tell(f"error: {failure['reason']}")
+    for line in imported_lines(made, dataset):
+        output.say(printable(line))
+    if merged := sum(len(scan["files"]) > 1 for scan in made.scans):
+        output.say(f"merged from several files: {counted(merged, 'scan')}")
+    raise typer.Exit(console.FAILED if made.failures else console.DONE)
+
+
+def synth(
+    out: Annotated[Path, typer.Argument(metavar="DATASET", help="Root of the new data set.")],
+    *,
+    train: Annotated[int, typer.Option(help="Number of sequences for training.")] = 8,
+    valid: Annotated[int, typer.Option(help="Number of sequences for validation.")] = 2,
+    test: Annotated[int, typer.Option(help="Number of sequences for testing.")] = 0,
+    scans: Annotated[int, typer.Option(help="Scans per sequence.")] = 20,
+    spacing: Annotated[
+        float, typer.Option(help="Distance driven between two scans, in metres.")
+    ] = 3.0,
+    sensor: Annotated[
+        Literal["hdl64", "random"],
+        typer.Option(help="An HDL-64E, or a random sensor for each sequence."),
+    ] = "hdl64",
+    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
+    jobs: options.Jobs = 1,
+    overwrite: options.Overwrite = False,
+    output: console.Output,
+) -> None:
+    """Generate labelled scans of synthetic streets, in SemanticKITTI's layout.
+
+    Example: salsanext synth streets/ --train 8 --valid 2 --scans 20
+    """
+    from salsanext_cli.stages.synth import synthesise
+
+    with progress("synth", output.quiet) as on_progress:
+        made = synthesise(
+            out,
+            train=train,
+            valid=valid,
+            test=test,
+            scans=scans,
+            seed=seed,
+            spacing=spacing,
+            sensor=sensor,
+            jobs=jobs,
+            overwrite=overwrite,
+            progress=on_progress,
+        )
+    output.result(made)
+    output.say(
+        f"synth: {counted(made['scans'], 'scan')}, {sum(made['points'].values()):,} points → {out}"
+    )
+
+
+def submit(
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Folder with predictions of the test split.")
+    ],
+    target: Annotated[Path, typer.Argument(metavar="ZIP", help="File to write (.zip).")],
+    *,
+    description: Annotated[
+        Path | None, typer.Option(help="Text file about the method, packed as description.txt.")
+    ] = None,
+    dataset: options.DataSetOfResults = None,
+    label_space: options.LabelSpaceName = None,
+    overwrite: options.Overwrite = False,
+    output: console.Output,
+) -> None:
+    """Check the predictions of the test split and pack them for SemanticKITTI's benchmark.
+
+    Example: salsanext submit out/ submission.zip
+    """
+    from salsanext_cli.stages.submit import submit as stage
+
+    with progress("submit", output.quiet, unit="files") as on_progress:
+        made = stage(
+            out,
+            target,
+            dataset=dataset,
+            space=options.label_space(label_space),
+            description=description,
+            overwrite=overwrite,
+            progress=on_progress,
+        )
+    output.result(made.to_dict() | {"zip": str(target)})
+    for problem in made.problems:
+        tell(f"error: {printable(problem.message)}")
+    if made.problems:
+        tell(f"submit: {counted(len(made.problems), 'problem')}, {target} is not written")
+        raise typer.Exit(console.FAILED)
+    output.say(f"submit: {counted(made.scans, 'scan')} → {target}")

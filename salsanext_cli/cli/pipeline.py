@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: MIT
+"""Commands of the panel Pipeline, but `train`: from scans to labels, scores and clouds."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.cli.progress import over_scans
+from salsanext_cli.engines.settings import AUTO, COLUMNS_HELP, with_columns
+from salsanext_cli.errors import UsageError, counted
+from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.parallel.options import RunOptions
+
+if TYPE_CHECKING:
+    from salsanext_cli.parallel.run import Outcome
+
+
+def project(
+    scans: options.Scans = None,
+    out: options.Out = Path("out"),
+    *,
+    dataset: options.DataSet = None,
+    selection: ScanSelection,
+    topic: options.Topic = None,
+    network: Annotated[options.Network, Without({"device", "precision", "engine", "intensity"})],
+    running: RunOptions,
+    strict: options.Strict = False,
+    output: console.Output,
+) -> None:
+    """Project scans onto range images and write these, for `predict` or your own programs.
+
+    Example: salsanext project seq/velodyne out/
+    """
+    from salsanext_cli.stages.project import project_scans
+
+    with over_scans("project", running, output.quiet) as run:
+        outcome = project_scans(
+            options.source(scans, dataset, topic),
+            out,
+            sensor=network.named_sensor() or network.trained_sensor(),
+            fit=network.fits_view,
+            selection=selection,
+            options=run,
+        )
+    sensor = None if network.sensor == AUTO else network.sensor
+    named = {"--weights": network.weights, "--sensor": sensor}
+    more = [word for name, value in named.items() if value for word in (name, str(value))]
+    run_end.finish("project", outcome, out, output, *more, strict=strict)
+
+
+def predict(
+    scans: options.Scans = None,
+    out: options.Out = Path("out"),
+    *,
+    pixel_labels: Annotated[
+        bool, typer.Option("--pixel-labels", help="Also write the label of every pixel.")
+    ] = False,
+    probabilities: Annotated[
+        bool,
+        typer.Option("--probabilities", help="Also write the class probabilities of every point."),
+    ] = False,
+    error: Annotated[
+        bool,
+        typer.Option(
+            "--error",
+            help="Also write the probability that each label is wrong, if the weights know it.",
+        ),
+    ] = False,
+    reject: Annotated[
+        float | None,
+        typer.Option(
+            metavar="ERROR",
+            help="Leave points unlabelled whose label is wrong with a higher probability.",
+        ),
+    ] = None,
+    dataset: options.DataSet = None,
+    selection: ScanSelection,
+    topic: options.Topic = None,
+    classes: options.MergedInto = None,
+    network: options.AdaptableNetwork,
+    knn: KnnParameters,
+    batch: Annotated[
+        str,
+        options.running(
+            help="Scans computed together, halved when memory runs out; auto: 1 on a CPU, on a "
+            "GPU as many as keep it busy."
+        ),
+    ] = AUTO,
+    running: RunOptions,
+    strict: options.Strict = False,
+    output: console.Output,
+) -> None:
+    """Predict the class of every point of every scan.
+
+    Example: salsanext predict seq/velodyne out/
+    """
+    from salsanext_cli.fitting.label_scan import projected_sensor
+    from salsanext_cli.results.layout import ERROR
+    from salsanext_cli.stages.predict import predict_range_images, predict_scans
+
+    source = options.source(scans, dataset, topic)
+    wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}
+    network = replace(network, classes=options.label_space(classes))
+    outcome: Outcome
+    with over_scans("predict", running, output.quiet) as run:
+        if projected_sensor(source) is None:
+            outcome = predict_scans(
+                source,
+                out,
+                network=network,
+                knn=knn,
+                extras=tuple(name for name in wanted if wanted[name]),
+                reject=reject,
+                batch=_batch_size(batch),
+                selection=selection,
+                options=run,
+            )
+        else:
+            of_points = {"--probabilities": probabilities, "--error": error}
+            _require_no_scans(knn, batch, {**of_points, "--reject": reject is not None})
+            outcome = predict_range_images(
+                source, out, network=network, selection=selection, options=run
+            )
+    run_end.finish("predict", outcome, out, output, split=selection.split, strict=strict)
+
+
+def _require_no_scans(knn: KnnParameters, batch: str, of_points: dict[str, bool]) -> None:
+    """Refuse options that need scans, where range images of `project` are given."""
+    for option in (option for option, wanted in of_points.items() if wanted):
+        found = "range images do not tell which points they are of"
+        raise UsageError(option, found, "the scans themselves")
+    if knn != KnnParameters():
+        found = "range images are refined by knn-refine"
+        raise UsageError("--knn-…", found, "the options given there")
+    if batch != AUTO:
+        raise UsageError("--batch", "range images are computed one by one", "scans")
+
+
+def _batch_size(text: str) -> int | None:
+    """Return the number of scans computed together, None for what suits the device."""
+    if text == AUTO:
+        return None
+    if not re.fullmatch(r"\d{1,9}", text, re.ASCII):
+        raise UsageError("--batch", repr(text), "auto, or a number of scans")
+    return int(text)
+
+
+def knn_refine(
+    out: options.Out = Path("out"),
+    *,
+    labels: Annotated[
+        Path | None,
+        typer.Option(help="Refine the .label files of this folder instead, of any program."),
+    ] = None,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    sensor: Annotated[
+        str | None,
+        options.network(
+            help=options.SENSOR_HELP, show_default="the sensor of the earlier stages, else hdl64"
+        ),
+    ] = None,
+    columns: Annotated[
+        str | None,
+        options.network(
+            help=COLUMNS_HELP,
+            show_default="those of the earlier stages, else x,y,z,intensity",
+        ),
+    ] = None,
+    knn: KnnParameters,
+    running: RunOptions,
+    strict: options.Strict = False,
+    output: console.Output,
+) -> None:
+    """Turn labels of pixels into labels of points, or correct labels of points, by neighbours.
+
+    Example: salsanext knn-refine out/
+    """
+    from salsanext_cli.results.stage_records import StageRecords
+    from salsanext_cli.stages.knn_refine import knn_refine_scans
+
+    seen = options.sensor(sensor)
+    if columns is not None:
+        seen = with_columns(seen or StageRecords(out).sensor(), columns)
+    with over_scans("knn-refine", running, output.quiet) as run:
+        outcome = knn_refine_scans(
+            out,
+            labels=labels,
+            dataset=dataset,
+            sensor=seen,
+            space=options.label_space(label_space),
+            knn=knn,
+            selection=selection,
+            options=run,
+        )
+    run_end.finish("knn-refine", outcome, out, output, split=selection.split, strict=strict)
+
+
+def uncertainty(
+    scans: options.Scans = None,
+    out: options.Out = Path("out"),
+    *,
+    method: Annotated[
+        Literal["sampling", "analytic"],
+        typer.Option(help="Monte-Carlo dropout, or an estimate of it in one pass."),
+    ] = "sampling",
+    samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 30,
+    seed: Annotated[int, typer.Option(help="Seed of the dropout masks and the noise.")] = 0,
+    aleatoric: Annotated[
+        Literal["copies", "paper", "none"],
+        typer.Option(
+            help="The sensor's noise, for aleatoric and total uncertainty: by eight noisy copies "
+            "of each scan, or carried through the network as in the paper."
+        ),
+    ] = "copies",
+    dataset: options.DataSet = None,
+    selection: ScanSelection,
+    topic: options.Topic = None,
+    classes: options.MergedInto = None,
+    network: options.AdaptableNetwork,
+    knn: KnnParameters,
+    running: RunOptions,
+    strict: options.Strict = False,
+    output: console.Output,
+) -> None:
+    """Predict the class of every point and its epistemic, aleatoric and total uncertainty.
+
+    Example: salsanext uncertainty seq/velodyne out/ --samples 30
+    """
+    from salsanext_cli.stages.uncertainty import uncertainty as stage
+    from salsanext_cli.uncertainty.method import UncertaintyMethod
+
+    with over_scans("uncertainty", running, output.quiet) as run:
+        outcome = stage(
+            options.source(scans, dataset, topic),
+            out,
+            network=replace(network, classes=options.label_space(classes)),
+            knn=knn,
+            method=UncertaintyMethod(method, samples, seed, aleatoric),
+            selection=selection,
+            options=run,
+        )
+    run_end.finish("uncertainty", outcome, out, output, strict=strict)
+
+
+def evaluate(
+    *,
+    results: options.Results,
+    by_distance: options.ByDistance = False,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    running: options.Reading,
+    output: console.Output,
+) -> None:
+    """Compare predictions with labels, as the official benchmark does.
+
+    Scans that the weights were trained on are left out, unless all were.
+
+    Example: salsanext eval --split valid
+    """
+    from rich.console import Group
+    from rich.text import Text
+
+    from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
+    from salsanext_cli.results.result_folder import ResultFolder
+    from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
+    from salsanext_cli.stages.evaluate import evaluate as stage
+
+    out = results.folder()
+    folder = ResultFolder(out, dataset)
+    labels = options.label_space(label_space)
+    files, space = folder.predicted(selection, labels, options.label_space(classes))
+    with over_scans("eval", running, output.quiet) as run:
+        settings = folder.provenance(selection)
+        found = stage(
+            files, out, space, run, by_distance=by_distance, settings=settings, labels=labels
+        )
+    shown = [score_table(found.scores, ON_TRAINING_SCANS * found.on_training_scans)]
+    if by_distance:
+        shown.append(ring_table(found.by_distance))
+    shown += uncertainty_tables(found.uncertainty)
+    sentences = [Text(found.uncertainty.kept.sentence)] if found.uncertainty.kept else []
+    if settings["reject"] is not None:
+        above = f"predict --reject {settings['reject']:g}"
+        missed = f"Points left unlabelled by {above} are missed ones, without uncertainty."
+        sentences.append(Text(missed))
+    output.result(found.to_dict(), Group(*shown, *sentences))
+    run_end.name_failures(found.failures)
+    left_out = run_end.left_out(found.missing)
+    written = "scores.txt, eval.json, eval_*.png"
+    output.say(f"eval: {counted(found.scans, 'scan')}{left_out} → {out}/{written}")
+    run_end.leave(found.failures, found.missing)
+
+
+def export_ply(
+    *,
+    results: options.Results,
+    colour: Annotated[
+        str,
+        typer.Option(
+            "--colour",
+            "--color",
+            help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
+            "error, epistemic, aleatoric, total, entropy, mutual_information.",
+        ),
+    ] = "label",
+    scale: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            help="Values at the two ends of the colour map.",
+            show_default="range of most of the values",
+        ),
+    ] = None,
+    max_error: Annotated[
+        float | None,
+        typer.Option(help="Write points as unlabelled whose error is above this, 0 to 1."),
+    ] = None,
+    form: Annotated[
+        str, typer.Option("--format", help="ply, or las or laz with the classes of the ASPRS.")
+    ] = "ply",
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    network: Annotated[options.Network, Without({"columns"})],
+    running: RunOptions,
+    output: console.Output,
+) -> None:
+    """Write coloured point clouds that hold every known value of every point.
+
+    Example: salsanext export-ply --colour uncertainty
+    """
+    from salsanext_cli.stages.export_ply import export_ply as stage
+
+    out = results.folder()
+    with over_scans("export-ply", running, output.quiet) as run:
+        outcome = stage(
+            out,
+            colour=colour,
+            scale=scale,
+            max_error=max_error,
+            form=form,
+            dataset=dataset,
+            space=options.label_space(label_space),
+            network=replace(network, classes=options.label_space(classes)),
+            selection=selection,
+            options=run,
+        )
+    run_end.finish("export-ply", outcome, out, output)
