@@ -120,17 +120,10 @@ for commands in COMMANDS.values():
             app.command(name)(guarded(expanded(command)))
 
 
-def _fails_at_lacking(stream: TextIOWrapper) -> bool:
-    """Return whether a character that the encoding lacks would be an error, unasked."""
-    # Python sets "strict", or in the C locale "surrogateescape"; anything else, the user has set.
-    return stream.errors == "strict" or (
-        stream.errors == "surrogateescape" and stream.encoding.lower() != "utf-8"
-    )
-
-
 def main() -> None:
     """Run the command line."""
     sys.modules.setdefault(UNUSED, None)  # type: ignore[arg-type]
-    if isinstance(sys.stdout, TextIOWrapper) and _fails_at_lacking(sys.stdout):
+    # A character that the encoding lacks would be an error, unless the user has said otherwise.
+    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="replace")
     app()

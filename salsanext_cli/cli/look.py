@@ -10,8 +10,8 @@ from typing import Annotated
 import typer
 
 from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.console import over_scans, progress
 from salsanext_cli.cli.option_groups import Without
-from salsanext_cli.cli.progress import over_scans, progress
 from salsanext_cli.errors import counted
 from salsanext_cli.interruption import ARRIVED
 from salsanext_cli.options import ScanSelection

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 import typer
 
 from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.console import over_scans, progress, tell
 from salsanext_cli.cli.option_groups import Shown
-from salsanext_cli.cli.progress import over_scans, progress, tell
 from salsanext_cli.engines.settings import with_columns
 from salsanext_cli.errors import counted, printable
 from salsanext_cli.options import ScanSelection

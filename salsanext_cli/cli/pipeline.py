@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.option_groups import Without
-from salsanext_cli.cli.progress import over_scans
 from salsanext_cli.engines.settings import AUTO, COLUMNS_HELP, with_columns
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.options import KnnParameters, ScanSelection

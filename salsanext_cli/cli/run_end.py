@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 
-from salsanext_cli.cli.console import DONE, FAILED, Output
-from salsanext_cli.cli.progress import tell, words_of_seconds
+from salsanext_cli.cli.console import DONE, FAILED, Output, tell, words_of_seconds
 from salsanext_cli.errors import counted, first_few
 
 if TYPE_CHECKING:
@@ -34,10 +33,8 @@ def finish(
 ) -> NoReturn:
     """Say what became of a run over scans and leave with the exit status for it.
 
-    `stage`: the command; `outcome`: what its stage returned; `out`: the output folder, as it was
-    typed; `output`: amount and form of what is printed; `more`: options that the command to type
-    next needs as well; `split`: the split that the scans are of, if one was named; `strict`:
-    whether warnings about scans count as failures.
+    `more`: options that the command to type next needs as well; `split`: the split that the scans
+    are of, if one was named; `strict`: whether warnings about scans count as failures.
     """
     name_failures(outcome.failures)
     following = next_command(stage, outcome, str(out), more, split)
@@ -155,7 +152,6 @@ def leave(
 def left_out(missing: MissingResults) -> str:
     """Return the part of a sentence that says how many scans were left out on purpose."""
     count = missing.not_asked_for
-    if count == 1:
-        return " (the other scan is left out: no earlier stage was asked for it)"
-    others = f" (the other {count:,} scans are left out: no earlier stage was asked for them)"
-    return others if count else ""
+    others, them = (f"{count:,} scans are", "them") if count > 1 else ("scan is", "it")
+    text = f" (the other {others} left out: no earlier stage was asked for {them})"
+    return text if count else ""

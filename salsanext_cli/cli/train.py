@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli.console import progress
 from salsanext_cli.cli.option_groups import Only
-from salsanext_cli.cli.progress import progress
 from salsanext_cli.engines.settings import (
     COLUMNS_DEFAULT,
     COLUMNS_HELP,

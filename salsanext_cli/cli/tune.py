@@ -8,9 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from salsanext_cli.cli import console, options
-from salsanext_cli.cli.console import guarded
+from salsanext_cli.cli.console import guarded, progress
 from salsanext_cli.cli.option_groups import Default, expanded
-from salsanext_cli.cli.progress import progress
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
 from salsanext_cli.options import ScanSelection

@@ -66,10 +66,11 @@ class NetworkSettings:
         "x, y, z and largest x, y, z in metres, or none; auto finds it in the scans of a drive.",
         default=AUTO,
     )
-    intensity: Literal["auto", "match", "raw", "none"] = network_option(
+    intensity: str = network_option(
         "Match the intensity of the scans to that of training, take it raw, or take none; auto "
         "matches it if the weights know that of their training.",
         default=AUTO,
+        typed=Literal["auto", "match", "raw", "none"],
     )
     adapt: bool = network_option(
         "Adapt batch normalisation to the scans, once for the output folder.",

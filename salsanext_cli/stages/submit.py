@@ -3,11 +3,11 @@
 
 import logging
 import stat
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import count
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
@@ -22,8 +22,6 @@ from salsanext_cli.results.layout import ScanFile, find_outputs
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import data_set_of, space_of, with_splits
 
-OLDEST = (1980, 1, 1, 0, 0, 0)
-"""First date that the format knows, given to all members."""
 UNIX = 3
 FOLDER_IN_DOS = 0x10
 LEVEL = 6
@@ -45,29 +43,23 @@ def write_zip(
 ) -> None:
     """Write a ZIP file of files by their names in it, with an entry for each folder before them."""
     with writing(path, durable=True) as file, ZipFile(file, "w", ZIP_DEFLATED) as made:
-        folders: set[str] = set()
+        folders: set[PurePosixPath] = set()
         for name, member in members.items():
-            for folder in _folders_of(name):
-                if folder not in folders:
-                    folders.add(folder)
-                    made.writestr(_entry(folder, stat.S_IFDIR | 0o755, FOLDER_IN_DOS), b"")
+            for parent in reversed(PurePosixPath(name).parents[:-1]):
+                if parent not in folders:
+                    folders.add(parent)
+                    made.writestr(_entry(f"{parent}/", stat.S_IFDIR | 0o755), b"")
             with reading(member) as opened:
                 content = opened.read()
             made.writestr(_entry(name, stat.S_IFREG | 0o644), content, ZIP_DEFLATED, LEVEL)
             advance()
 
 
-def _folders_of(name: str) -> Iterator[str]:
-    """Yield the folders of a name, the outermost first: "a/", "a/b/" of "a/b/c"."""
-    parts = name.split("/")[:-1]
-    yield from ("/".join(parts[:depth]) + "/" for depth in range(1, len(parts) + 1))
-
-
-def _entry(name: str, mode: int, attributes_of_dos: int = 0) -> ZipInfo:
-    entry = ZipInfo(name, OLDEST)
+def _entry(name: str, mode: int) -> ZipInfo:
+    entry = ZipInfo(name)
     # Else the machine and its settings would be in the file.
     entry.create_system = UNIX
-    entry.external_attr = mode << 16 | attributes_of_dos
+    entry.external_attr = mode << 16 | (FOLDER_IN_DOS if stat.S_ISDIR(mode) else 0)
     return entry
 
 
@@ -96,12 +88,8 @@ def submit(
 ) -> Submission:
     """Check the predictions of the test split and pack them as the benchmark wants them.
 
-    `out`: output folder with `predictions`; `target`: the `.zip` file; it is written only if
-    nothing is wrong; `dataset`: where the scans are, if not where they came from. Without them, the
-    numbers of labels are not compared with those of points; `space`: otherwise that of the scans'
-    data set or of the predictions; `description`: text about the method, for `description.txt`;
-    `overwrite`: whether the file may be replaced; `progress`: called with the number of files read,
-    twice for each scan, and that of all.
+    The file is written only if nothing is wrong. Without scans at hand, the numbers of labels are
+    not compared with those of points. `progress` counts the files read, twice for each scan.
     """
     require_target(target, overwrite, ".zip")
     files = find_outputs(out, "predictions")
@@ -114,7 +102,9 @@ def submit(
     scans = _scans_at_hand(out, dataset, files)
     root = data_set_of(scans[0]) if scans else None
     space = with_splits(ResultFolder(out).compared_space(scans, space), root)
-    _require_full_classes(out, space, scans)
+    if full := unmerged(space, scans):
+        found_classes = f"predictions in the merged classes of {space.name}"
+        raise LabelError(out, found_classes, f"those of {full.name}", "predict without --classes")
     expected = _expected(space, scans, files)
     if unseen := sorted(expected.keys() - {scan.sequence for scan in scans}):
         log.warning(
@@ -136,13 +126,6 @@ def submit(
     if not found:
         write_zip(target, {**texts, **_members(expected, files)}, advance)
     return Submission(total, not unseen, tuple(found))
-
-
-def _require_full_classes(out: Path, space: LabelSpace, scans: Sequence[ScanFile]) -> None:
-    """Refuse merged classes."""
-    if full := unmerged(space, scans):
-        found = f"predictions in the merged classes of {space.name}"
-        raise LabelError(out, found, f"those of {full.name}", "predict without --classes")
 
 
 def unmerged(space: LabelSpace, scans: Sequence[ScanFile] = ()) -> LabelSpace | None:

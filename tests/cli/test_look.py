@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`export-rrd` as it is typed; rerun-sdk is not needed."""
+"""Commands to look at results as they are typed; rerun-sdk is not needed."""
 
 import sys
 from contextlib import contextmanager
@@ -18,11 +18,26 @@ KEYS = {
 
 
 @pytest.fixture
-def world(tmp_path):
+def world(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     world = World(tmp_path)
-    for stem in ("000000", "000001"):
-        world.add(stem, [CAR, ROAD], [CAR, CAR])
+    world.add("000000", [CAR, ROAD], [CAR, CAR])
+    world.add("000001", [CAR, ROAD], [CAR, ROAD])
     return world
+
+
+def test_the_command_says_where_the_page_is(run, world):
+    given = ("report", str(world.out), "--dataset", str(world.dataset))
+    result = run(*given, "--json")
+    assert result.exit_code == 0, result.output
+    found = only_json(result)
+    assert found["page"] == str(world.out / "report.html")
+    assert found["accuracy"] == 3 / 4
+    assert "report: 2 scans" in result.stderr
+    assert run(*given, "--scans", "9").exit_code == 2
+    assert run("report", "nowhere").exit_code == 1
+    result = run(*given, "--scans", "08/000001", "--quiet")
+    assert (result.exit_code, result.output) == (0, "")
 
 
 @pytest.fixture

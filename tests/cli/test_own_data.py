@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: MIT
+"""Commands for one's own data as they are typed: convert, pick, import-labels, submit."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from command_line import only_json
+from edited_clouds import write_ply
+
+from salsanext_cli import label_space, read_labels, read_scan, write_labels
+from salsanext_cli.results.layout import output_path
+from salsanext_cli.stages import submit as stage
+
+
+def test_a_topic_of_a_recording_is_named(run, tmp_path):
+    pytest.importorskip("rosbags")
+    from bags import messages, structured, write_bag
+
+    points = [structured(seed=seed) for seed in range(3)]
+    path = write_bag(tmp_path, ".mcap", [*messages(points[:1], "/a"), *messages(points[1:3], "/b")])
+    refused = run("convert", path, tmp_path / "data")
+    assert refused.exit_code == 2
+    assert "2 topics of point clouds: /a, /b · expected one of them · --topic /a" in refused.stderr
+    done = run("convert", path, tmp_path / "data", "--topic", "/b", "--json")
+    found = only_json(done)
+    assert (found["done"], found["next"]) == (2, f"salsanext predict {tmp_path / 'data'}")
+    project = run("project", path, tmp_path / "out", "--topic", "b", "--sensor", "vlp16")
+    assert project.exit_code == 0, project.output
+    assert run("inspect", path, "--topic", "/a", "--json").exit_code == 0
+    wrong = run("project", tmp_path, tmp_path / "out", "--topic", "/b")
+    assert wrong.exit_code == 2
+    assert "is no recording" in wrong.stderr
+
+
+def test_pick_says_what_comes_next(run, data, tmp_path, weights):
+    out = tmp_path / "to label"
+    found = run("pick", data, out, "--count", 1, "--weights", weights)
+    assert found.exit_code == 0, found.output
+    assert "most uncertain of 2 scans" in found.stdout
+    assert "pick: 1 of 2 scans → " in found.stderr
+    assert f"salsanext train '{out}' RUN --recipe finetune" in found.stderr
+
+
+def test_pick_names_what_it_could_not_read(run, data, tmp_path, weights):
+    (data / "sequences/08/velodyne/000002.bin").write_bytes(b"x")
+    found = run("pick", data, tmp_path / "out", "--weights", weights, "--json")
+    assert found.exit_code == 1
+    result = only_json(found)
+    assert (result["stage"], result["scans"], len(result["picked"])) == ("pick", 3, 2)
+    assert result["picked"][0]["distance"] is None
+    assert [failure["code"] for failure in result["failures"]] == ["format"]
+    assert "000002.bin" in found.stderr
+
+
+@pytest.fixture
+def edited(data, tmp_path):
+    """Return a folder with a cloud of each scan, one of them with a raw id that is unknown."""
+    for stem, more in (("000000", 0), ("000001", 2)):
+        points = read_scan(data / f"sequences/08/velodyne/{stem}.bin").points
+        labels = read_labels(data / f"sequences/08/labels/{stem}.label")
+        write_ply(tmp_path / f"edited/{stem}_done.ply", points, {"Mine": labels + more})
+    shutil.rmtree(data / "sequences/08/labels")
+    return tmp_path / "edited"
+
+
+def test_what_is_imported_and_what_is_not_is_said(run, data, edited):
+    refused = run("import-labels", edited, data)
+    assert refused.exit_code == 1
+    assert "no label among the scalars x, y, z, Mine" in refused.stderr
+    assert refused.stdout == ""
+    done = run("import-labels", edited, data, "--scalar", "mine")
+    assert done.exit_code == 1
+    assert [line for line in done.stdout.splitlines() if "08/000000" in line]
+    assert "unknown label ids 2 (" in done.stderr
+    assert f"import-labels: 1 scan, 1 file failed → {data}" in done.stderr
+    assert "largest classes: " in done.stderr
+    assert "without an edited file" not in done.stderr
+    (edited / "000001_done.ply").unlink()
+    again = run("import-labels", edited, data, "--scalar", "mine")
+    assert "without an edited file, as they were: 1 scan" in again.stderr
+    assert "merged" not in again.stderr
+    shutil.copy(edited / "000000_done.ply", edited / "000000_more.ply")
+    both = run("import-labels", edited, data, "--scalar", "mine")
+    assert both.exit_code == 0
+    assert "merged from several files: 1 scan" in both.stderr
+
+
+def test_json_has_the_numbers(run, data, edited, tmp_path):
+    single = edited / "000000_done.ply"
+    found = only_json(run("import-labels", single, data, "--scalar", "Mine", "--json"))
+    (row,) = found["scans"]
+    assert row["points"] == 1500 == row["labelled"] + row["unlabelled"]
+    assert (found["stage"], found["kept"], found["failures"]) == ("import-labels", 1, [])
+    failed = run("import-labels", edited, data, "--json")
+    assert failed.exit_code == 1
+    assert only_json(failed)["failures"][0]["code"] == "format"
+
+
+def test_a_label_space_that_is_not_the_data_sets_is_wrong_use(run, data, edited):
+    (data / "labels.yaml").write_text(json.dumps(label_space().to_dict()))
+    refused = run("import-labels", edited, data, "--scalar", "mine", "--label-space", "coarse")
+    assert refused.exit_code == 2
+    assert "labels.yaml has other classes or ids" in refused.stderr
+
+
+@pytest.fixture
+def out(tmp_path, monkeypatch):
+    monkeypatch.setattr(stage, "SCANS_OF_TEST", dict.fromkeys(stage.SCANS_OF_TEST, 1))
+    monkeypatch.chdir(tmp_path)
+    for sequence in stage.SCANS_OF_TEST:
+        path = output_path(tmp_path / "out", sequence, "predictions", "000000")
+        write_labels(path, np.full(5, 40))
+    return tmp_path / "out"
+
+
+def test_a_submission(run, out, tmp_path):
+    result = run("submit", "out", "a.zip")
+    assert (result.exit_code, result.stdout) == (0, "")
+    assert result.stderr.splitlines()[-1] == "submit: 11 scans → a.zip"
+    assert run("submit", "out", "a.zip").exit_code == 1
+    found = only_json(run("submit", "out", "b.zip", "--json", "-q"))
+    assert (found["stage"], found["scans"], found["problems"]) == ("submit", 11, [])
+    assert (tmp_path / "a.zip").read_bytes() == (tmp_path / "b.zip").read_bytes()
+
+
+def test_problems_are_one_list_and_status_one(run, out, tmp_path):
+    for sequence in ("12", "20"):
+        output_path(out, sequence, "predictions", "000000").unlink()
+    result = run("submit", "out", "a.zip", "-q")
+    assert result.exit_code == 1
+    assert result.stderr.splitlines() == [
+        *(
+            f"error: sequence {s} · 1 of 1 predictions are missing: 000000 · predict them"
+            for s in ("12", "20")
+        ),
+        "submit: 2 problems, a.zip is not written",
+    ]
+    result = run("submit", "out", "a.zip", "--json")
+    assert [p["sequence"] for p in only_json(result)["problems"]] == ["12", "20"]
+    assert result.exit_code == 1
+    assert not (tmp_path / "a.zip").exists()
