@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Colour scales of values that are the same for all scans of a run."""
 
+import math
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -10,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import SalsanextError
-from salsanext_cli.report.colours import CLASS_COLOURS, value_range
+from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS, value_range
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.scan_results import scalar_columns
@@ -53,3 +54,12 @@ def common_scales(
             for colour in wanted:
                 values[colour].append(columns[colour])
     return {colour: value_range(np.concatenate(found)) for colour, found in values.items()}
+
+
+def require_colouring(colours: Iterable[str], scale: tuple[float, float] | None) -> None:
+    """Refuse colours that there are not, and a scale that is none."""
+    for colour in colours:
+        if colour not in COLOURS:
+            raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
+    if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
+        raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.options import ScanSelection
@@ -61,10 +60,17 @@ def demo(
         with bars(name) as progress:
             yield replace(options, progress=progress)
 
-    drive: dict[str, Any] = {"scans": scans, "seed": SEED, "spacing": SPACING_M}
     with step("synth") as run:
-        anew = options.overwrite
-        synthesise(data, train=0, valid=1, **drive, overwrite=anew, progress=run.progress)
+        synthesise(
+            data,
+            train=0,
+            valid=1,
+            scans=scans,
+            seed=SEED,
+            spacing=SPACING_M,
+            overwrite=run.overwrite,
+            progress=run.progress,
+        )
     with step("predict") as run:
         extras = (ERROR,) if knows_error(network.load()) else ()
         predicted = predict_scans(data, out, network=network, extras=extras, options=run)

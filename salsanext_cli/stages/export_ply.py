@@ -2,7 +2,6 @@
 """Stage `export-ply`: scans and results to coloured point clouds, PLY or LAS."""
 
 import logging
-import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,8 +16,8 @@ from salsanext_cli.formats.las import asprs_class, classification, encode_las, i
 from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.report.colours import COLOURS, PointColours
-from salsanext_cli.report.scales import common_scales
+from salsanext_cli.report.colours import PointColours
+from salsanext_cli.report.scales import common_scales, require_colouring
 from salsanext_cli.results.layout import LABELLING_STAGES, UNCERTAINTY, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
@@ -96,10 +95,7 @@ def export_ply(
     of labels and predictions are merged.
     """
     results = ResultFolder(out, dataset)
-    if colour not in COLOURS:
-        raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
-    if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
-        raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
+    require_colouring([colour], scale)
     if max_error is not None and not 0 <= max_error <= 1:
         raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
     if form not in FORMATS:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Import of a published checkpoint, or of weights of ours, as a weights file."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,7 +36,10 @@ def import_weights(
     """
     require_target(target, overwrite)
     if source.suffix == WEIGHTS_SUFFIX:
-        _require_nothing_known(source, {"--label-space": space, "--dropout": dropout})
+        for option, value in {"--label-space": space, "--dropout": dropout}.items():
+            if value is not None:
+                found = f"{source} says for itself"
+                raise UsageError(option, found, "a published checkpoint", f"leave {option} out")
         module, card = read_weights(source)
         described = description or card.description
         card = replace(card, description=described, sensor=view or card.sensor)
@@ -48,14 +50,6 @@ def import_weights(
         )
     save_weights(target, module, card, half=half)
     return card
-
-
-def _require_nothing_known(source: Path, options: Mapping[str, object]) -> None:
-    """Refuse what weights of ours know themselves, rather than pass over it."""
-    for option, value in options.items():
-        if value is not None:
-            found = f"{source} says for itself"
-            raise UsageError(option, found, "a published checkpoint", f"leave {option} out")
 
 
 def _read_checkpoint(

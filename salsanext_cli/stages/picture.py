@@ -2,7 +2,6 @@
 """Stage `picture`: scans and results to pictures, and these to animations."""
 
 import logging
-import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import partial
@@ -15,8 +14,8 @@ from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.animation import animate, find_ffmpeg, require_animations_replaceable
-from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS
-from salsanext_cli.report.scales import Scales, common_scales
+from salsanext_cli.report.colours import CLASS_COLOURS
+from salsanext_cli.report.scales import Scales, common_scales, require_colouring
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.results.layout import (
     COLOURINGS,
@@ -109,11 +108,11 @@ def picture(
         "label_space": space.to_dict(),
         "origins": made_of,
     }
-    task = partial(picture_scan, colours=colours, scales=scales, space=space, sensor=seen)
     require_animations_replaceable(out, animations, scans)
     with output_run(
         *(out, STAGE, settings, (FOLDER,), scans), overwrite=overwrite, record_scans=not has_results
     ) as output:
+        task = partial(picture_scan, colours=colours, scales=scales, space=space, sensor=seen)
         task = partial(task, output=output, classes=classes, labels=chosen.labels)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
         log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
@@ -132,11 +131,7 @@ def _require_usable(
     options: RunOptions,
 ) -> None:
     """Refuse settings that mean nothing, and a format that cannot be written here."""
-    for colour in colours:
-        if colour not in COLOURS:
-            raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
-    if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
-        raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
+    require_colouring(colours, scale)
     if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
         found = ", ".join(colours) or "none"
         raise UsageError("--scale", f"--colour is {found}", "one that shows values")

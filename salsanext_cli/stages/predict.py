@@ -32,7 +32,7 @@ from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.tasks import Attempt, Steps
-from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ERROR, ScanFile, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
@@ -66,7 +66,8 @@ class LabelWriter:
                 rejected = error > self.reject
         labels[rejected] = 0
         output.write_labels(file, space.to_raw(labels))
-        confidence = _confidence(image, softmax)
+        occupied = image.channels[0] > 0
+        confidence = float(softmax.max(axis=0)[occupied].mean()) if occupied.any() else 1.0
         return ScanSummary.of_labels(
             file, labels, space, scan.check, int(rejected.sum()), confidence
         )
@@ -76,12 +77,6 @@ def most_probable(probabilities: Float) -> TrainIds:
     """Return the most probable class of every pixel: (C, H, W) to (H, W) uint8."""
     labels: TrainIds = probabilities.argmax(axis=0).astype(np.uint8)
     return labels
-
-
-def _confidence(image: RangeImage, softmax: Float) -> float:
-    """Return the mean of the largest probability over the occupied pixels, 1 without any."""
-    occupied = image.channels[0] > 0
-    return float(softmax.max(axis=0)[occupied].mean()) if occupied.any() else 1.0
 
 
 def predict_scan(file: ScanFile, network: Network, writer: LabelWriter) -> Steps:

@@ -38,9 +38,7 @@ Predictions = dict[tuple[str, str], Path]
 log = logging.getLogger(__name__)
 
 
-def write_zip(
-    path: Path, members: Mapping[str, Path], advance: Callable[[], None] = lambda: None
-) -> None:
+def write_zip(path: Path, members: Mapping[str, Path], advance: Callable[[], None]) -> None:
     """Write a ZIP file of files by their names in it, with an entry for each folder before them."""
     with writing(path, durable=True) as file, ZipFile(file, "w", ZIP_DEFLATED) as made:
         folders: set[PurePosixPath] = set()

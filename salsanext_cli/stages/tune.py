@@ -2,11 +2,9 @@
 """Stage `tune`: one part of the weights, fitted to scans."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.files.atomic import require_absent, require_target
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
@@ -24,26 +22,18 @@ from salsanext_cli.training.tuning.labelled_images import VALIDATION, labelled_s
 from salsanext_cli.training.tuning.temperature import fit_temperature
 from salsanext_cli.training.tuning.tuning import Tuned, TuningScans
 
-
-def _require_nothing(_: Network) -> None: ...
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """Part of the weights that can be fitted."""
-
-    fit: Callable[..., Tuned]  # Takes `TuningScans`, and the numbers of its own
-    # Takes the network and the numbers; raises what is wrong with them before a scan is read
-    require: Callable[..., object] = _require_nothing
-    labelled: bool = True  # Whether it needs labels
-
-
-PARTS = {
-    "temperature": Part(fit_temperature),
-    "error": Part(fit_error_model),
-    "dropout": Part(fit_dropout, require_dropout_search),
-    "batchnorm": Part(fit_batchnorm, require_batchnorm, labelled=False),
+FITS: dict[str, Callable[..., Tuned]] = {
+    "temperature": fit_temperature,
+    "error": fit_error_model,
+    "dropout": fit_dropout,
+    "batchnorm": fit_batchnorm,
 }
+"""Functions that fit a part of the weights: take `TuningScans`, and numbers of their own."""
+REQUIREMENTS: dict[str, Callable[..., object]] = {
+    "dropout": require_dropout_search,
+    "batchnorm": require_batchnorm,
+}
+"""Take the network and the numbers of a fit; raise what is wrong before a scan is read."""
 
 
 def tune(
@@ -59,26 +49,26 @@ def tune(
 ) -> dict[str, Any]:
     """Write a weights file of which one part is fitted to scans; all else stays, bit for bit.
 
-    `part`: a name of `PARTS`; `selection`: by default the scans for validation, or all where no
-    labels are needed, and a limit takes evenly spaced ones; `numbers`: of the part's `fit`.
+    `part`: a name of `FITS`; `selection`: by default the scans for validation, or all where no
+    labels are needed, and a limit takes evenly spaced ones; `numbers`: those of the part's fit.
 
-    Returns plain data: the name of the `stage`, and what the part's `fit` reports.
+    Returns plain data: the name of the `stage`, and what its fit reports.
     """
-    way = PARTS[part]
     require_tensors(network.path)
     loaded = network.load()
-    way.require(loaded, **numbers)
-    if way.labelled:
-        files, space = labelled_scans(source, selection or VALIDATION, loaded.card)
-    else:
+    if require := REQUIREMENTS.get(part):
+        require(loaded, **numbers)
+    if part == "batchnorm":
         space = loaded.card.space
         files = select_evenly(source, selection or ScanSelection(), space)
+    else:
+        files, space = labelled_scans(source, selection or VALIDATION, loaded.card)
     require_target(target, overwrite)
     if part == "dropout":
         require_absent(curve_of(target), overwrite)
     loaded = fit_scans(network, loaded, ScanSample(find_scans(source), loaded.sensor))
     network.announce(loaded)
-    tuned = way.fit(TuningScans(source, files, space, loaded, progress), **numbers)
+    tuned = FITS[part](TuningScans(source, files, space, loaded, progress), **numbers)
     report = tuned.report
     if part == "dropout":
         rate_curve(curve_of(target), report["rates"], report["objectives"], report["best"])

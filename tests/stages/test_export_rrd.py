@@ -10,11 +10,7 @@ import pytest
 from evaluated import CAR, MOVING_CAR, ROAD, World
 
 from salsanext_cli import read_labels, read_scan
-from salsanext_cli.errors import (
-    MissingDependency,
-    NoInputError,
-    OutputError,
-)
+from salsanext_cli.errors import MissingDependency, OutputError
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.report.rerun_recording import import_rerun
 from salsanext_cli.results.layout import output_path
@@ -153,15 +149,6 @@ def test_a_recording_that_appears_meanwhile_is_kept(world, recorded, monkeypatch
     with pytest.raises(OutputError, match=r"00\.rrd"):
         export(world)
     assert written(world) == {"00.rrd": b"mine"}
-
-
-def test_scans_that_have_moved_and_missing_results_are_errors_as_of_export_ply(world, recorded):
-    with pytest.raises(NoInputError, match="--dataset"):
-        export_rrd(world.out)
-    with pytest.raises(NoInputError, match=r"no such folder .* `salsanext predict"):
-        export_rrd(world.out.with_name("nowhere"))
-    moved = world.dataset.rename(world.dataset.with_name("moved"))
-    assert export(world, dataset=moved).done == 3
 
 
 def test_an_older_rerun_is_one_that_lacks_a_module(tmp_path, monkeypatch):

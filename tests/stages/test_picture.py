@@ -95,16 +95,6 @@ def test_what_is_there_stays_until_results_or_settings_change(predicted):
     assert picture(world.out).done == 3
 
 
-def test_a_changed_picture_is_kept_and_named(labelled):
-    draw(labelled, selection=TWO)
-    path = labelled.result("pictures", "08")
-    path.write_bytes(b"mine")
-    outcome = draw(labelled, options=OVERWRITE, selection=TWO)
-    assert (outcome.done, len(outcome.failures)) == (1, 1)
-    assert "was changed, or not written by salsanext" in outcome.failures[0].reason
-    assert path.read_bytes() == b"mine"
-
-
 def test_values_have_one_scale_for_all_scans_and_runs(labelled):
     for number, (sequence, stem) in enumerate((("00", "000000"), ("08", "000000"))):
         path = labelled.result("uncertainty/entropy", sequence, stem)
