@@ -123,7 +123,6 @@ def train(
 
 
 def _found(done: "TrainResult") -> str:
-    """Return the scores in words."""
     if (e := done.expected) is None:
         miou = done.best_miou
         return "not scored" if miou is None else f"best validation mIoU {100 * miou:.1f} %"

@@ -15,12 +15,7 @@ from salsanext_cli.files.json_files import encode_json
 from salsanext_cli.files.reading import present
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.scan_counts import (
-    RING_NAMES,
-    CountsApart,
-    ScanCounts,
-    count_scan,
-)
+from salsanext_cli.measures.scan_counts import RING_NAMES, CountsApart, ScanCounts, count_scan
 from salsanext_cli.measures.scores import Scores, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
@@ -175,7 +170,6 @@ def _no_input(counts: ScanCounts, out: Path, failures: Sequence[Failure]) -> NoI
 
 
 def _warn(evaluation: Evaluation) -> None:
-    """Warn of ids that the label space does not know and of missing predictions."""
     for where, key in (("labels", "truth"), ("predictions", "predictions")):
         if ids := evaluation.unknown_ids[key]:
             listed = first_few([f"{i} ({count:,}×)" for i, count in ids.items()])

@@ -34,12 +34,7 @@ from salsanext_cli.labelling.edited_labels import (
     read_file_labels,
 )
 from salsanext_cli.labelling.label_import import LabelImport
-from salsanext_cli.labelling.label_records import (
-    LabelRecords,
-    first_guesses,
-    labels_root,
-    name_of,
-)
+from salsanext_cli.labelling.label_records import LabelRecords, first_guesses, labels_root, name_of
 from salsanext_cli.parallel.options import Progress
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space, space_of

@@ -163,7 +163,6 @@ def _require_fit(name: str, found: Survey) -> None:
 
 
 def _with_field_of_view(sensor: Sensor, found: Survey) -> Sensor:
-    """Return the sensor with the field of view that was found."""
     up, down = found.field_of_view()
     return replace(sensor, fov_up=round(up, 2), fov_down=round(down, 2))
 

@@ -137,7 +137,6 @@ def unmerged(space: LabelSpace, scans: Sequence[ScanFile] = ()) -> LabelSpace | 
 
 
 def _of_benchmark(space: LabelSpace) -> bool:
-    """Say whether the test split is SemanticKITTI's."""
     return {*with_splits(space).splits.get(SPLIT, ())} == {*SCANS_OF_TEST}
 
 

@@ -164,13 +164,11 @@ def _is_generated(path: Path, out: Path) -> bool:
 
 
 def _files(sequence: Path, scans: int) -> list[Path]:
-    """Return the paths of all files of a sequence."""
     of_scans = [path for index in range(scans) for path in _scan_files(sequence, index)]
     return [*of_scans, *(sequence / name for name in SEQUENCE_FILES)]
 
 
 def _scan_files(sequence: Path, index: int) -> tuple[Path, Path]:
-    """Return the paths of a scan and its labels."""
     stem = f"{index:06d}"
     return sequence / "velodyne" / f"{stem}.bin", sequence / "labels" / f"{stem}.label"
 
@@ -226,6 +224,5 @@ def _write_sequence(
 
 
 def _points_of(labels: RawIds) -> dict[int, int]:
-    """Return the number of points of each raw id."""
     raw, counts = np.unique(labels, return_counts=True)
     return dict(zip(raw.tolist(), counts.tolist(), strict=True))
