@@ -55,56 +55,39 @@ class Mesh:
             np.full(count, skin.shade, np.float32),
         )
 
-    def __len__(self) -> int:
-        return len(self.triangles)
-
     def moved(self, offset: npt.ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Mesh:
         """Return the mesh turned about z by `yaw` radians, then shifted by `offset` metres."""
-        return replace(self, vertices=self.vertices @ turn_z(yaw).T + np.asarray(offset, float))
+        return replace(self, vertices=self.vertices @ rotation("z", yaw).T + np.asarray(offset))
 
     def scaled(self, factors: npt.ArrayLike) -> Mesh:
         """Return the mesh stretched along x, y and z."""
-        return replace(self, vertices=self.vertices * np.asarray(factors, float))
+        return replace(self, vertices=self.vertices * np.asarray(factors))
 
     def leaned(self, angle: float) -> Mesh:
         """Return the mesh tilted about x by `angle` radians."""
-        return replace(self, vertices=self.vertices @ turn_x(angle).T)
-
-    def relabelled(self, label: int) -> Mesh:
-        """Return the mesh with one raw id for all triangles."""
-        return replace(self, labels=np.full(len(self), label, np.uint32))
+        return replace(self, vertices=self.vertices @ rotation("x", angle).T)
 
 
-def turn_x(angle: float) -> Array:
-    """Return the (3, 3) rotation about x."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-
-
-def turn_y(angle: float) -> Array:
-    """Return the (3, 3) rotation about y."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-
-
-def turn_z(angle: float) -> Array:
-    """Return the (3, 3) rotation about z."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+def rotation(axis: str, angle: float) -> Array:
+    """Return the (3, 3) rotation about ``"x"``, ``"y"`` or ``"z"`` by `angle` radians."""
+    first = "xyz".index(axis)
+    second, third = (first + 1) % 3, (first + 2) % 3
+    matrix = np.eye(3)
+    matrix[second, second] = matrix[third, third] = np.cos(angle)
+    matrix[third, second], matrix[second, third] = np.sin(angle), -np.sin(angle)
+    return matrix
 
 
 def merge(meshes: Iterable[Mesh]) -> Mesh:
-    """Join meshes into one; nothing gives an empty mesh."""
+    """Join meshes into one."""
     parts = list(meshes)
-    if not parts:
-        return Mesh.of(np.zeros((0, 3)), np.zeros((0, 3), np.int64), Skin(0, Material.ASPHALT))
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    shifted = [part.triangles + start for part, start in zip(parts, starts, strict=True)]
-    kept = ("labels", "materials", "shades")
     return Mesh(
         np.concatenate([part.vertices for part in parts]),
-        np.concatenate(shifted),
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in kept),
+        np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=True)]),
+        np.concatenate([part.labels for part in parts]),
+        np.concatenate([part.materials for part in parts]),
+        np.concatenate([part.shades for part in parts]),
     )
 
 
@@ -124,9 +107,8 @@ def quads(corners: Array, skin: Skin) -> Mesh:
 
 def rings(sections: Array, skin: Skin) -> Mesh:
     """Join consecutive (S, P, 3) sections, each a closed ring, by quadrangles."""
-    count, size, _ = sections.shape
-    index = np.arange(count * size).reshape(count, size)
-    following = index[:, [*range(1, size), 0]]
+    index = np.arange(sections.size // 3).reshape(sections.shape[:2])
+    following = np.roll(index, -1, 1)
     a, b, c, d = index[:-1], following[:-1], following[1:], index[1:]
     faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
     return Mesh.of(sections.reshape(-1, 3), faces, skin)
@@ -135,7 +117,7 @@ def rings(sections: Array, skin: Skin) -> Mesh:
 def tube(path: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, sides: int = 7) -> Mesh:
     """Return a tube along a (K, 3) path with a radius at every point (or one for all)."""
     points = np.asarray(path, float)
-    radius = np.broadcast_to(np.asarray(radii, float), len(points))
+    radius = np.broadcast_to(radii, len(points))
     along = np.gradient(points, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     steepest = np.where(np.abs(along[:, 2:]) > 0.9, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])

@@ -11,8 +11,7 @@ from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.presets import STYLES
 from salsanext_cli.synthesis.street import lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder
-from salsanext_cli.synthesis.street.draw import draw_plan
-from salsanext_cli.synthesis.street.plan import LEFT, Crossing, Lot
+from salsanext_cli.synthesis.street.plan import LEFT, Crossing, Lot, draw_plan
 from salsanext_cli.synthesis.street.traffic import Mover, lanes
 from salsanext_cli.synthesis.things import furniture
 

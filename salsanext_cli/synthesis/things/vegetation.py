@@ -6,16 +6,7 @@ Local frame: the ground at z = 0, a tree's foot at the origin, a thicket along x
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import (
-    Array,
-    Mesh,
-    Rng,
-    Skin,
-    ellipsoid,
-    facets,
-    merge,
-    tube,
-)
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, ellipsoid, facets, merge, tube
 from salsanext_cli.synthesis.presets import Span
 from salsanext_cli.synthesis.surfaces import TRUNK, VEGETATION, Material
 
