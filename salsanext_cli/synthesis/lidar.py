@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.files.optional_packages import import_open3d
+from salsanext_cli.synthesis import presets
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.surfaces import OPTICS
 
@@ -56,16 +57,7 @@ class Response(NamedTuple):
     steps: int  # Number of steps of the reported brightness from 0 to 1
 
 
-HDL64 = Response(
-    noise=0.009,
-    nearest=1.6,
-    farthest=81.0,
-    lost_pulses=0.004,
-    threshold=6.0e-6,
-    gain=1.0,
-    gamma=1.0,
-    steps=100,
-)
+HDL64 = Response(**presets.HDL64)
 
 
 class Lasers(NamedTuple):
@@ -136,10 +128,7 @@ def measure(
 
 
 def _edges(rng: Rng, reach: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Return the distances (R,) of pulses, some of which hit two surfaces, and which are lost.
-
-    A pulse is as wide as the step to the next one: near surfaces give one echo between them.
-    """
+    """Return distances (R,) of pulses as wide as the step to the next one, and which are lost."""
     step = np.diff(reach, append=reach[-1:])
     chance, share = rng.random((2, len(reach)))
     both = chance < EDGE_SHARE

@@ -47,13 +47,9 @@ class Mesh:
     def of(cls, vertices: Array, triangles: npt.NDArray[np.int64], skin: Skin) -> Mesh:
         """Return a mesh that has one skin all over."""
         count = len(triangles)
-        return cls(
-            vertices,
-            triangles,
-            np.full(count, skin.label, np.uint32),
-            np.full(count, skin.material, np.uint8),
-            np.full(count, skin.shade, np.float32),
-        )
+        labels = np.full(count, skin.label, np.uint32)
+        materials = np.full(count, skin.material, np.uint8)
+        return cls(vertices, triangles, labels, materials, np.full(count, skin.shade, np.float32))
 
     def moved(self, offset: npt.ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Mesh:
         """Return the mesh turned about z by `yaw` radians, then shifted by `offset` metres."""
@@ -105,7 +101,7 @@ def quads(corners: Array, skin: Skin) -> Mesh:
     return Mesh.of(corners.reshape(-1, 3), faces.reshape(-1, 3), skin)
 
 
-def rings(sections: Array, skin: Skin) -> Mesh:
+def loft(sections: Array, skin: Skin) -> Mesh:
     """Join consecutive (S, P, 3) sections, each a closed ring, by quadrangles."""
     index = np.arange(sections.size // 3).reshape(sections.shape[:2])
     following = np.roll(index, -1, 1)
@@ -126,7 +122,7 @@ def tube(path: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, sides: int = 7) 
     upward = _cross(along, across)
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     spread = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * upward[:, None]
-    return rings(points[:, None] + radius[:, None, None] * spread, skin)
+    return loft(points[:, None] + radius[:, None, None] * spread, skin)
 
 
 def _cross(a: Array, b: Array) -> Array:
@@ -137,18 +133,14 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def ellipsoid(
-    centre: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, unevenness: Array | None = None
+    centre: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, unevenness: Array | float = 0.0
 ) -> Mesh:
-    """Return an ellipsoid of 6 rings of 8 points; `unevenness` (6, 8, 1) is relative, if any."""
+    """Return an ellipsoid of 6 rings of 8 points; `unevenness` (6, 8, 1) is relative."""
     latitude = np.linspace(-np.pi / 2, np.pi / 2, 6)[:, None]
     longitude = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    horizontal = np.cos(latitude)
-    height = np.broadcast_to(np.sin(latitude), (6, 8))
-    x, y = horizontal * np.cos(longitude), horizontal * np.sin(longitude)
-    unit = np.stack([x, y, height], -1)
-    if unevenness is not None:
-        unit = unit * (1 + unevenness)
-    return rings(unit * np.asarray(radii, float) + np.asarray(centre, float), skin)
+    x, y = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude)
+    unit = np.stack([x, y, np.broadcast_to(np.sin(latitude), x.shape)], -1) * (1 + unevenness)
+    return loft(unit * np.asarray(radii) + np.asarray(centre), skin)
 
 
 def disc(centre: npt.ArrayLike, radius: float, skin: Skin, sides: int = 12) -> Mesh:
@@ -157,15 +149,12 @@ def disc(centre: npt.ArrayLike, radius: float, skin: Skin, sides: int = 12) -> M
     rim = np.stack([radius * np.cos(angle), np.zeros(sides), radius * np.sin(angle)], -1)
     vertices = np.concatenate([np.zeros((1, 3)), rim]) + np.asarray(centre, float)
     index = np.arange(sides)
-    faces = np.stack([np.zeros(sides, np.int64), index + 1, (index + 1) % sides + 1], -1)
+    faces = np.stack([0 * index, index + 1, (index + 1) % sides + 1], -1)
     return Mesh.of(vertices, faces, skin)
 
 
 def facets(centres: Array, sizes: Array, skin: Skin, rng: Rng) -> Mesh:
-    """Return one randomly turned triangle around each of (F, 3) centres, like leaves.
-
-    `sizes` (F,) in metres; their brightness varies by a fifth.
-    """
+    """Return a randomly turned triangle of a size (F,) around each of (F, 3) centres, as leaves."""
     count = len(centres)
     corners = centres[:, None] + sizes[:, None, None] * rng.uniform(-1, 1, (count, 3, 3))
     mesh = Mesh.of(corners.reshape(-1, 3), np.arange(count * 3).reshape(-1, 3), skin)

@@ -44,16 +44,13 @@ class Style:
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """Shape of a vehicle; the file says what each number is.
-
-    ``profile`` is (S, 4): a row per station from front to rear.
-    """
+    """Shape of a vehicle; the file says what each number is."""
 
     length: float
     width: float
     bottom: float
     wheel: float
-    profile: Array
+    profile: Array  # (S, 4): a row per station from front to rear
     cabin: list[int]
     screens: list[int]
 
@@ -78,6 +75,7 @@ CABS = {kind["cab"]: _body(kind["cab"]) for kind in TRUCKS.values()}
 TRAFFIC: dict[str, float] = _TABLES["traffic"]
 """Frequency of each kind of vehicle, parked or driving, relative to the others."""
 BRIGHTNESS: dict[str, Any] = _TABLES["brightness"]
+HDL64: dict[str, Any] = _TABLES["hdl64"]
 RANDOM_SENSOR = SimpleNamespace(**_TABLES["random_sensor"])
 """Bounds and chances that random sensors are drawn from; the file says what each is."""
 VEHICLE_OUTLINES_DEG = tuple(np.array(outline) for outline in _TABLES["outlines"])

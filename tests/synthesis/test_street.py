@@ -60,8 +60,9 @@ def test_no_vehicle_at_the_roadside_stands_in_the_sensors_path(seed):
 
 def test_things_are_set_down_only_where_there_is_room():
     crossing = Crossing(60.0, 3.0, 0.0, (LEFT,), False, 1.0)
-    plan = replace(STREET, crossings=(crossing,))
-    left, right = plan.sides
+    left, right = STREET.sides
+    left = replace(left, crossings=(crossing,))
+    plan = replace(STREET, crossings=(crossing,), sides=(left, right))
     builder = Builder(np.random.default_rng(0), plan)
     post = furniture.post(builder.rng)
 

@@ -66,7 +66,7 @@ class Builder:
         t = side.sign * (self.plan.half + out)
         if (
             not radius <= s <= self.plan.length - radius
-            or self.plan.from_side_street(np.array(s), side) < radius
+            or side.from_side_street(s) < radius
             or any(np.hypot(s - a, t - b) < radius + r for a, b, r in self._taken)
         ):
             return False

@@ -24,9 +24,8 @@ def furnish(builder: Builder, side: Side) -> None:
     """Fill the strips of one side: parked cars, trees, lamps, signs, people, clutter."""
     for fill in (_parked, _trees, _lamps, _signs, _crowd, _clutter):
         fill(builder, side)
-    for crossing in builder.plan.crossings:
-        if side.sign in crossing.sides:
-            _side_street(builder, side, crossing)
+    for crossing in side.crossings:
+        _side_street(builder, side, crossing)
 
 
 def separate_directions(builder: Builder) -> None:

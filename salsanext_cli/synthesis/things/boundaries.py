@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Fences, walls, crash barriers, hedges and ivy: long things, from x = 0 to x = `length`.
-
-Local frame: x along the street, y away from it, the ground at z = 0.
-"""
+"""Fences, walls, crash barriers, hedges and ivy, `length` metres long."""
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, facets, merge, quads, rings
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, facets, loft, merge, quads
 from salsanext_cli.synthesis.surfaces import FENCE, Material
 from salsanext_cli.synthesis.things.vegetation import FOOT_M, leaf_skin
 
@@ -32,7 +29,11 @@ def fence(rng: Rng, length: float, kind: str, height: float, shade: float) -> Me
         body = box((0, -0.12, FOOT_M), (length, 0.12, height), skin)
         return merge([body, box((0, -0.17, height), (length, 0.17, height + 0.07), skin)])
     if kind == "barrier":
-        return _barrier(length, Skin(FENCE, Material.METAL, shade))
+        skin = Skin(FENCE, Material.METAL, shade)
+        at = np.arange(0, length, 2.0)
+        posts = [box((x, 0.02, FOOT_M), (x + 0.1, 0.14, 0.72), skin) for x in at]
+        beams = [box((0, -0.05, z), (length, 0.02, z + 0.12), skin) for z in (0.45, 0.63)]
+        return merge([*posts, *beams, box((0, -0.01, 0.5), (length, 0.0, 0.7), skin)])
     material, pitch, width = PALES[kind]
     skin = Skin(FENCE, material, shade)
     x = np.arange(0, length, pitch)
@@ -54,12 +55,6 @@ def _strips(*edges: Array | float, skin: Skin) -> Mesh:
     return quads(np.stack(corners, 1), skin)
 
 
-def _barrier(length: float, skin: Skin) -> Mesh:
-    posts = [box((x, 0.02, FOOT_M), (x + 0.1, 0.14, 0.72), skin) for x in np.arange(0, length, 2.0)]
-    beams = [box((0, -0.05, z), (length, 0.02, z + 0.12), skin) for z in (0.45, 0.63)]
-    return merge([*posts, *beams, box((0, -0.01, 0.5), (length, 0.0, 0.7), skin)])
-
-
 def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -> Mesh:
     """Return a hedge, its surface with a standard deviation of `ragged` metres, under leaves."""
     leaf = leaf_skin(rng)
@@ -68,7 +63,7 @@ def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -
     section[[0, -1], 1] = FOOT_M
     sides = section + rng.normal(0, ragged, (len(stations), len(section), 2))
     x = np.broadcast_to(stations[:, None, None], (*sides.shape[:2], 1))
-    core = rings(np.concatenate([x, sides], -1), leaf)
+    core = loft(np.concatenate([x, sides], -1), leaf)
     count = int(length * (height + depth) * rng.uniform(15, 45))
     place = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
     outer, largest = rng.random(count), rng.uniform(0.04, 0.12)

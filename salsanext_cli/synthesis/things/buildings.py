@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Houses: facades with recessed windows and doors, steps, balconies, roofs.
-
-Local frame: x along the street, y away from it, the front wall at y = 0, the ground at z = 0.
-"""
+"""Houses: facades with recessed windows and doors, steps, balconies, roofs."""
 
 from itertools import pairwise
 from typing import NamedTuple

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bicycles and motorcycles, alone or with riders; then the whole is labelled as rider.
-
-Local frame: x forward, y left, the ground at z = 0.
-"""
+"""Bicycles and motorcycles, alone or with riders; then the whole is labelled as rider."""
 
 import numpy as np
 

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Objects at the roadside: poles, lamps, signs, bins, benches, cabinets, shelters.
-
-Local frame: x along the street, y away from it, the ground at z = 0.
-"""
+"""Objects at the roadside: poles, lamps, signs, bins, benches, cabinets, shelters."""
 
 import numpy as np
 

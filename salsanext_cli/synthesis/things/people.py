@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""People on foot: standing, walking, sitting, carrying things.
-
-Local frame: x forward, y left, the ground at z = 0.
-"""
+"""People on foot: standing, walking, sitting, carrying things."""
 
 import numpy as np
 

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Trees, bushes and thickets: many small facets, which let some rays through.
-
-Local frame: the ground at z = 0, a tree's foot at the origin, a thicket along x.
-"""
+"""Trees, bushes and thickets: many small facets, which let some rays through."""
 
 import numpy as np
 

@@ -1,37 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Vehicles: cars, buses, trucks, caravans, trailers, tractors, excavators.
-
-Local frame: x forward, y left, the middle of the footprint at the origin, the ground at z = 0.
-"""
+"""Vehicles: cars, buses, trucks, caravans, trailers, tractors, excavators."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import (
-    Array,
-    Mesh,
-    Rng,
-    Skin,
-    box,
-    disc,
-    merge,
-    quads,
-    rings,
-    tube,
-)
-from salsanext_cli.synthesis.presets import (
-    BUS,
-    CABS,
-    CARAVAN,
-    CARS,
-    TRAFFIC,
-    TRUCKS,
-    Body,
-    weighted_choice,
-)
-from salsanext_cli.synthesis.surfaces import BUS as BUS_ID
-from salsanext_cli.synthesis.surfaces import CAR, OTHER_VEHICLE, TRUCK, Material
+from salsanext_cli.synthesis import presets
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, disc, loft, merge, quads, tube
+from salsanext_cli.synthesis.presets import Body, weighted_choice
+from salsanext_cli.synthesis.surfaces import BUS, CAR, OTHER_VEHICLE, TRUCK, Material
 
 SECTION_POINTS = 8
 """Points of a cross-section of a body."""
@@ -42,7 +19,7 @@ IRON = Skin(OTHER_VEHICLE, Material.METAL, 0.6)
 def vehicle(rng: Rng) -> Mesh:
     """Return a car, truck, bus or other vehicle, as usual as the presets say."""
     makers = {"car": car, "truck": truck, "bus": bus, "other": other_vehicle}
-    return makers[weighted_choice(rng, TRAFFIC)](rng)
+    return makers[weighted_choice(rng, presets.TRAFFIC)](rng)
 
 
 def length_of(mesh: Mesh) -> float:
@@ -56,7 +33,7 @@ def dark_paint(rng: Rng, label: int) -> Skin:
     return Skin.drawn(rng, label, Material.PAINT, *bounds[rng.choice(4, p=(0.6, 0.14, 0.16, 0.1))])
 
 
-def _loft(body: Body, paint: Skin, stretch: Array) -> Mesh:
+def _body(body: Body, paint: Skin, stretch: Array) -> Mesh:
     """Return the body without wheels: cross-sections joined from front to rear, and windows."""
     profile = body.profile
     x = (0.5 - profile[:, 0]) * body.length
@@ -67,7 +44,7 @@ def _loft(body: Body, paint: Skin, stretch: Array) -> Mesh:
     y = np.stack([-half * 0.94, -half, -half * 0.96, -top, top, half * 0.96, half, half * 0.94], -1)
     z = np.stack([sill, middle, belt, roof, roof, belt, middle, sill], -1)
     sections = np.stack([np.broadcast_to(x[:, None], y.shape), y, z], -1)
-    shell = rings(sections, paint)
+    shell = loft(sections, paint)
     windows = np.zeros((len(x) - 1, SECTION_POINTS), bool)
     windows[np.ix_(body.cabin, (2, 4))] = windows[np.ix_(body.screens, (2, 3, 4))] = True
     glass = np.tile(windows.ravel(), 2)
@@ -113,12 +90,12 @@ def _fittings(body: Body, label: int, stretch: Array) -> list[Mesh]:
 
 def car(rng: Rng) -> Mesh:
     """Return a car of one of several shapes, sizes and paints."""
-    body = CARS[rng.integers(len(CARS))]
+    body = presets.CARS[rng.integers(len(presets.CARS))]
     stretch = rng.uniform([0.93, 0.96, 0.96], [1.07, 1.03, 1.05])
     track = (body.width / 2 + 0.005) * stretch[1]
     axles = [0.31 * body.length * stretch[0], -0.30 * body.length * stretch[0]]
     parts = [
-        _loft(body, dark_paint(rng, CAR), stretch),
+        _body(body, dark_paint(rng, CAR), stretch),
         *_wheels(CAR, axles, track, body.wheel, 0.2),
         *_fittings(body, CAR, stretch),
     ]
@@ -133,15 +110,14 @@ def car(rng: Rng) -> Mesh:
 
 def bus(rng: Rng) -> Mesh:
     """Return a bus, from a minibus to one of 12 m and more."""
+    shape = presets.BUS
     stretch = rng.uniform([0.55, 0.88, 0.85], [1.1, 1.02, 1.08])
-    length, width = BUS.length * stretch[0], BUS.width * stretch[1]
-    if rng.random() < 0.5:
-        paint = dark_paint(rng, BUS_ID)
-    else:
-        paint = Skin.drawn(rng, BUS_ID, Material.PAINT, 0.3, 1.6)
-    parts = [_loft(BUS, paint, stretch), *_fittings(BUS, BUS_ID, stretch)]
-    parts += _wheels(BUS_ID, [0.28 * length, -0.26 * length], width / 2, BUS.wheel, 0.3)
-    top = BUS.profile[:, 2].max() * stretch[2]
+    length, width = shape.length * stretch[0], shape.width * stretch[1]
+    dark = rng.random() < 0.5
+    paint = dark_paint(rng, BUS) if dark else Skin.drawn(rng, BUS, Material.PAINT, 0.3, 1.6)
+    parts = [_body(shape, paint, stretch), *_fittings(shape, BUS, stretch)]
+    parts += _wheels(BUS, [0.28 * length, -0.26 * length], width / 2, shape.wheel, 0.3)
+    top = shape.profile[:, 2].max() * stretch[2]
     if rng.random() < 0.6:
         parts.append(box((-length / 4, -0.7, top), (length / 5, 0.7, top + 0.3), paint))
     for x in np.arange(-0.4, 0.4, rng.uniform(0.1, 0.16)) * length:
@@ -161,8 +137,10 @@ class Bed(NamedTuple):
 
 def truck(rng: Rng) -> Mesh:
     """Return a truck of one of the kinds in the presets."""
-    kind = TRUCKS[weighted_choice(rng, {name: each["share"] for name, each in TRUCKS.items()})]
-    cab = CABS[kind["cab"]]
+    kind = presets.TRUCKS[
+        weighted_choice(rng, {name: each["share"] for name, each in presets.TRUCKS.items()})
+    ]
+    cab = presets.CABS[kind["cab"]]
     stretch = rng.uniform([0.85, 0.88, 0.85], [1.1, 1.08, 1.15])
     material = (Material.PLASTER, Material.PAINT, Material.METAL)[rng.integers(3)]
     load = Skin.drawn(rng, TRUCK, material, 0.5, 1.8)
@@ -170,7 +148,7 @@ def truck(rng: Rng) -> Mesh:
     bed = Bed(half_length, half_width, rng.uniform(*kind["floor"]), load)
     cab_length, gap = cab.length * stretch[0], rng.uniform(*kind["gap"])
     paint = dark_paint(rng, TRUCK)
-    body = _loft(cab, paint._replace(shade=paint.shade + 0.1), stretch)
+    body = _body(cab, paint._replace(shade=paint.shade + 0.1), stretch)
     parts = [body.moved((half_length + cab_length / 2 + gap, 0, 0))]
     parts.append(box((-half_length, -0.4, 0.5), (half_length + cab_length, 0.4, bed.floor), STEEL))
     loads = {"box": _box, "flat": _flat, "tub": _tub, "tank": _tank}
@@ -259,11 +237,12 @@ def _rear(rng: Rng, bed: Bed) -> list[Mesh]:
 
 
 def _caravan(rng: Rng) -> Mesh:
+    shape = presets.CARAVAN
     stretch = rng.uniform([0.7, 0.85, 0.8], [1.25, 1.08, 1.06])
-    half = CARAVAN.width / 2 * stretch[1]
-    front = CARAVAN.length / 2 * stretch[0]
-    parts = [_loft(CARAVAN, Skin.drawn(rng, OTHER_VEHICLE, Material.PAINT, 0.1, 1.6), stretch)]
-    parts += _wheels(OTHER_VEHICLE, [rng.uniform(-0.5, 0.2)], half, CARAVAN.wheel, 0.2)
+    half = shape.width / 2 * stretch[1]
+    front = shape.length / 2 * stretch[0]
+    parts = [_body(shape, Skin.drawn(rng, OTHER_VEHICLE, Material.PAINT, 0.1, 1.6), stretch)]
+    parts += _wheels(OTHER_VEHICLE, [rng.uniform(-0.5, 0.2)], half, shape.wheel, 0.2)
     return merge([*parts, *_drawbar(front)])
 
 
