@@ -10,7 +10,7 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.records import Scan
 from salsanext_cli.synthesis.lidar import Scene, measure
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, merge, rotation
-from salsanext_cli.synthesis.presets import BRIGHTNESS, STYLES, Style
+from salsanext_cli.synthesis.presets import BRIGHTNESS, STYLES, Numbers
 from salsanext_cli.synthesis.rig import Rig, RigMaker, hdl64_rig
 from salsanext_cli.synthesis.street import lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder, with_brightness
@@ -26,7 +26,7 @@ VIEW_M = 90.0
 
 
 def build_street(
-    rng: Rng, style: Style, distance: float, ego_speed: float
+    rng: Rng, style: Numbers, distance: float, ego_speed: float
 ) -> tuple[Plan, Mesh, tuple[Mover, ...]]:
     """Build a street to drive `distance` metres on: its plan, all that stands, all that moves."""
     plan = draw_plan(rng, style, distance + 2 * RUN_OUT_M)
@@ -47,10 +47,10 @@ def build_street(
 
 def _draw_brightness(rng: Rng) -> Array:
     """Draw the brightness of each material in a street, (materials,), relative to the usual."""
-    brightness = np.exp(rng.normal(0, BRIGHTNESS["street"], len(Material)))
-    dark = rng.random(len(Material)) < BRIGHTNESS["dark"]
-    brightness[dark] = rng.uniform(*BRIGHTNESS["dark_brightness"], int(dark.sum()))
-    return np.clip(brightness, BRIGHTNESS["least"], BRIGHTNESS["most"])
+    brightness = np.exp(rng.normal(0, BRIGHTNESS.street, len(Material)))
+    dark = rng.random(len(Material)) < BRIGHTNESS.dark
+    brightness[dark] = rng.uniform(*BRIGHTNESS.dark_brightness, int(dark.sum()))
+    return np.clip(brightness, BRIGHTNESS.least, BRIGHTNESS.most)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.files.optional_packages import import_open3d
-from salsanext_cli.synthesis import presets
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
+from salsanext_cli.synthesis.presets import HDL64_RESPONSE
 from salsanext_cli.synthesis.surfaces import OPTICS
 
 GRAZING_COSINE = 0.14
@@ -57,7 +57,7 @@ class Response(NamedTuple):
     steps: int  # Number of steps of the reported brightness from 0 to 1
 
 
-HDL64 = Response(**presets.HDL64)
+HDL64 = Response(**HDL64_RESPONSE)
 
 
 class Lasers(NamedTuple):

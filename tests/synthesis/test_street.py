@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 from salsanext_cli.synthesis import surfaces
-from salsanext_cli.synthesis.presets import STYLES
+from salsanext_cli.synthesis.presets import STYLES, Numbers
 from salsanext_cli.synthesis.street import lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import LEFT, Crossing, Lot, draw_plan
@@ -18,7 +18,8 @@ from salsanext_cli.synthesis.things import furniture
 VEHICLES = {
     *(surfaces.CAR, surfaces.TRUCK, surfaces.BUS, surfaces.OTHER_VEHICLE, surfaces.MOTORCYCLE),
 }
-STREET = draw_plan(np.random.default_rng(0), replace(STYLES[4], crossing_gap=(300, 900)), 120.0)
+NARROW = Numbers(**vars(STYLES[4]) | {"crossing_gap": (300, 900)})
+STREET = draw_plan(np.random.default_rng(0), NARROW, 120.0)
 """A narrow street without side streets; its houses may stand at the kerb."""
 
 
@@ -52,7 +53,8 @@ def test_no_vehicle_on_a_lot_at_the_kerb_stands_in_the_sensors_path(kind):
 @pytest.mark.parametrize("seed", range(6))
 def test_no_vehicle_at_the_roadside_stands_in_the_sensors_path(seed):
     rng = np.random.default_rng(seed)
-    builder = Builder(rng, draw_plan(rng, replace(STYLES[seed], crowd=30.0), 120.0))
+    crowded = Numbers(**vars(STYLES[seed]) | {"crowd": 30.0})
+    builder = Builder(rng, draw_plan(rng, crowded, 120.0))
     for side in builder.plan.sides:
         roadside.furnish(builder, side)
     assert in_the_way(builder) == 0

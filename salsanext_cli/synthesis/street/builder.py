@@ -18,13 +18,13 @@ PIECE_M = 5.0
 
 def with_brightness(mesh: Mesh, of_material: Array) -> Mesh:
     """Return a mesh, its shades multiplied by the brightness of each material, (materials,)."""
-    shades = np.clip(mesh.shades * of_material[mesh.materials], 0, BRIGHTNESS["most"])
+    shades = np.clip(mesh.shades * of_material[mesh.materials], 0, BRIGHTNESS.most)
     return replace(mesh, shades=shades.astype(np.float32))
 
 
 def varied(mesh: Mesh, rng: Rng) -> Mesh:
     """Return an object, its materials a little brighter or darker than others'."""
-    return with_brightness(mesh, np.exp(rng.normal(0, BRIGHTNESS["object"], len(Material))))
+    return with_brightness(mesh, np.exp(rng.normal(0, BRIGHTNESS.object, len(Material))))
 
 
 class Builder:

@@ -66,8 +66,8 @@ def _patches(rng: Rng, s: Array, t: Array, length: float) -> Array:
         centre = rng.uniform([0, -12], [length, 12])
         half = rng.uniform([0.4, 0.2], [9, 1.6]) * rng.choice([1, 1, 1, 3])
         inside = (np.abs(s - centre[0]) < half[0])[:, None] & (np.abs(t - centre[1]) < half[1])
-        if rng.random() < BRIGHTNESS["wet_patch"]:
-            shade[inside] *= rng.uniform(*BRIGHTNESS["wet_brightness"])
+        if rng.random() < BRIGHTNESS.wet_patch:
+            shade[inside] *= rng.uniform(*BRIGHTNESS.wet_brightness)
         else:
-            shade[inside] *= np.exp(rng.normal(0, BRIGHTNESS["patch"]))
-    return np.clip(shade, BRIGHTNESS["least"], BRIGHTNESS["most"])
+            shade[inside] *= np.exp(rng.normal(0, BRIGHTNESS.patch))
+    return np.clip(shade, BRIGHTNESS.least, BRIGHTNESS.most)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array, Rng
-from salsanext_cli.synthesis.presets import Span, Style, weighted_choice
+from salsanext_cli.synthesis.presets import Numbers, weighted_choice
 
 REACH_M = 62.0
 """Extent of the world to either side of the centre line."""
@@ -39,7 +39,9 @@ class Lot:
     setback: float  # From the street to the house
     front: int  # Raw ids of the ground before and behind the front of the house
     back: int
-    drive: Span  # Interval along s that is paved as a driveway, empty where both are equal
+    drive: tuple[
+        float, float
+    ]  # Interval along s that is paved as a driveway, empty where both are equal
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +122,7 @@ class Side:
 class Plan:
     """A whole street."""
 
-    style: Style  # What it was drawn from
+    style: Numbers  # What it was drawn from
     length: float  # Of the centre line, metres
     half: float  # Half the width of the carriageway
     knots: Array  # (K,): the centre line at every half metre of s
@@ -128,7 +130,9 @@ class Plan:
     y: Array
     heading: Array
     waves: Array  # (4, M): amplitude, x and y wave number and phase of the rolling ground
-    bank: Span  # Slope of the ground beyond the verge, and the sides themselves, left and right
+    bank: tuple[
+        float, float
+    ]  # Slope of the ground beyond the verge, and the sides themselves, left and right
     crossings: tuple[Crossing, ...]
     sides: tuple[Side, Side]
 
@@ -202,7 +206,7 @@ class Plan:
         return np.unique(np.round(s, 3)), np.unique(np.round(t, 3))
 
 
-def draw_plan(rng: Rng, style: Style, length: float) -> Plan:
+def draw_plan(rng: Rng, style: Numbers, length: float) -> Plan:
     """Draw a street of that style and length."""
     knots = np.arange(-1.0, length + 1.5, 0.5)
     heading = _heading(rng, knots)
@@ -234,7 +238,7 @@ def _heading(rng: Rng, knots: Array) -> Array:
     return rng.uniform(-np.pi, np.pi) + np.cumsum(curvature) * 0.5
 
 
-def _crossings(rng: Rng, style: Style, length: float) -> tuple[Crossing, ...]:
+def _crossings(rng: Rng, style: Numbers, length: float) -> tuple[Crossing, ...]:
     crossings = []
     s = rng.uniform(0.3, 1.0) * style.crossing_gap[0]
     while s < length:
@@ -248,7 +252,7 @@ def _crossings(rng: Rng, style: Style, length: float) -> tuple[Crossing, ...]:
 
 
 def _side(
-    rng: Rng, style: Style, sign: int, length: float, crossings: tuple[Crossing, ...]
+    rng: Rng, style: Numbers, sign: int, length: float, crossings: tuple[Crossing, ...]
 ) -> Side:
     parking = rng.uniform(1.7, 2.3) if rng.random() < style.parking else 0.0
     verge = rng.uniform(0.5, 2.6) if rng.random() < style.verge else 0.0
@@ -266,7 +270,7 @@ def _side(
     return Side(sign, parking, verge, strip, sidewalk, kerb, raised, tuple(lots), here)
 
 
-def _lots(rng: Rng, style: Style, start: float, end: float) -> list[Lot]:
+def _lots(rng: Rng, style: Numbers, start: float, end: float) -> list[Lot]:
     """Fill the stretch between two side streets with lots."""
     lots: list[Lot] = []
     setback = rng.uniform(*style.setback)

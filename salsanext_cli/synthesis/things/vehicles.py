@@ -7,7 +7,7 @@ import numpy as np
 
 from salsanext_cli.synthesis import presets
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, disc, loft, merge, quads, tube
-from salsanext_cli.synthesis.presets import Body, weighted_choice
+from salsanext_cli.synthesis.presets import Numbers, weighted_choice
 from salsanext_cli.synthesis.surfaces import BUS, CAR, OTHER_VEHICLE, TRUCK, Material
 
 SECTION_POINTS = 8
@@ -33,7 +33,7 @@ def dark_paint(rng: Rng, label: int) -> Skin:
     return Skin.drawn(rng, label, Material.PAINT, *bounds[rng.choice(4, p=(0.6, 0.14, 0.16, 0.1))])
 
 
-def _body(body: Body, paint: Skin, stretch: Array) -> Mesh:
+def _body(body: Numbers, paint: Skin, stretch: Array) -> Mesh:
     """Return the body without wheels: cross-sections joined from front to rear, and windows."""
     profile = body.profile
     x = (0.5 - profile[:, 0]) * body.length
@@ -67,7 +67,7 @@ def _wheels(label: int, axles: list[float], track: float, radius: float, wide: f
     return parts
 
 
-def _fittings(body: Body, label: int, stretch: Array) -> list[Mesh]:
+def _fittings(body: Numbers, label: int, stretch: Array) -> list[Mesh]:
     """Return lamps, reflectors, number plates and mirrors."""
     lamp, retro = Skin(label, Material.LAMP), Skin(label, Material.RETRO)
     mirror = Skin(label, Material.PAINT, 0.4)
@@ -137,22 +137,21 @@ class Bed(NamedTuple):
 
 def truck(rng: Rng) -> Mesh:
     """Return a truck of one of the kinds in the presets."""
-    kind = presets.TRUCKS[
-        weighted_choice(rng, {name: each["share"] for name, each in presets.TRUCKS.items()})
-    ]
-    cab = presets.CABS[kind["cab"]]
+    shares = {name: kind.share for name, kind in presets.TRUCKS.items()}
+    kind = presets.TRUCKS[weighted_choice(rng, shares)]
+    cab = kind.cab
     stretch = rng.uniform([0.85, 0.88, 0.85], [1.1, 1.08, 1.15])
     material = (Material.PLASTER, Material.PAINT, Material.METAL)[rng.integers(3)]
     load = Skin.drawn(rng, TRUCK, material, 0.5, 1.8)
-    half_length, half_width = rng.uniform(*kind["bed"]) / 2, cab.width * 0.49 * stretch[1]
-    bed = Bed(half_length, half_width, rng.uniform(*kind["floor"]), load)
-    cab_length, gap = cab.length * stretch[0], rng.uniform(*kind["gap"])
+    half_length, half_width = rng.uniform(*kind.bed) / 2, cab.width * 0.49 * stretch[1]
+    bed = Bed(half_length, half_width, rng.uniform(*kind.floor), load)
+    cab_length, gap = cab.length * stretch[0], rng.uniform(*kind.gap)
     paint = dark_paint(rng, TRUCK)
     body = _body(cab, paint._replace(shade=paint.shade + 0.1), stretch)
     parts = [body.moved((half_length + cab_length / 2 + gap, 0, 0))]
     parts.append(box((-half_length, -0.4, 0.5), (half_length + cab_length, 0.4, bed.floor), STEEL))
     loads = {"box": _box, "flat": _flat, "tub": _tub, "tank": _tank}
-    parts += loads[kind["load"]](rng, bed)
+    parts += loads[kind.load](rng, bed)
     rear_axle = -half_length * 0.62
     axles = [half_length + gap + cab_length * 0.55, rear_axle]
     if half_length > 3:
