@@ -29,8 +29,8 @@ from salsanext_cli.fitting.view_fit import fit_beams, fit_view
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.synthesis import drive
-from salsanext_cli.synthesis.sensor.beams import Beams
-from salsanext_cli.synthesis.sensor.rig import Rig, hdl64_rig
+from salsanext_cli.synthesis.lidar import Lasers
+from salsanext_cli.synthesis.rig import Beams, Rig, hdl64_rig
 from salsanext_cli.training.data.augment import LabelledScan
 
 SEED, SEQUENCES, SCANS, SPACING_M = 777, 8, 2, 25.0
@@ -53,10 +53,9 @@ def simulated(name: str, space: sn.LabelSpace) -> Iterator[LabelledScan]:
 
     def rig(rng: np.random.Generator) -> Rig:
         usual = hdl64_rig(rng)
-        own = usual.beams
-        lasers = (np.resize(values, count) for values in (own.gain, own.offset, own.power))
+        lasers = Lasers(*(np.resize(values, count) for values in usual.beams.lasers))
         start, zero = rng.uniform(0, 2 * np.pi / columns, count), np.zeros(count)
-        beams = Beams(np.radians(elevations), start, zero, zero, *lasers, columns)
+        beams = Beams(np.radians(elevations), start, zero, zero, lasers, columns)
         return replace(usual, beams=beams, seen=np.ones(count * columns, bool))
 
     for sequence in range(SEQUENCES):

@@ -30,7 +30,7 @@ from salsanext_cli.parallel.run import Progress
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import as_json, require_same_settings
 from salsanext_cli.synthesis.drive import record
-from salsanext_cli.synthesis.sensor.rig import RIGS
+from salsanext_cli.synthesis.rig import RIGS
 from salsanext_cli.version import __version__
 
 MANIFEST = "synth.json"

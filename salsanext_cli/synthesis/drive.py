@@ -8,17 +8,16 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.records import Scan
-from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, merge, turn_x, turn_y, turn_z
-from salsanext_cli.synthesis.presets import STYLES, Style
-from salsanext_cli.synthesis.sensor.lidar import Scene, measure
-from salsanext_cli.synthesis.sensor.rig import Rig, RigMaker, hdl64_rig
-from salsanext_cli.synthesis.street import boundaries, lots, roadside
-from salsanext_cli.synthesis.street.brightness import draw_brightness, with_brightness
-from salsanext_cli.synthesis.street.builder import Builder
-from salsanext_cli.synthesis.street.draw import draw_plan
+from salsanext_cli.synthesis.lidar import Scene, measure
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, merge, rotation
+from salsanext_cli.synthesis.presets import BRIGHTNESS, STYLES, Numbers
+from salsanext_cli.synthesis.rig import Rig, RigMaker, hdl64_rig
+from salsanext_cli.synthesis.street import lots, roadside
+from salsanext_cli.synthesis.street.builder import Builder, with_brightness
 from salsanext_cli.synthesis.street.ground import ground
-from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan
+from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan, draw_plan
 from salsanext_cli.synthesis.street.traffic import Mover, moving
+from salsanext_cli.synthesis.surfaces import Material
 
 SPEED_M_PER_S = (4.0, 12.0)
 """Slowest and fastest drive."""
@@ -27,13 +26,9 @@ VIEW_M = 90.0
 
 
 def build_street(
-    rng: Rng, style: Style, distance: float, ego_speed: float
+    rng: Rng, style: Numbers, distance: float, ego_speed: float
 ) -> tuple[Plan, Mesh, tuple[Mover, ...]]:
-    """Build a street on which the recording vehicle can drive `distance` metres.
-
-    Returns `plan`, the ground plan; `standing`, all that keeps still, world coordinates; `movers`,
-    all that moves.
-    """
+    """Build a street to drive `distance` metres on: its plan, all that stands, all that moves."""
     plan = draw_plan(rng, style, distance + 2 * RUN_OUT_M)
     builder = Builder(rng, plan)
     builder.parts.append(ground(rng, plan))
@@ -41,14 +36,21 @@ def build_street(
         roadside.furnish(builder, side)
         for lot in side.lots:
             lots.furnish(builder, side, lot)
-    duration = distance / ego_speed
     if style.barrier:
-        boundaries.median(builder)
-    movers = moving(builder, ego_speed, duration)
-    of_material = draw_brightness(rng)
-    standing = with_brightness(merge(builder.parts), of_material)
-    movers = tuple(replace(m, mesh=with_brightness(m.mesh, of_material)) for m in movers)
+        roadside.separate_directions(builder)
+    movers = moving(builder, ego_speed, distance / ego_speed)
+    brightness = _draw_brightness(rng)
+    standing = with_brightness(merge(builder.parts), brightness)
+    movers = tuple(replace(m, mesh=with_brightness(m.mesh, brightness)) for m in movers)
     return plan, standing, movers
+
+
+def _draw_brightness(rng: Rng) -> Array:
+    """Draw the brightness of each material in a street, (materials,), relative to the usual."""
+    brightness = np.exp(rng.normal(0, BRIGHTNESS.street, len(Material)))
+    dark = rng.random(len(Material)) < BRIGHTNESS.dark
+    brightness[dark] = rng.uniform(*BRIGHTNESS.dark_brightness, int(dark.sum()))
+    return np.clip(brightness, BRIGHTNESS.least, BRIGHTNESS.most)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,14 +67,11 @@ class Frame:
 def record(
     seed: int, sequence: int, scans: int, spacing: float, make_rig: RigMaker = hdl64_rig
 ) -> Iterator[Frame]:
-    """Yield the frames of one sequence.
+    """Yield the frames of one sequence, `spacing` metres apart.
 
-    The street comes from the seed, the sequence and the length of the drive, spacing times
-    scans - 1; the noise of a frame from (seed, sequence, frame).
-
-    `seed`, `sequence`: not negative; the sequence number also chooses the style of the street;
-    `scans`: how many frames; `spacing`: metres that the vehicle drives between two frames;
-    `make_rig`: draws the sensor; the street is the same through any.
+    The street comes from the seed, the sequence, which also chooses its style, and the length of
+    the drive; the noise of a frame from (seed, sequence, frame). The street is the same through
+    any sensor.
     """
     rng = np.random.default_rng([seed, sequence])
     speed = float(rng.uniform(*SPEED_M_PER_S))
@@ -80,7 +79,7 @@ def record(
     plan, standing, movers = build_street(rng, style, spacing * (scans - 1), speed)
     rig = make_rig(rng)
     track = _Track(rng, plan, speed, rig)
-    rays, firings = rig.rays(), rig.firings()
+    rays, lasers = rig.rays(), rig.lasers()
     scene = Scene(standing)
     for index in range(scans):
         noise = np.random.default_rng([seed, sequence, index, 1])
@@ -89,7 +88,7 @@ def record(
         scenes = [scene, *_moving(plan, movers, time, pose)]
         origins, directions = track.in_motion(s, *rays)
         cast = np.concatenate([origins, directions], 1)
-        distance, intensity, labels = measure(noise, scenes, cast, firings, rig.response)
+        distance, intensity, labels = measure(noise, scenes, cast, lasers, rig.response)
         kept = np.isfinite(distance)
         world = origins[kept] + directions[kept] * distance[kept, None]
         points = (world - pose[:3, 3]) @ pose[:3, :3]
@@ -127,7 +126,7 @@ class _Track:
         pitch = -slope + self._tilt[0] + np.radians(0.25) * wave[1]
         roll = self._tilt[1] + np.radians(0.3) * wave[2]
         pose = np.eye(4)
-        pose[:3, :3] = turn_z(yaw) @ turn_y(pitch) @ turn_x(roll)
+        pose[:3, :3] = rotation("z", yaw) @ rotation("y", pitch) @ rotation("x", roll)
         pose[:3, 3] = foot[1] + [0, 0, self._mount]
         return pose
 
@@ -136,8 +135,7 @@ class _Track:
     ) -> tuple[Array, Array]:
         """Return world origins and directions of rays fired while the vehicle drives on past s.
 
-        The pose goes linearly from the one at the beginning to the one at the end of the
-        revolution; over a tenth of a second that is what it does.
+        Over the tenth of a second of a revolution the pose changes linearly.
         """
         start, end = times.min(), times.max()
         first, last = self.pose(s + self._speed * start), self.pose(s + self._speed * end)

@@ -47,64 +47,43 @@ class Mesh:
     def of(cls, vertices: Array, triangles: npt.NDArray[np.int64], skin: Skin) -> Mesh:
         """Return a mesh that has one skin all over."""
         count = len(triangles)
-        return cls(
-            vertices,
-            triangles,
-            np.full(count, skin.label, np.uint32),
-            np.full(count, skin.material, np.uint8),
-            np.full(count, skin.shade, np.float32),
-        )
-
-    def __len__(self) -> int:
-        return len(self.triangles)
+        labels = np.full(count, skin.label, np.uint32)
+        materials = np.full(count, skin.material, np.uint8)
+        return cls(vertices, triangles, labels, materials, np.full(count, skin.shade, np.float32))
 
     def moved(self, offset: npt.ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Mesh:
         """Return the mesh turned about z by `yaw` radians, then shifted by `offset` metres."""
-        return replace(self, vertices=self.vertices @ turn_z(yaw).T + np.asarray(offset, float))
+        return replace(self, vertices=self.vertices @ rotation("z", yaw).T + np.asarray(offset))
 
     def scaled(self, factors: npt.ArrayLike) -> Mesh:
         """Return the mesh stretched along x, y and z."""
-        return replace(self, vertices=self.vertices * np.asarray(factors, float))
+        return replace(self, vertices=self.vertices * np.asarray(factors))
 
     def leaned(self, angle: float) -> Mesh:
         """Return the mesh tilted about x by `angle` radians."""
-        return replace(self, vertices=self.vertices @ turn_x(angle).T)
-
-    def relabelled(self, label: int) -> Mesh:
-        """Return the mesh with one raw id for all triangles."""
-        return replace(self, labels=np.full(len(self), label, np.uint32))
+        return replace(self, vertices=self.vertices @ rotation("x", angle).T)
 
 
-def turn_x(angle: float) -> Array:
-    """Return the (3, 3) rotation about x."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-
-
-def turn_y(angle: float) -> Array:
-    """Return the (3, 3) rotation about y."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-
-
-def turn_z(angle: float) -> Array:
-    """Return the (3, 3) rotation about z."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+def rotation(axis: str, angle: float) -> Array:
+    """Return the (3, 3) rotation about ``"x"``, ``"y"`` or ``"z"`` by `angle` radians."""
+    first = "xyz".index(axis)
+    second, third = (first + 1) % 3, (first + 2) % 3
+    matrix = np.eye(3)
+    matrix[second, second] = matrix[third, third] = np.cos(angle)
+    matrix[third, second], matrix[second, third] = np.sin(angle), -np.sin(angle)
+    return matrix
 
 
 def merge(meshes: Iterable[Mesh]) -> Mesh:
-    """Join meshes into one; nothing gives an empty mesh."""
+    """Join meshes into one."""
     parts = list(meshes)
-    if not parts:
-        return Mesh.of(np.zeros((0, 3)), np.zeros((0, 3), np.int64), Skin(0, Material.ASPHALT))
     starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-    shifted = [part.triangles + start for part, start in zip(parts, starts, strict=True)]
-    kept = ("labels", "materials", "shades")
     return Mesh(
         np.concatenate([part.vertices for part in parts]),
-        np.concatenate(shifted),
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in kept),
+        np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=True)]),
+        np.concatenate([part.labels for part in parts]),
+        np.concatenate([part.materials for part in parts]),
+        np.concatenate([part.shades for part in parts]),
     )
 
 
@@ -122,11 +101,10 @@ def quads(corners: Array, skin: Skin) -> Mesh:
     return Mesh.of(corners.reshape(-1, 3), faces.reshape(-1, 3), skin)
 
 
-def rings(sections: Array, skin: Skin) -> Mesh:
+def loft(sections: Array, skin: Skin) -> Mesh:
     """Join consecutive (S, P, 3) sections, each a closed ring, by quadrangles."""
-    count, size, _ = sections.shape
-    index = np.arange(count * size).reshape(count, size)
-    following = index[:, [*range(1, size), 0]]
+    index = np.arange(sections.size // 3).reshape(sections.shape[:2])
+    following = np.roll(index, -1, 1)
     a, b, c, d = index[:-1], following[:-1], following[1:], index[1:]
     faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
     return Mesh.of(sections.reshape(-1, 3), faces, skin)
@@ -135,7 +113,7 @@ def rings(sections: Array, skin: Skin) -> Mesh:
 def tube(path: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, sides: int = 7) -> Mesh:
     """Return a tube along a (K, 3) path with a radius at every point (or one for all)."""
     points = np.asarray(path, float)
-    radius = np.broadcast_to(np.asarray(radii, float), len(points))
+    radius = np.broadcast_to(radii, len(points))
     along = np.gradient(points, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     steepest = np.where(np.abs(along[:, 2:]) > 0.9, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
@@ -144,7 +122,7 @@ def tube(path: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, sides: int = 7) 
     upward = _cross(along, across)
     angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     spread = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * upward[:, None]
-    return rings(points[:, None] + radius[:, None, None] * spread, skin)
+    return loft(points[:, None] + radius[:, None, None] * spread, skin)
 
 
 def _cross(a: Array, b: Array) -> Array:
@@ -155,18 +133,14 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def ellipsoid(
-    centre: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, unevenness: Array | None = None
+    centre: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, unevenness: Array | float = 0.0
 ) -> Mesh:
-    """Return an ellipsoid of 6 rings of 8 points; `unevenness` (6, 8, 1) is relative, if any."""
+    """Return an ellipsoid of 6 rings of 8 points; `unevenness` (6, 8, 1) is relative."""
     latitude = np.linspace(-np.pi / 2, np.pi / 2, 6)[:, None]
     longitude = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    horizontal = np.cos(latitude)
-    height = np.broadcast_to(np.sin(latitude), (6, 8))
-    x, y = horizontal * np.cos(longitude), horizontal * np.sin(longitude)
-    unit = np.stack([x, y, height], -1)
-    if unevenness is not None:
-        unit = unit * (1 + unevenness)
-    return rings(unit * np.asarray(radii, float) + np.asarray(centre, float), skin)
+    x, y = np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude)
+    unit = np.stack([x, y, np.broadcast_to(np.sin(latitude), x.shape)], -1) * (1 + unevenness)
+    return loft(unit * np.asarray(radii) + np.asarray(centre), skin)
 
 
 def disc(centre: npt.ArrayLike, radius: float, skin: Skin, sides: int = 12) -> Mesh:
@@ -175,15 +149,12 @@ def disc(centre: npt.ArrayLike, radius: float, skin: Skin, sides: int = 12) -> M
     rim = np.stack([radius * np.cos(angle), np.zeros(sides), radius * np.sin(angle)], -1)
     vertices = np.concatenate([np.zeros((1, 3)), rim]) + np.asarray(centre, float)
     index = np.arange(sides)
-    faces = np.stack([np.zeros(sides, np.int64), index + 1, (index + 1) % sides + 1], -1)
+    faces = np.stack([0 * index, index + 1, (index + 1) % sides + 1], -1)
     return Mesh.of(vertices, faces, skin)
 
 
 def facets(centres: Array, sizes: Array, skin: Skin, rng: Rng) -> Mesh:
-    """Return one randomly turned triangle around each of (F, 3) centres, like leaves.
-
-    `sizes` (F,) in metres; their brightness varies by a fifth.
-    """
+    """Return a randomly turned triangle of a size (F,) around each of (F, 3) centres, as leaves."""
     count = len(centres)
     corners = centres[:, None] + sizes[:, None, None] * rng.uniform(-1, 1, (count, 3, 3))
     mesh = Mesh.of(corners.reshape(-1, 3), np.arange(count * 3).reshape(-1, 3), skin)

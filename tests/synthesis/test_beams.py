@@ -4,13 +4,17 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis.sensor.beams import ENCODER_STEP_DEG
-from salsanext_cli.synthesis.sensor.rig import LOWER_BLOCK, UPPER_BLOCK, hdl64, hidden_by_vehicle
+from salsanext_cli.synthesis.rig import ENCODER_STEP_DEG, LOWER_BLOCK, UPPER_BLOCK, hdl64_rig
 
 
 @pytest.fixture(scope="module")
-def beams():
-    return hdl64(np.random.default_rng(3))
+def rig():
+    return hdl64_rig(np.random.default_rng(3))
+
+
+@pytest.fixture(scope="module")
+def beams(rig):
+    return rig.beams
 
 
 def test_elevations_are_the_sensors_own_in_two_blocks(beams):
@@ -50,8 +54,8 @@ def test_the_sensor_looks_ahead_at_time_zero_and_turns_clockwise(beams):
     np.testing.assert_allclose(times, -azimuth / 3600, atol=1e-9)
 
 
-def test_the_vehicle_hides_only_low_beams_and_a_small_part(beams):
-    hidden = hidden_by_vehicle(beams, np.random.default_rng(0)).reshape(64, -1)
+def test_the_vehicle_hides_only_low_beams_and_a_small_part(rig, beams):
+    hidden = ~rig.seen.reshape(64, -1)
     assert not hidden[np.degrees(beams.elevation) > -12.5].any()
     assert 0.02 < hidden.mean() < 0.12
     straight_back, sideways = beams.columns // 2, beams.columns // 4

@@ -7,7 +7,7 @@ from sklearn.neighbors import NearestNeighbors
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.drive import record
-from salsanext_cli.synthesis.sensor.rig import HDL64_MOUNT_M
+from salsanext_cli.synthesis.rig import HDL64_MOUNT_M
 
 SPACING = 2.5
 

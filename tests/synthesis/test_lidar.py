@@ -4,16 +4,16 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis.mesh import Skin, quads
-from salsanext_cli.synthesis.sensor.lidar import (
+from salsanext_cli.synthesis.lidar import (
     HDL64,
     INTENSITY_NOISE,
     USUAL_ECHO,
-    Firings,
+    Lasers,
     Scene,
     measure,
 )
-from salsanext_cli.synthesis.sensor.rig import hdl64
+from salsanext_cli.synthesis.mesh import Skin, quads
+from salsanext_cli.synthesis.rig import hdl64_rig
 from salsanext_cli.synthesis.surfaces import BUILDING, CAR, ROAD, Material
 
 
@@ -40,8 +40,8 @@ def fan(count=20_000, spread=0.3):
 
 def look(scenes, rays, seed=0, power=1.0, response=HDL64):
     ones = np.ones(len(rays))
-    firings = Firings(ones, 0 * ones, power * ones)
-    return measure(np.random.default_rng(seed), scenes, rays, firings, response)
+    lasers = Lasers(ones, 0 * ones, power * ones)
+    return measure(np.random.default_rng(seed), scenes, rays, lasers, response)
 
 
 def test_a_wall_is_as_far_as_it_is():
@@ -74,7 +74,7 @@ def test_roads_seen_at_a_grazing_angle_fade_out():
 
 
 def test_a_floor_is_hit_at_the_beams_angles():
-    beams = hdl64(np.random.default_rng(0))
+    beams = hdl64_rig(np.random.default_rng(0)).beams
     origins, directions, _ = beams.rays()
     distance, _, _ = look([floor(Material.PAVING)], np.concatenate([origins, directions], 1))
     laser = np.repeat(np.arange(64), beams.columns)

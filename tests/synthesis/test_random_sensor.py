@@ -7,7 +7,7 @@ import pytest
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.presets import RANDOM_SENSOR
-from salsanext_cli.synthesis.sensor.rig import RIGS, random_rig
+from salsanext_cli.synthesis.rig import RIGS, random_rig
 
 SEEDS = range(60)
 

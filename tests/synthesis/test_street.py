@@ -8,18 +8,18 @@ import pytest
 from scipy.spatial import Delaunay
 
 from salsanext_cli.synthesis import surfaces
-from salsanext_cli.synthesis.presets import STYLES
+from salsanext_cli.synthesis.presets import STYLES, Numbers
 from salsanext_cli.synthesis.street import lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder
-from salsanext_cli.synthesis.street.draw import draw_plan
-from salsanext_cli.synthesis.street.plan import LEFT, Crossing, Lot
+from salsanext_cli.synthesis.street.plan import LEFT, Crossing, Lot, draw_plan
 from salsanext_cli.synthesis.street.traffic import Mover, lanes
 from salsanext_cli.synthesis.things import furniture
 
 VEHICLES = {
     *(surfaces.CAR, surfaces.TRUCK, surfaces.BUS, surfaces.OTHER_VEHICLE, surfaces.MOTORCYCLE),
 }
-STREET = draw_plan(np.random.default_rng(0), replace(STYLES[4], crossing_gap=(300, 900)), 120.0)
+NARROW = Numbers(**vars(STYLES[4]) | {"crossing_gap": (300, 900)})
+STREET = draw_plan(np.random.default_rng(0), NARROW, 120.0)
 """A narrow street without side streets; its houses may stand at the kerb."""
 
 
@@ -53,7 +53,8 @@ def test_no_vehicle_on_a_lot_at_the_kerb_stands_in_the_sensors_path(kind):
 @pytest.mark.parametrize("seed", range(6))
 def test_no_vehicle_at_the_roadside_stands_in_the_sensors_path(seed):
     rng = np.random.default_rng(seed)
-    builder = Builder(rng, draw_plan(rng, replace(STYLES[seed], crowd=30.0), 120.0))
+    crowded = Numbers(**vars(STYLES[seed]) | {"crowd": 30.0})
+    builder = Builder(rng, draw_plan(rng, crowded, 120.0))
     for side in builder.plan.sides:
         roadside.furnish(builder, side)
     assert in_the_way(builder) == 0
@@ -61,8 +62,9 @@ def test_no_vehicle_at_the_roadside_stands_in_the_sensors_path(seed):
 
 def test_things_are_set_down_only_where_there_is_room():
     crossing = Crossing(60.0, 3.0, 0.0, (LEFT,), False, 1.0)
-    plan = replace(STREET, crossings=(crossing,))
-    left, right = plan.sides
+    left, right = STREET.sides
+    left = replace(left, crossings=(crossing,))
+    plan = replace(STREET, crossings=(crossing,), sides=(left, right))
     builder = Builder(np.random.default_rng(0), plan)
     post = furniture.post(builder.rng)
 

@@ -8,34 +8,25 @@ from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.presets import STYLES
 from salsanext_cli.synthesis.street import lots
 from salsanext_cli.synthesis.street.builder import Builder
-from salsanext_cli.synthesis.street.draw import draw_plan
-from salsanext_cli.synthesis.street.plan import Lot
-from salsanext_cli.synthesis.things import (
-    cycles,
-    furniture,
-    others,
-    people,
-    riders,
-    trucks,
-    vehicles,
-)
+from salsanext_cli.synthesis.street.plan import Lot, draw_plan
+from salsanext_cli.synthesis.things import cycles, furniture, people, vehicles
 
 THINGS = {
     "car": (vehicles.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),
-    "truck": (trucks.truck, {surfaces.TRUCK}, (4.2, 1.6, 1.5), (17.5, 3.3, 4.2)),
+    "truck": (vehicles.truck, {surfaces.TRUCK}, (4.2, 1.6, 1.5), (17.5, 3.3, 4.2)),
     "person": (people.person, {surfaces.PERSON}, (0.2, 0.2, 1.0), (1.4, 1.1, 2.0)),
     "bicycle": (cycles.bicycle, {surfaces.BICYCLE}, (1.5, 0.4, 0.8), (2.0, 0.8, 1.3)),
-    "bicyclist": (riders.bicyclist, {surfaces.BICYCLIST}, (1.5, 0.4, 1.6), (2.1, 0.9, 2.1)),
+    "bicyclist": (cycles.bicyclist, {surfaces.BICYCLIST}, (1.5, 0.4, 1.6), (2.1, 0.9, 2.1)),
     "motorcycle": (cycles.motorcycle, {surfaces.MOTORCYCLE}, (1.5, 0.5, 0.9), (2.3, 1.0, 1.7)),
     "motorcyclist": (
-        riders.motorcyclist, {surfaces.MOTORCYCLIST}, (1.5, 0.5, 1.5), (2.4, 1.0, 2.2),
+        cycles.motorcyclist, {surfaces.MOTORCYCLIST}, (1.5, 0.5, 1.5), (2.4, 1.0, 2.2),
     ),
     "sitter": (
         lambda rng: people.person(rng, sitting=True), {surfaces.PERSON},
         (0.4, 0.2, 0.7), (1.2, 1.1, 1.6),
     ),
-    "bus": (others.bus, {surfaces.BUS}, (6.0, 2.1, 2.4), (13.0, 3.1, 3.7)),
-    "other": (others.other_vehicle, {surfaces.OTHER_VEHICLE}, (2.0, 1.1, 0.5), (8.5, 3.4, 5.0)),
+    "bus": (vehicles.bus, {surfaces.BUS}, (6.0, 2.1, 2.4), (13.0, 3.1, 3.7)),
+    "other": (vehicles.other_vehicle, {surfaces.OTHER_VEHICLE}, (2.0, 1.1, 0.5), (8.5, 3.4, 5.0)),
     "lamp": (furniture.lamp, {surfaces.POLE}, (0.1, 0.1, 3.5), (0.6, 3.5, 9.8)),
     "post": (furniture.post, {surfaces.POLE}, (0.07, 0.07, 0.9), (0.25, 0.25, 8.5)),
     "sign": (furniture.sign, {surfaces.POLE, surfaces.SIGN}, (0.05, 0.05, 1.3), (1.6, 0.3, 4.2)),

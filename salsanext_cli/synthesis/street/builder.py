@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Street under construction: placement of objects on a ground plan."""
+"""Street under construction: objects on a ground plan, brighter or darker than others."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -7,20 +7,31 @@ from itertools import pairwise
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Mesh, Rng
-from salsanext_cli.synthesis.street.brightness import varied
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
+from salsanext_cli.synthesis.presets import BRIGHTNESS
 from salsanext_cli.synthesis.street.plan import Plan, Side
+from salsanext_cli.synthesis.surfaces import Material
 
 PIECE_M = 5.0
 """Largest length of the pieces in which long things follow a bend."""
+
+
+def with_brightness(mesh: Mesh, of_material: Array) -> Mesh:
+    """Return a mesh, its shades multiplied by the brightness of each material, (materials,)."""
+    shades = np.clip(mesh.shades * of_material[mesh.materials], 0, BRIGHTNESS.most)
+    return replace(mesh, shades=shades.astype(np.float32))
+
+
+def varied(mesh: Mesh, rng: Rng) -> Mesh:
+    """Return an object, its materials a little brighter or darker than others'."""
+    return with_brightness(mesh, np.exp(rng.normal(0, BRIGHTNESS.object, len(Material))))
 
 
 class Builder:
     """Street under construction; ``parts`` are the objects placed so far, world coordinates."""
 
     def __init__(self, rng: Rng, plan: Plan) -> None:
-        self.rng = rng
-        self.plan = plan
+        self.rng, self.plan = rng, plan
         self.parts: list[Mesh] = []
         self._taken: list[tuple[float, float, float]] = []
 
@@ -51,16 +62,13 @@ class Builder:
     def put_if_free(
         self, mesh: Mesh, side: Side, s: float, out: float, radius: float, yaw: float = 0.0
     ) -> bool:
-        """Set a thing down unless a thing, a side street or the street's end is within `radius`.
-
-        Returns whether it was set down.
-        """
+        """Set a thing down unless others, a side street or the street's end are within `radius`."""
         t = side.sign * (self.plan.half + out)
-        if not radius <= s <= self.plan.length - radius:
-            return False
-        if float(self.plan.from_side_street(np.array(s), side)) < radius:
-            return False
-        if any(np.hypot(s - a, t - b) < radius + r for a, b, r in self._taken):
+        if (
+            not radius <= s <= self.plan.length - radius
+            or side.from_side_street(s) < radius
+            or any(np.hypot(s - a, t - b) < radius + r for a, b, r in self._taken)
+        ):
             return False
         self._taken.append((s, t, radius))
         self.put(mesh, side, s, out, yaw)
@@ -78,9 +86,8 @@ class Builder:
             length = float(np.hypot(step[0], step[1]))
             mesh = make(length)
             # Long things follow the slope: shear them so that both ends stand on the ground.
-            rise = mesh.vertices[:, :1] * step[2] / max(length, 1e-6)
-            sheared = replace(mesh, vertices=mesh.vertices + rise * [0.0, 0.0, 1.0])
-            self.parts.append(sheared.moved(first, float(np.arctan2(step[1], step[0]))))
+            mesh.vertices[:, 2] += mesh.vertices[:, 0] * step[2] / max(length, 1e-6)
+            self.parts.append(mesh.moved(first, float(np.arctan2(step[1], step[0]))))
 
     def put_outward(
         self, make: Callable[[float], Mesh], side: Side, s: float, start: float, end: float

@@ -5,7 +5,7 @@ import numpy as np
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
-from salsanext_cli.synthesis.street.brightness import patches
+from salsanext_cli.synthesis.presets import BRIGHTNESS
 from salsanext_cli.synthesis.street.plan import KERB_M, REACH_M, Plan
 from salsanext_cli.synthesis.surfaces import Material
 
@@ -37,7 +37,7 @@ def ground(rng: Rng, plan: Plan) -> Mesh:
     middle = plan.label(
         (grid_s[:-1, :-1] + grid_s[1:, 1:]) / 2, (grid_t[:-1, :-1] + grid_t[1:, 1:]) / 2
     )
-    patchwork = patches(rng, (s[:-1] + s[1:]) / 2, (t[:-1] + t[1:]) / 2, plan.length)
+    patchwork = _patches(rng, (s[:-1] + s[1:]) / 2, (t[:-1] + t[1:]) / 2, plan.length)
     labels = np.repeat(middle.ravel(), 2)
     materials = np.zeros(len(labels), np.uint8)
     shades = np.ones(len(labels), np.float32)
@@ -57,3 +57,17 @@ def _lines(regular: Array, edges: Array, low: float, high: float) -> Array:
     lines = lines[(lines >= low) & (lines <= high)]
     apart: Array = lines[np.concatenate([[True], np.diff(lines) > 0.01])]
     return apart
+
+
+def _patches(rng: Rng, s: Array, t: Array, length: float) -> Array:
+    """Return the brightness of cells (s, t): mended asphalt, worn and wet places, tracks."""
+    shade = np.ones((len(s), len(t)))
+    for _ in range(int(length / 6)):
+        centre = rng.uniform([0, -12], [length, 12])
+        half = rng.uniform([0.4, 0.2], [9, 1.6]) * rng.choice([1, 1, 1, 3])
+        inside = (np.abs(s - centre[0]) < half[0])[:, None] & (np.abs(t - centre[1]) < half[1])
+        if rng.random() < BRIGHTNESS.wet_patch:
+            shade[inside] *= rng.uniform(*BRIGHTNESS.wet_brightness)
+        else:
+            shade[inside] *= np.exp(rng.normal(0, BRIGHTNESS.patch))
+    return np.clip(shade, BRIGHTNESS.least, BRIGHTNESS.most)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Objects on the lots beside the street: houses, gardens, yards, car parks, woods."""
+"""Objects on the lots beside the street, and what closes these off: fences, walls, hedges."""
 
 from collections.abc import Callable
 from functools import partial
@@ -7,22 +7,17 @@ from functools import partial
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Mesh, Rng
-from salsanext_cli.synthesis.street.boundaries import boundary, close, hedge, thicket, wall
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import REACH_M, Lot, Side
-from salsanext_cli.synthesis.things import (
-    buildings,
-    fences,
-    furniture,
-    hedges,
-    people,
-    vegetation,
-)
-from salsanext_cli.synthesis.things.trucks import truck
-from salsanext_cli.synthesis.things.vehicles import car, length_of, vehicle
+from salsanext_cli.synthesis.things import boundaries, buildings, furniture, people, vegetation
+from salsanext_cli.synthesis.things.vehicles import car, length_of, truck, vehicle
 
 CAR_ROOM_M = 5.2
 """Distance from the kerb to the house that a car in the driveway needs."""
+SOLID_M = 1.5
+"""Largest height of a wall or boards around a lot; higher walls are rarely labelled fence."""
+Maker = Callable[[float], Mesh]
+"""Returns a piece of something long from its length in metres."""
 
 
 def furnish(builder: Builder, side: Side, lot: Lot) -> None:
@@ -44,7 +39,7 @@ def _terrace(builder: Builder, side: Side, lot: Lot) -> None:
             arch = buildings.arch(rng, passage + 0.1, 3.0 * floors)
             builder.put(arch, side, lot.end - passage / 2, front)
     if lot.setback > 0.8:
-        close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
+        _close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
     _scatter(builder, side, lot, vegetation.bush, (0.3, 0.7), lot.setback / 3)
 
 
@@ -53,7 +48,7 @@ def _overgrow(builder: Builder, side: Side, lot: Lot, front: float) -> None:
     start = builder.between(lot.start, (lot.start + lot.end) / 2)
     end = builder.between(start + 1, lot.end)
     if builder.chance(0.15):
-        ivy = partial(hedges.ivy, builder.rng, height=builder.between(2, 8))
+        ivy = partial(boundaries.ivy, builder.rng, height=builder.between(2, 8))
         builder.put_line(ivy, side, start, end, front)
     if builder.chance(0.2) and lot.setback > 0.7:
         for s in np.arange(start, end, builder.between(0.8, 1.5)):
@@ -79,11 +74,11 @@ def _house(builder: Builder, side: Side, lot: Lot) -> None:
             garage = buildings.garage(rng)
             builder.put(garage, side, sum(lot.drive) / 2, front + builder.between(0, 5))
         elif builder.chance(0.7):
-            close(builder, side, lot.start, lot.start + gap, front + 1)
+            _close(builder, side, lot.start, lot.start + gap, front + 1)
     gate = lot.start if drive else builder.between(lot.start + 1, lot.end - 2)
     gate_end = lot.drive[1] if drive else gate + 1.2
     for start, end in ((lot.start, gate), (gate_end, lot.end)):
-        close(builder, side, start, end, side.depth + builder.between(0.1, 0.4))
+        _close(builder, side, start, end, side.depth + builder.between(0.1, 0.4))
     _scatter(builder, side, lot, vegetation.bush, (0.3, 1.1), lot.setback * width / 18)
     if builder.chance(0.75) and lot.setback > 2:
         kind = vegetation.tree if builder.chance(0.7) else vegetation.conifer
@@ -92,12 +87,12 @@ def _house(builder: Builder, side: Side, lot: Lot) -> None:
         _park(builder, side, sum(lot.drive) / 2, front - min(2.6, lot.setback / 2), np.pi / 2)
     if builder.chance(0.5):
         end = front + builder.between(2, 12)
-        builder.put_outward(boundary(builder), side, lot.end, side.depth + 0.3, end)
+        builder.put_outward(_boundary(builder), side, lot.end, side.depth + 0.3, end)
     _scatter(builder, side, lot, _clutter, (0, 1), 0.8)
 
 
 def _yard(builder: Builder, side: Side, lot: Lot) -> None:
-    close(builder, side, lot.start, lot.end, side.depth + 0.25, open_chance=0.0)
+    _close(builder, side, lot.start, lot.end, side.depth + 0.25, open_chance=0.0)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 9.0), 1.5, reach=15)
     _scatter(builder, side, lot, vegetation.bush, (0.5, 1.5), 3, reach=12)
     _scatter(builder, side, lot, _clutter, (0, 1), 1.5, reach=8)
@@ -128,26 +123,26 @@ def _field(builder: Builder, side: Side, lot: Lot) -> None:
     if is_barrier or builder.chance(0.25):
         kind, out = ("barrier", 0.8) if is_barrier else ("mesh", 3.0)
         shade, height = builder.between(0.7, 1.4), builder.between(0.9, 1.3)
-        fence = partial(fences.fence, builder.rng, kind=kind, height=height, shade=shade)
+        fence = partial(boundaries.fence, builder.rng, kind=kind, height=height, shade=shade)
         builder.put_line(fence, side, lot.start, lot.end, side.depth + out)
 
 
 def _thicket(builder: Builder, side: Side, lot: Lot) -> None:
     height, depth = builder.between(2.5, 7), builder.between(3, 8)
     if builder.chance(0.5):
-        close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
+        _close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
     out = side.depth + builder.between(0.8, 4)
-    thicket(builder, side, lot.start, lot.end, out, height, depth)
+    _undergrowth(builder, side, lot.start, lot.end, out, height, depth)
 
 
 def _scrub(builder: Builder, side: Side, lot: Lot) -> None:
     """Grow a long hedge or tall scrub close to the street."""
     out = side.depth + builder.between(0.3, 1.5)
     if builder.chance(0.55):
-        builder.put_line(hedge(builder), side, lot.start, lot.end, out + 0.4)
+        builder.put_line(_hedge(builder), side, lot.start, lot.end, out + 0.4)
     else:
         height, depth = builder.between(1.5, 5), builder.between(1.5, 4)
-        thicket(builder, side, lot.start, lot.end, out + 0.4, height, depth)
+        _undergrowth(builder, side, lot.start, lot.end, out + 0.4, height, depth)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 10.0), 2.0, reach=12)
     _house_behind(builder, side, lot, out + builder.between(4, 9))
 
@@ -161,8 +156,17 @@ def _house_behind(builder: Builder, side: Side, lot: Lot, out: float) -> None:
 
 
 def _high_wall(builder: Builder, side: Side, lot: Lot) -> None:
-    """Set up a high wall beside the street, trees and houses behind it."""
-    wall(builder, side, lot.start, lot.end, side.depth + 0.3)
+    """Set up a wall, high as a noise barrier beside a motorway, trees and houses behind it."""
+    out = side.depth + 0.3
+    kind = "wall" if builder.chance(0.6) else "boards"
+    heights = (1.5, 3.5) if builder.plan.style.barrier else (1.0, 1.9)
+    height, shade = builder.between(*heights), builder.between(0.6, 1.4)
+    wall = partial(boundaries.fence, builder.rng, kind=kind, height=height, shade=shade)
+    builder.put_line(wall, side, lot.start, lot.end, out)
+    if builder.chance(0.4):
+        ivy = partial(boundaries.ivy, builder.rng, height=height * builder.between(0.5, 1.1))
+        low = builder.between(lot.start, (lot.start + lot.end) / 2)
+        builder.put_line(ivy, side, low, builder.between(low, lot.end), out - 0.15)
     _scatter(builder, side, lot, vegetation.tree, (5.0, 11.0), 3.0, reach=10)
     _house_behind(builder, side, lot, side.depth + builder.between(3, 10))
 
@@ -187,7 +191,7 @@ def _carpark(builder: Builder, side: Side, lot: Lot) -> None:
         if builder.chance(0.7):
             _park(builder, side, s, side.depth + builder.between(2.6, 3.2), yaw, radius=1.1)
         s += builder.between(2.5, 2.8)
-    close(builder, side, lot.start, lot.end, side.depth + lot.setback + 0.5)
+    _close(builder, side, lot.start, lot.end, side.depth + lot.setback + 0.5)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 8.0), 1, reach=20)
 
 
@@ -238,7 +242,51 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
         mesh = buildings.house(rng, width * builder.between(0.7, 1), 10, int(rng.integers(2, 6)))
         builder.put(mesh, side, middle, out)
     elif builder.chance(0.9):
-        thicket(builder, side, lot.start, lot.end, out, builder.between(4, 9), depth=4)
+        _undergrowth(builder, side, lot.start, lot.end, out, builder.between(4, 9), depth=4)
+
+
+def _boundary(builder: Builder) -> Maker:
+    """Return a maker of pieces of a fence or a hedge."""
+    return _hedge(builder) if builder.chance(0.52) else _fence(builder)
+
+
+def _hedge(builder: Builder) -> Maker:
+    """Return a maker of pieces of a hedge: low or high, clipped or ragged."""
+    height, depth = builder.between(0.7, 2.7), builder.between(0.5, 1.5)
+    clipped = builder.chance(0.5)
+    ragged = builder.between(0.003, 0.03) if clipped else builder.between(0.03, 0.2)
+    return partial(boundaries.hedge, builder.rng, height=height, depth=depth, ragged=ragged)
+
+
+def _fence(builder: Builder) -> Maker:
+    """Return a maker of pieces of a fence or a wall."""
+    kind = str(builder.rng.choice(boundaries.FENCES))
+    if kind in ("wall", "boards"):
+        height = builder.between(0.4, SOLID_M)
+    else:
+        height = builder.between(1.2, 2.4) if builder.chance(0.35) else builder.between(0.8, 1.3)
+    shade = builder.between(0.7, 1.5)
+    return partial(boundaries.fence, builder.rng, kind=kind, height=height, shade=shade)
+
+
+def _close(
+    builder: Builder, side: Side, start: float, end: float, out: float, open_chance: float = 0.1
+) -> None:
+    """Close a lot off towards the street, perhaps with bushes behind, or leave it open."""
+    if builder.chance(open_chance) or end - start < 0.5:
+        return
+    builder.put_line(_boundary(builder), side, start, end, out)
+    if builder.chance(0.6):
+        height, depth = builder.between(1.2, 4.0), builder.between(0.8, 1.6)
+        _undergrowth(builder, side, start, end, out + builder.between(0.3, 0.9), height, depth)
+
+
+def _undergrowth(
+    builder: Builder, side: Side, start: float, end: float, out: float, height: float, depth: float
+) -> None:
+    """Grow undergrowth from `start` to `end`, beginning `out` metres beyond the kerb."""
+    piece = partial(vegetation.thicket, builder.rng, depth=depth, height=height)
+    builder.put_line(piece, side, start, end, out)
 
 
 KINDS: dict[str, Callable[[Builder, Side, Lot], None]] = {

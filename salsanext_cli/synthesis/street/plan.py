@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.synthesis import surfaces
-from salsanext_cli.synthesis.mesh import Array
-from salsanext_cli.synthesis.presets import Span, Style
+from salsanext_cli.synthesis.mesh import Array, Rng
+from salsanext_cli.synthesis.presets import Numbers, weighted_choice
 
 REACH_M = 62.0
 """Extent of the world to either side of the centre line."""
@@ -31,75 +31,110 @@ CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
 
 @dataclass(frozen=True, slots=True)
 class Lot:
-    """A plot beside the street: from ``start`` to ``end`` along s, the house ``setback`` away.
-
-    ``drive`` is the interval along s that is paved as a driveway, empty where start = end.
-    """
+    """A plot beside the street, from ``start`` to ``end`` along s."""
 
     kind: str
     start: float
     end: float
-    setback: float
-    front: int
+    setback: float  # From the street to the house
+    front: int  # Raw ids of the ground before and behind the front of the house
     back: int
-    drive: Span
+    drive: tuple[
+        float, float
+    ]  # Interval along s that is paved as a driveway, empty where both are equal
 
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
-    """A side street at ``s`` of half width ``half``, with pavements, to the given sides.
+    """A side street."""
 
-    ``corner`` is the radius of the kerb where it meets the street.
-    """
-
-    s: float
-    half: float
-    pavement: float
-    sides: tuple[int, ...]
+    s: float  # Its middle
+    half: float  # Half the width of its carriageway
+    pavement: float  # Width of either pavement
+    sides: tuple[int, ...]  # LEFT, RIGHT or both
     zebra: bool
-    corner: float
+    corner: float  # Radius of the kerb where it meets the street
 
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One side of the street: widths of its strips from the kerb outwards, then the lots.
+    """One side of the street: widths of its strips from the kerb outwards, then the lots."""
 
-    ``strip`` is the ground of the verge; ``kerb`` is a height and goes down to 0 at driveways.
-    """
-
-    sign: int
+    sign: int  # LEFT or RIGHT
     parking: float
     verge: float
-    strip: int
+    strip: int  # Raw id of the verge
     sidewalk: float
-    kerb: float
+    kerb: float  # Height, 0 at driveways
     raised_parking: bool
     lots: tuple[Lot, ...]
+    crossings: tuple[Crossing, ...]  # Those to this side
 
     @property
     def depth(self) -> float:
         """Distance from the kerb to the lots, in metres."""
         return self.parking + self.verge + self.sidewalk
 
+    def kerb_height(self, s: Array) -> Array:
+        """Height of the kerb, which is lowered at driveways."""
+        height = np.full(np.shape(s), self.kerb)
+        for low, high in (lot.drive for lot in self.lots if lot.drive[1] > lot.drive[0]):
+            away = np.maximum(low - s, s - high)
+            height = np.minimum(height, self.kerb * np.clip(away / DROP_M, 0, 1))
+        return height
+
+    def on_side_street(self, s: Array, beyond: Array) -> npt.NDArray[np.bool_]:
+        """Whether a place `beyond` the kerb is on a side street or its rounded corners."""
+        on_street = np.zeros(np.broadcast_shapes(np.shape(s), np.shape(beyond)), bool)
+        for crossing in self.crossings:
+            away, radius = np.abs(s - crossing.s) - crossing.half, crossing.corner
+            cut = np.hypot(radius - away, radius - beyond) > radius
+            on_street |= (away <= 0) | ((away < radius) & (beyond < radius) & cut)
+        return on_street
+
+    def from_side_street(self, s: npt.ArrayLike) -> Array:
+        """Distance along s to the nearest side street's carriageway; negative inside."""
+        distance = np.full(np.shape(s), 1e3)
+        for crossing in self.crossings:
+            distance = np.minimum(distance, np.abs(s - crossing.s) - crossing.half)
+        return distance
+
+    def label(self, s: Array, beyond: Array) -> npt.NDArray[np.uint32]:
+        """Raw id of the ground `beyond` the kerb."""
+        label = np.full(np.shape(s), surfaces.TERRAIN, np.uint32)
+        for lot in self.lots:
+            inside = (s >= lot.start) & (s < lot.end)
+            front = beyond < self.depth + lot.setback
+            drive = (s > lot.drive[0]) & (s < lot.drive[1]) & front
+            ground = np.where(drive, surfaces.SIDEWALK, np.where(front, lot.front, lot.back))
+            label = np.where(inside, ground, label)
+        label = np.where(beyond < self.depth, surfaces.SIDEWALK, label)
+        label = np.where(beyond < self.parking + self.verge, self.strip, label)
+        label = np.where(beyond < self.parking, surfaces.PARKING, label)
+        for crossing in self.crossings:
+            paved = np.abs(s - crossing.s) - crossing.half < crossing.pavement
+            label = np.where(paved & (beyond > self.parking), surfaces.SIDEWALK, label)
+        label[self.on_side_street(s, beyond)] = surfaces.ROAD
+        return label.astype(np.uint32)
+
 
 @dataclass(frozen=True, slots=True)
 class Plan:
     """A whole street."""
 
-    style: Style  # What it was drawn from
+    style: Numbers  # What it was drawn from
     length: float  # Of the centre line, metres
     half: float  # Half the width of the carriageway
     knots: Array  # (K,): the centre line at every half metre of s
     x: Array
     y: Array
     heading: Array
-    waves: Array  # (M, 4): amplitude, x and y wave number and phase of the rolling ground
-    bank: Span  # Slope of the ground beyond the verge, and the sides themselves, left and right
+    waves: Array  # (4, M): amplitude, x and y wave number and phase of the rolling ground
+    bank: tuple[
+        float, float
+    ]  # Slope of the ground beyond the verge, and the sides themselves, left and right
     crossings: tuple[Crossing, ...]
     sides: tuple[Side, Side]
-
-    def _crossings_of(self, side: Side) -> list[Crossing]:
-        return [crossing for crossing in self.crossings if side.sign in crossing.sides]
 
     def yaw(self, s: npt.ArrayLike) -> Array:
         """Heading of the street at s, radians."""
@@ -116,7 +151,7 @@ class Plan:
 
     def rolling(self, x: Array, y: Array) -> Array:
         """Height of the landscape under everything."""
-        amplitude, kx, ky, phase = self.waves.T[(...,) + (None,) * np.ndim(x)]
+        amplitude, kx, ky, phase = self.waves[(...,) + (None,) * np.ndim(x)]
         height: Array = (amplitude * np.sin(kx * x + ky * y + phase)).sum(0)
         return height
 
@@ -125,44 +160,20 @@ class Plan:
         height = -0.015 * np.minimum(np.abs(t), self.half)
         for side, slope in zip(self.sides, self.bank, strict=True):
             beyond = side.sign * t - self.half
-            inside = (beyond > 0) & ~self.on_side_street(s, beyond, side)
+            inside = (beyond > 0) & ~side.on_side_street(s, beyond)
             flat = side.parking if not side.raised_parking else 0.0
-            height = height + self._kerb(s, side) * (inside & (beyond > flat))
+            height = height + side.kerb_height(s) * (inside & (beyond > flat))
             rise = slope * np.clip(beyond - side.depth - 0.5, 0, 14)
-            distance = self.from_side_street(s, side)
-            height = height + rise * np.clip(distance / 6, 0, 1) * (beyond > 0)
+            level = np.clip(side.from_side_street(s) / 6, 0, 1)
+            height = height + rise * level * (beyond > 0)
         return height
-
-    def _kerb(self, s: Array, side: Side) -> Array:
-        """Height of the kerb, which is lowered at driveways."""
-        height = np.full(np.shape(s), side.kerb)
-        for low, high in (lot.drive for lot in side.lots if lot.drive[1] > lot.drive[0]):
-            away = np.maximum(low - s, s - high)
-            height = np.minimum(height, side.kerb * np.clip(away / DROP_M, 0, 1))
-        return height
-
-    def on_side_street(self, s: Array, beyond: Array, side: Side) -> npt.NDArray[np.bool_]:
-        """Say whether a place `beyond` the kerb is on a side street or its rounded corners."""
-        found = np.zeros(np.broadcast_shapes(np.shape(s), np.shape(beyond)), bool)
-        for crossing in self._crossings_of(side):
-            away, radius = np.abs(s - crossing.s) - crossing.half, crossing.corner
-            cut = np.hypot(radius - away, radius - beyond) > radius
-            found |= (away <= 0) | ((away < radius) & (beyond < radius) & cut)
-        return found
-
-    def from_side_street(self, s: Array, side: Side) -> Array:
-        """Distance along s to the nearest side street's carriageway; negative inside."""
-        distance = np.full(np.shape(s), 1e3)
-        for crossing in self._crossings_of(side):
-            distance = np.minimum(distance, np.abs(s - crossing.s) - crossing.half)
-        return distance
 
     def label(self, s: Array, t: Array) -> npt.NDArray[np.uint32]:
         """Raw id of the ground at (s, t)."""
         label = np.where(self._painted(s, t), surfaces.MARKING, surfaces.ROAD).astype(np.uint32)
         for side in self.sides:
             beyond = side.sign * t - self.half
-            label = np.where(beyond > -KERB_M / 2, self._beside(s, beyond, side), label)
+            label = np.where(beyond > -KERB_M / 2, side.label(s, beyond), label)
         return label
 
     def _painted(self, s: Array, t: Array) -> npt.NDArray[np.bool_]:
@@ -176,23 +187,6 @@ class Plan:
             if crossing.zebra:
                 painted |= (away > 1.5) & (away < 4.5) & (np.mod(t, 1.0) < 0.5)
         return painted
-
-    def _beside(self, s: Array, beyond: Array, side: Side) -> npt.NDArray[np.uint32]:
-        label = np.full(np.shape(s), surfaces.TERRAIN, np.uint32)
-        for lot in side.lots:
-            inside = (s >= lot.start) & (s < lot.end)
-            front = beyond < side.depth + lot.setback
-            drive = (s > lot.drive[0]) & (s < lot.drive[1]) & front
-            ground = np.where(drive, surfaces.SIDEWALK, np.where(front, lot.front, lot.back))
-            label = np.where(inside, ground, label)
-        label = np.where(beyond < side.depth, surfaces.SIDEWALK, label)
-        label = np.where(beyond < side.parking + side.verge, side.strip, label)
-        label = np.where(beyond < side.parking, surfaces.PARKING, label)
-        for crossing in self._crossings_of(side):
-            paved = np.abs(s - crossing.s) - crossing.half < crossing.pavement
-            label = np.where(paved & (beyond > side.parking), surfaces.SIDEWALK, label)
-        label[self.on_side_street(s, beyond, side)] = surfaces.ROAD
-        return label.astype(np.uint32)
 
     def edges(self) -> tuple[Array, Array]:
         """Return the s and the t at which the ground changes."""
@@ -210,3 +204,99 @@ class Plan:
             t += [side.sign * (self.half - 0.36), side.sign * (self.half - 0.24)]
             t += list(side.sign * (self.half + CORNER_LINES_M))
         return np.unique(np.round(s, 3)), np.unique(np.round(t, 3))
+
+
+def draw_plan(rng: Rng, style: Numbers, length: float) -> Plan:
+    """Draw a street of that style and length."""
+    knots = np.arange(-1.0, length + 1.5, 0.5)
+    heading = _heading(rng, knots)
+    half = rng.uniform(*style.lane) * (rng.uniform(1.3, 1.9) if rng.random() < style.wide else 1)
+    crossings = _crossings(rng, style, length)
+    amplitude = rng.uniform(0.05, 1.0, 5) * [1.2, 0.8, 0.3, 0.08, 0.03]
+    longest = np.array([260, 140, 60, 22, 9])
+    kx, ky = (
+        rng.choice([-1, 1], 5) * 2 * np.pi / longest * rng.uniform(0.3, 1, 5) for _ in range(2)
+    )
+    waves = np.array([amplitude, kx, ky, rng.uniform(0, 2 * np.pi, 5)])
+    bank = (rng.uniform(-0.6, 1) * style.bank, rng.uniform(-0.6, 1) * style.bank)
+    x, y = np.cumsum(np.cos(heading)) * 0.5, np.cumsum(np.sin(heading)) * 0.5
+    left, right = (_side(rng, style, sign, length, crossings) for sign in (LEFT, RIGHT))
+    return Plan(style, length, half, knots, x, y, heading, waves, bank, crossings, (left, right))
+
+
+def _heading(rng: Rng, knots: Array) -> Array:
+    """Draw straights and bends no tighter than 85 m, so that the sides do not fold over."""
+    curvature = np.zeros(len(knots))
+    position = 0
+    while position < len(knots):
+        count = int(rng.uniform(40, 160))
+        if rng.random() < 0.6:
+            bend = rng.uniform(-1, 1) / 85
+            curve = bend * np.hanning(count)[: len(knots) - position]
+            curvature[position : position + count] = curve
+        position += count
+    return rng.uniform(-np.pi, np.pi) + np.cumsum(curvature) * 0.5
+
+
+def _crossings(rng: Rng, style: Numbers, length: float) -> tuple[Crossing, ...]:
+    crossings = []
+    s = rng.uniform(0.3, 1.0) * style.crossing_gap[0]
+    while s < length:
+        sides = ((LEFT,), (RIGHT,), (LEFT, RIGHT))[rng.choice(3, p=(0.28, 0.28, 0.44))]
+        paved = 0.0 if style.sidewalk < 0.4 else rng.uniform(1.2, 3)
+        zebra = bool(rng.random() < 0.35) and style.sidewalk > 0.4
+        half, corner = rng.uniform([2.2, 0.8], [4.5, 4.0])
+        crossings.append(Crossing(s, half, paved, sides, zebra, corner))
+        s += rng.uniform(*style.crossing_gap)
+    return tuple(crossings)
+
+
+def _side(
+    rng: Rng, style: Numbers, sign: int, length: float, crossings: tuple[Crossing, ...]
+) -> Side:
+    parking = rng.uniform(1.7, 2.3) if rng.random() < style.parking else 0.0
+    verge = rng.uniform(0.5, 2.6) if rng.random() < style.verge else 0.0
+    sidewalk = rng.uniform(*style.sidewalk_width) if rng.random() < style.sidewalk else 0.0
+    kerb = rng.uniform(0.02, 0.14) if sidewalk and rng.random() >= style.flush else 0.0
+    strip = surfaces.OTHER_GROUND if rng.random() < style.gravel else surfaces.TERRAIN
+    lots: list[Lot] = []
+    position = 0.0
+    here = tuple(crossing for crossing in crossings if sign in crossing.sides)
+    for crossing in here:
+        lots += _lots(rng, style, position, crossing.s - crossing.half - crossing.pavement)
+        position = crossing.s + crossing.half + crossing.pavement
+    lots += _lots(rng, style, position, length)
+    raised = bool(rng.random() < 0.5)
+    return Side(sign, parking, verge, strip, sidewalk, kerb, raised, tuple(lots), here)
+
+
+def _lots(rng: Rng, style: Numbers, start: float, end: float) -> list[Lot]:
+    """Fill the stretch between two side streets with lots."""
+    lots: list[Lot] = []
+    setback = rng.uniform(*style.setback)
+    while end - start > 1:
+        width = rng.uniform(*style.lot_width)
+        stop = end if end - start - width < style.lot_width[0] * 0.6 else start + width
+        kind = weighted_choice(rng, style.lots)
+        lots.append(_lot(rng, kind, start, stop, setback + rng.uniform(-0.15, 0.15) * setback))
+        start = stop
+    return lots
+
+
+def _lot(rng: Rng, kind: str, start: float, end: float, setback: float) -> Lot:
+    paved = surfaces.SIDEWALK if rng.random() < 0.55 else surfaces.TERRAIN
+    front = back = surfaces.TERRAIN
+    drive = (start, start)
+    if kind == "terrace":
+        front = paved if setback > 2 else surfaces.SIDEWALK
+    elif kind == "carpark":
+        front, back, setback = surfaces.PARKING, paved, rng.uniform(5.5, 12)
+    elif kind == "forecourt":
+        front, setback = surfaces.OTHER_GROUND, rng.uniform(5, 12)
+    elif kind == "house":
+        if rng.random() < 0.6 and end - start > 8:
+            drive = (start + 0.4, start + 0.4 + rng.uniform(2.6, 3.6))
+        front = surfaces.SIDEWALK if rng.random() < 0.35 else surfaces.TERRAIN
+    elif kind == "yard" and rng.random() < 0.3:
+        front = surfaces.PARKING
+    return Lot(kind, start, end, setback, front, back, drive)

@@ -1,27 +1,38 @@
 # SPDX-License-Identifier: MIT
-"""Objects between the kerb and the lots, and in the side streets."""
+"""Objects between the kerb and the lots, in the side streets and between the carriageways."""
+
+from functools import partial
 
 import numpy as np
 
-from salsanext_cli.synthesis.street import crowd
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import Crossing, Side
-from salsanext_cli.synthesis.things import cycles, furniture, people, vegetation
+from salsanext_cli.synthesis.things import boundaries, cycles, furniture, people, vegetation
 from salsanext_cli.synthesis.things.vehicles import car, length_of, vehicle
 
 TOWARDS_TRAFFIC_RAD = np.pi / 2
 """Turns a sign, which faces its local -y, towards the traffic on its side of the street."""
 SIDE_STREET_END_M = 50.0
 """Distance beyond the kerb at which trees close a side street."""
+TOWARDS_ROAD_RAD = -np.pi / 2
+"""Turns what faces along the street towards the road."""
+IN_A_ROW_M = 1.95
+"""Distance between bicycles that stand one behind the other."""
 
 
 def furnish(builder: Builder, side: Side) -> None:
     """Fill the strips of one side: parked cars, trees, lamps, signs, people, clutter."""
-    for fill in (_parked, _trees, _lamps, _signs, crowd.gather, _clutter):
+    for fill in (_parked, _trees, _lamps, _signs, _crowd, _clutter):
         fill(builder, side)
-    for crossing in builder.plan.crossings:
-        if side.sign in crossing.sides:
-            _side_street(builder, side, crossing)
+    for crossing in side.crossings:
+        _side_street(builder, side, crossing)
+
+
+def separate_directions(builder: Builder) -> None:
+    """Separate the directions of traffic by a crash barrier."""
+    plan, shade = builder.plan, builder.between(0.6, 1.3)
+    piece = partial(boundaries.fence, builder.rng, kind="barrier", height=0.8, shade=shade)
+    builder.put_line(piece, plan.sides[0], 0.0, plan.length, -plan.half)
 
 
 def _parked(builder: Builder, side: Side) -> None:
@@ -107,6 +118,72 @@ def _clutter(builder: Builder, side: Side) -> None:
     if side.sidewalk > 2 and builder.chance(0.4):
         s = builder.along()
         builder.put_if_free(furniture.shelter(builder.rng), side, s, side.depth - 1.6, 2.0)
+
+
+def _crowd(builder: Builder, side: Side) -> None:
+    """Fill the pavement with groups of people and with bicycles and motorcycles."""
+    crowd = builder.plan.style.crowd * builder.plan.length / 100
+    for _ in builder.count(0.13 * crowd):
+        _group(builder, side, builder.along(), _distance_from_kerb(builder, side))
+    for _ in builder.count(0.02 * crowd):
+        _bench(builder, side, builder.along(), _distance_from_kerb(builder, side))
+    for _ in builder.count(0.17 * crowd):
+        _bicycles(builder, side, builder.along())
+    for _ in builder.count(0.13 * crowd):
+        _motorcycles(builder, side, builder.along())
+
+
+def _distance_from_kerb(builder: Builder, side: Side) -> float:
+    """Return a distance from the kerb, on the pavement: at the kerb, at the houses or between."""
+    low, high = side.parking + 0.3, max(side.parking + 0.6, side.depth - 0.3)
+    return (low, high, builder.between(low, high))[builder.rng.integers(3)]
+
+
+def _group(builder: Builder, side: Side, s: float, out: float) -> None:
+    """Stand one to eight people close together, some with a bicycle beside them."""
+    count = int(builder.rng.choice([1, 1, 2, 2, 3, 4, 6, 8]))
+    for _ in range(count):
+        place = s + builder.rng.normal(0, 0.35 * count**0.5), out + builder.rng.normal(0, 0.35)
+        yaw = builder.between(0, 6.28)
+        builder.put_if_free(people.person(builder.rng), side, *place, 0.19, yaw)
+        if builder.chance(0.12):
+            bicycle = cycles.bicycle(builder.rng)
+            builder.put_if_free(bicycle, side, place[0], place[1] + 0.5, 0.15, yaw * 0.05)
+
+
+def _bench(builder: Builder, side: Side, s: float, out: float) -> None:
+    """Seat people side by side on a bench."""
+    if not builder.put_if_free(furniture.bench(builder.rng), side, s, out, 0.3):
+        return
+    for x in np.arange(-0.6, 0.9, builder.between(0.5, 0.8)):
+        person = people.person(builder.rng, sitting=True)
+        builder.put(person, side, s + float(x), out, TOWARDS_ROAD_RAD)
+
+
+def _bicycles(builder: Builder, side: Side, s: float) -> None:
+    """Lean bicycles off the road, one behind the other, or stand them side by side in a rack."""
+    rack = builder.chance(0.4)
+    out = max(0.5, side.depth - 0.3) if builder.chance(0.5) else _distance_from_kerb(builder, side)
+    yaw = builder.between(-0.2, 0.2) + (np.pi / 2) * rack
+    for step in range(int(builder.rng.choice([1, 1, 2, 5]))):
+        backwards = builder.chance(0.4)
+        turned = yaw + builder.rng.normal(0, 0.08) + np.pi * backwards
+        lean = builder.rng.normal(0, 0.1) if rack else abs(builder.rng.normal(0.1, 0.1))
+        mesh = cycles.bicycle(builder.rng).leaned(lean if backwards else -lean)
+        place = s + step * (builder.between(0.45, 0.7) if rack else IN_A_ROW_M)
+        builder.put_if_free(mesh, side, place, out, 0.22, turned)
+
+
+def _motorcycles(builder: Builder, side: Side, s: float) -> None:
+    """Park motorcycles at the kerb or on the pavement, along it or across."""
+    at_kerb = builder.chance(0.4)
+    out = builder.between(-0.7, -0.4) if at_kerb else _distance_from_kerb(builder, side)
+    yaw = builder.rng.choice([0.0, np.pi / 2, 1.0]) + np.pi * builder.chance(0.5)
+    out += 0.9 * abs(np.sin(yaw)) * at_kerb
+    for step in range(int(builder.rng.choice([1, 1, 1, 2, 4]))):
+        mesh = cycles.motorcycle(builder.rng).leaned(builder.rng.normal(0, 0.1))
+        turned = yaw + builder.rng.normal(0, 0.1)
+        builder.put_if_free(mesh, side, s + (0.9 + abs(np.cos(yaw))) * step, out, 0.35, turned)
 
 
 def _park_along(builder: Builder, side: Side, crossing: Crossing) -> None:

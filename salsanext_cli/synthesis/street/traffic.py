@@ -2,16 +2,15 @@
 """All that moves in a street: vehicles, pedestrians, riders."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Mesh
-from salsanext_cli.synthesis.street.brightness import varied
-from salsanext_cli.synthesis.street.builder import Builder
+from salsanext_cli.synthesis.street.builder import Builder, varied
 from salsanext_cli.synthesis.street.plan import MULTILANE_HALF_WIDTH_M, RUN_OUT_M, Plan
-from salsanext_cli.synthesis.things import people, riders
+from salsanext_cli.synthesis.things import cycles, people
 from salsanext_cli.synthesis.things.vehicles import vehicle
 
 
@@ -81,8 +80,12 @@ def _in_a_row(builder: Builder, start: float, end: float, room: float) -> Iterat
 
 
 def _vehicle(builder: Builder) -> Mesh:
-    mesh = varied(vehicle(builder.rng), builder.rng)
-    return mesh.relabelled(surfaces.MOVING[int(mesh.labels[0])])
+    return _in_motion(varied(vehicle(builder.rng), builder.rng))
+
+
+def _in_motion(mesh: Mesh) -> Mesh:
+    """Return a thing with the raw id that its class has while it moves."""
+    return replace(mesh, labels=np.full_like(mesh.labels, surfaces.MOVING[int(mesh.labels[0])]))
 
 
 def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
@@ -96,8 +99,7 @@ def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
             for _ in range(int(builder.rng.choice([1, 1, 2, 2, 3, 4]))):
                 t = side.sign * (plan.half + out + builder.rng.normal(0, 0.35))
                 place = s + builder.rng.normal(0, 0.6)
-                person = people.person(builder.rng).relabelled(surfaces.MOVING[surfaces.PERSON])
-                yield Mover(person, place, t, pace)
+                yield Mover(_in_motion(people.person(builder.rng)), place, t, pace)
 
 
 def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
@@ -109,7 +111,5 @@ def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
         meeting = builder.between(0, duration)
         s = RUN_OUT_M + speed * meeting - pace * meeting + builder.rng.normal(0, 22)
         t = sign * max(2.3, plan.half + builder.between(-0.9, 0.9))
-        make = riders.bicyclist if builder.chance(0.5) else riders.motorcyclist
-        rider = make(builder.rng)
-        rider = rider.relabelled(surfaces.MOVING[int(rider.labels[0])])
-        yield Mover(rider, float(s), t, pace)
+        make = cycles.bicyclist if builder.chance(0.5) else cycles.motorcyclist
+        yield Mover(_in_motion(make(builder.rng)), float(s), t, pace)

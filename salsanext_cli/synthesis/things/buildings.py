@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Houses: facades with recessed windows and doors, steps, balconies, roofs.
+"""Houses: facades with recessed windows and doors, steps, balconies, roofs."""
 
-Local frame: x along the street, y away from it, the front wall at y = 0, the ground at z = 0.
-"""
-
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +11,7 @@ from salsanext_cli.synthesis.surfaces import BUILDING, Material
 
 FOOT_M = -1.5
 """Height of the foot of a wall: below the ground, which is not level."""
-BLANK = 0.2
+BLANK_SHARE = 0.2
 """Largest share of openings in the ground floor of a blank front; real ones near a sensor are often
 flat over more than 3 m."""
 Corners = list[list[float]]
@@ -22,54 +20,47 @@ Opening = tuple[float, float, float, float]
 """Left, right, bottom and top."""
 
 
-class GroundFloor(NamedTuple):
-    """Share of the front's bays that have an opening, and skin of the walls."""
+class House(NamedTuple):
+    """Measures in metres, and skins of the walls."""
 
-    open_share: float
-    skin: Skin
+    width: float  # Of the front
+    depth: float
+    height: float  # Of the walls
+    storey: float
+    floors: int
+    bay: float  # Between the middles of neighbouring windows
+    wall: Skin
+    base: Skin  # Of the ground floor
+    open_share: float  # Share of the bays of the front's ground floor that have an opening
 
 
 def house(rng: Rng, width: float, depth: float, floors: int) -> Mesh:
     """Return a house whose front is `width` metres long and centred on x = 0."""
     material = Material.PLASTER if rng.random() < 0.7 else Material.BRICK
-    wall = Skin(BUILDING, material, float(rng.uniform(0.6, 1.35)))
+    wall = Skin.drawn(rng, BUILDING, material, 0.6, 1.35)
     storey = float(rng.uniform(2.6, 3.6))
     height = storey * floors + rng.uniform(0.2, 0.9)
     bay = float(rng.uniform(2.2, 4.2))
-    corners = np.array([[-1, 0], [1, 0], [1, 1], [-1, 1], [-1, 0]]) * [width / 2, depth]
-    ends = (corners[i : i + 2] for i in range(4))
     base = wall if rng.random() < 0.6 else Skin.drawn(rng, BUILDING, Material.BRICK, 0.4, 1.5)
-    ground = GroundFloor(_open_share(rng), base)
-    parts = [_facade(rng, e, height, storey, bay, wall, ground, i == 0) for i, e in enumerate(ends)]
-    parts.append(_roof(rng, width, depth, height, wall))
-    if ground.open_share > BLANK or rng.random() < 0.5:
-        parts += _details(rng, width, storey, floors, wall)
+    bounds = ((0, BLANK_SHARE), (0.3, 0.6), (1, 1))[rng.choice(3, p=(0.45, 0.25, 0.3))]
+    open_share = float(rng.uniform(*bounds))
+    drawn = House(width, depth, height, storey, floors, bay, wall, base, open_share)
+    corners = np.array([[-1, 0], [1, 0], [1, 1], [-1, 1], [-1, 0]]) * [width / 2, depth]
+    parts = [_facade(rng, drawn, corners[i : i + 2], front=i == 0) for i in range(4)]
+    parts.append(_roof(rng, drawn))
+    if open_share > BLANK_SHARE or rng.random() < 0.5:
+        parts += _details(rng, drawn)
     return merge(parts)
 
 
-def _open_share(rng: Rng) -> float:
-    """Draw the share of the bays of a front's ground floor that have an opening."""
-    bounds = ((0, BLANK), (0.3, 0.6), (1, 1))[rng.choice(3, p=(0.45, 0.25, 0.3))]
-    return float(rng.uniform(*bounds))
-
-
-def _facade(
-    rng: Rng,
-    ends: Array,
-    height: float,
-    storey: float,
-    bay: float,
-    wall: Skin,
-    ground: GroundFloor,
-    front: bool,
-) -> Mesh:
-    """Return one wall: a grid of bays and storeys, most of them with a window."""
+def _facade(rng: Rng, house: House, ends: Array, *, front: bool) -> Mesh:
+    """Return the wall between two points: a grid of bays and storeys, most with a window."""
     along = ends[1] - ends[0]
     length = float(np.hypot(*along))
-    columns = max(1, round(length / bay))
-    rows = max(1, int(height / storey))
+    columns = max(1, round(length / house.bay))
+    rows = max(1, int(house.height / house.storey))
     lows = np.linspace(0, length, columns + 1)
-    open_chance = np.array([ground.open_share, 0.85] if front else [0.65, 0.5])
+    open_chance = [house.open_share, 0.85] if front else [0.65, 0.5]
     door = int(rng.integers(columns)) if front else -1
     bare = rng.uniform(0.1, 0.6)
     shop = front and bool(rng.random() < 0.25)
@@ -77,20 +68,20 @@ def _facade(
     of_ground = np.array([*size[:2], rng.uniform(0.7, 2.0)])
     panels = base, flat, glass, closed = [list[Corners]() for _ in range(4)]
     for row in range(rows):
-        bottom = row * storey + (FOOT_M if row == 0 else 0)
-        top = (row + 1) * storey if row < rows - 1 else height
-        for column in range(columns):
-            x0, x1 = lows[column], lows[column + 1]
+        bottom = row * house.storey if row else FOOT_M
+        top = (row + 1) * house.storey if row < rows - 1 else house.height
+        walls = flat if row else base
+        for column, (x0, x1) in enumerate(pairwise(lows)):
             kind = "window" if row else "door" if column == door else "shop" if shop else "window"
-            hole = _hole(rng, x0, x1, row, storey, size if row else of_ground, kind)
+            hole = _hole(rng, x0, x1, row, house.storey, size if row else of_ground, kind)
             if hole is None or rng.random() > open_chance[min(row, 1)]:
-                (flat if row else base).append(_panel(x0, x1, bottom, top, 0))
+                walls.append(_panel(x0, x1, bottom, top, 0))
                 continue
-            walls, pane = _pierced(x0, x1, bottom, top, hole, rng.uniform(0.08, 0.3))
-            (flat if row else base).extend(walls)
+            around, pane = _pierced(x0, x1, bottom, top, hole, rng.uniform(0.08, 0.3))
+            walls.extend(around)
             (glass if rng.random() < bare else closed).append(pane)
     shutters = Skin.drawn(rng, BUILDING, Material.WOOD, 0.4, 1.1)
-    skins = (ground.skin, wall, Skin(BUILDING, Material.GLASS), shutters)
+    skins = (house.base, house.wall, Skin(BUILDING, Material.GLASS), shutters)
     skinned = zip(panels, skins, strict=True)
     mesh = merge(quads(np.array(corners), skin) for corners, skin in skinned if corners)
     return mesh.moved((*ends[0], 0), float(np.arctan2(*along[::-1])))
@@ -134,8 +125,9 @@ def _pierced(
     return walls, _panel(a, b, c, d, depth)
 
 
-def _roof(rng: Rng, width: float, depth: float, height: float, wall: Skin) -> Mesh:
+def _roof(rng: Rng, house: House) -> Mesh:
     """Return a flat or a gabled roof with eaves."""
+    width, depth, height = house.width, house.depth, house.height
     skin = Skin.drawn(rng, BUILDING, Material.BRICK, 0.5, 0.9)
     eaves = rng.uniform(0.1, 0.6)
     x, low, high = width / 2 + 0.1, -eaves, depth + eaves
@@ -151,32 +143,32 @@ def _roof(rng: Rng, width: float, depth: float, height: float, wall: Skin) -> Me
         [[end, 0, height], [end, depth, height], [end, middle, peak], [end, middle, peak]]
         for end in (-width / 2, width / 2)
     ]
-    return merge([quads(np.array(slopes), skin), quads(np.array(gables), wall)])
+    return merge([quads(np.array(slopes), skin), quads(np.array(gables), house.wall)])
 
 
-def _details(rng: Rng, width: float, storey: float, floors: int, wall: Skin) -> list[Mesh]:
+def _details(rng: Rng, house: House) -> list[Mesh]:
     """Return steps, downpipes, plinths, balconies, canopies and bays of the front."""
-    half = width / 2
+    half, wall, top = house.width / 2, house.wall, house.storey * house.floors
     metal = Skin(BUILDING, Material.METAL, 1.1)
     parts = []
     if rng.random() < 0.5:
         parts.append(box((-half, -0.06, FOOT_M), (half, 0.02, rng.uniform(0.3, 0.9)), wall))
     for x in (-half + 0.1, half - 0.2):
         if rng.random() < 0.6:
-            parts.append(box((x, -0.1, 0), (x + 0.1, -0.01, storey * floors), metal))
+            parts.append(box((x, -0.1, 0), (x + 0.1, -0.01, top), metal))
     if rng.random() < 0.5:
         x = rng.uniform(-half, half - 1.8)
         for n in range(1, 4):
             y, z = -0.35 * n, 0.6 - 0.17 * n
             parts.append(box((x, y, FOOT_M), (x + 1.6, y + 0.4, z), wall))
-    if rng.random() < 0.35 and width > 6:
+    if rng.random() < 0.35 and house.width > 6:
         x = rng.uniform(-half + 1, half - 3.5)
         y = -rng.uniform(0.5, 1.3)
-        parts.append(box((x, y, FOOT_M), (x + 2.5, 0.1, storey * floors * 0.9), wall))
-    if floors > 1 and rng.random() < 0.5:
-        for floor in range(1, floors):
+        parts.append(box((x, y, FOOT_M), (x + 2.5, 0.1, top * 0.9), wall))
+    if house.floors > 1 and rng.random() < 0.5:
+        for floor in range(1, house.floors):
             x = rng.uniform(-half + 0.3, half - 2.8)
-            z = floor * storey
+            z = floor * house.storey
             parts.append(box((x, -1.2, z - 0.15), (x + 2.5, 0, z), wall))
             parts.append(box((x, -1.22, z), (x + 2.5, -1.17, z + 0.95), metal))
     if rng.random() < 0.4:

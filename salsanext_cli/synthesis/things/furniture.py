@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Objects at the roadside: poles, lamps, signs, bins, benches, cabinets, shelters.
-
-Local frame: x along the street, y away from it, the ground at z = 0.
-"""
+"""Objects at the roadside: poles, lamps, signs, bins, benches, cabinets, shelters."""
 
 import numpy as np
 
@@ -43,7 +40,6 @@ def post(rng: Rng) -> Mesh:
 def _face(rng: Rng, kind: str) -> Mesh:
     """Return a sign's plate in the x-z plane around the origin, its bright side towards -y."""
     bright = Skin.drawn(rng, SIGN, Material.RETRO, 0.75, 1.1)
-    metal = Skin(SIGN, Material.METAL, 0.9)
     radius = float(rng.uniform(0.28, 0.45))
     if kind == "round":
         front = disc((0, 0, 0), radius, bright, 14)
@@ -53,7 +49,7 @@ def _face(rng: Rng, kind: str) -> Mesh:
     else:
         x, z = radius * rng.uniform(0.6, 1.6), radius * rng.uniform(0.5, 1.2)
         front = quads(np.array([[[-x, 0, -z], [x, 0, -z], [x, 0, z], [-x, 0, z]]]), bright)
-    back = Mesh.of(front.vertices + np.array([0, 0.02, 0]), front.triangles, metal)
+    back = Mesh.of(front.vertices + [0, 0.02, 0], front.triangles, Skin(SIGN, Material.METAL, 0.9))
     return merge([front, back])
 
 
@@ -73,11 +69,10 @@ def board(rng: Rng) -> Mesh:
     high = low + float(rng.uniform(0.5, 1.2))
     steel = _steel(rng)
     bright = Skin.drawn(rng, SIGN, Material.RETRO, 0.6, 1.1)
-    back = Skin(SIGN, Material.METAL, 0.9)
     parts = [tube([[x, 0, FOOT_M], [x, 0, high]], 0.05, steel) for x in (-half * 0.8, half * 0.8)]
     plate = np.array([[[-half, 0, low], [half, 0, low], [half, 0, high], [-half, 0, high]]])
-    parts.append(quads(plate + np.array([0, -0.08, 0]), bright))
-    parts.append(quads(plate + np.array([0, -0.06, 0]), back))
+    parts.append(quads(plate - [0, 0.08, 0], bright))
+    parts.append(quads(plate - [0, 0.06, 0], Skin(SIGN, Material.METAL, 0.9)))
     return merge(parts)
 
 
@@ -94,17 +89,16 @@ def traffic_light(rng: Rng) -> Mesh:
 def dustbin(rng: Rng) -> Mesh:
     """Return a dustbin with a lid."""
     skin = Skin.drawn(rng, CLUTTER, Material.WOOD, 0.2, 1.1)
-    size = rng.uniform([0.2, 0.2, 0.8], [0.35, 0.4, 1.15])
-    x, y, z = size
+    x, y, z = rng.uniform([0.2, 0.2, 0.8], [0.35, 0.4, 1.15])
     lid = box((-x - 0.02, -y - 0.05, z), (x + 0.02, y, z + 0.08), skin)
-    return merge([box((-x, -y, 0.05), size, skin), lid])
+    return merge([box((-x, -y, 0.05), (x, y, z), skin), lid])
 
 
 def cabinet(rng: Rng) -> Mesh:
     """Return a switch cabinet."""
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.5, 1.1)
-    size = rng.uniform([0.25, 0.12, 0.8], [0.9, 0.3, 1.6])
-    return box((-size[0], -size[1], FOOT_M), size, skin)
+    x, y, z = rng.uniform([0.25, 0.12, 0.8], [0.9, 0.3, 1.6])
+    return box((-x, -y, FOOT_M), (x, y, z), skin)
 
 
 def bench(rng: Rng) -> Mesh:

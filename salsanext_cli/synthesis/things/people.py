@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""People on foot: standing, walking, sitting, carrying things.
-
-Local frame: x forward, y left, the ground at z = 0.
-"""
+"""People on foot: standing, walking, sitting, carrying things."""
 
 import numpy as np
 
@@ -15,7 +12,8 @@ HIP, SHOULDER, SEAT = 0.52, 0.82, 0.28
 
 def limb(start: Array, joint: Array, end: Array, radii: tuple[float, float], skin: Skin) -> Mesh:
     """Return an arm or a leg with a joint."""
-    return tube([start, joint, end], [radii[0], (radii[0] + radii[1]) / 2, radii[1]], skin, 7)
+    first, last = radii
+    return tube([start, joint, end], [first, (first + last) / 2, last], skin)
 
 
 def person(rng: Rng, *, sitting: bool = False) -> Mesh:
@@ -29,8 +27,8 @@ def person(rng: Rng, *, sitting: bool = False) -> Mesh:
     parts = [upper.moved((0, 0, (SEAT - HIP) * sitting))]
     parts += _sitting_legs(bottom) if sitting else _legs(stride, bottom)
     if not sitting and rng.random() < 0.3:
-        radii = [0.13 * girth, 0.09 * girth]
-        parts.append(tube([[0, 0, 0.3], [0, 0, HIP + 0.04]], radii, bottom, 9))
+        coat = [[0, 0, 0.3], [0, 0, HIP + 0.04]]
+        parts.append(tube(coat, [0.13 * girth, 0.09 * girth], bottom, 9))
     return merge(parts).scaled(height)
 
 

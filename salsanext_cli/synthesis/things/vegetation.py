@@ -1,22 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Trees, bushes and thickets: many small facets, which let some rays through.
-
-Local frame: the ground at z = 0, a tree's foot at the origin, a thicket along x.
-"""
+"""Trees, bushes and thickets: many small facets, which let some rays through."""
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import (
-    Array,
-    Mesh,
-    Rng,
-    Skin,
-    ellipsoid,
-    facets,
-    merge,
-    tube,
-)
-from salsanext_cli.synthesis.presets import Span
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, ellipsoid, facets, merge, tube
 from salsanext_cli.synthesis.surfaces import TRUNK, VEGETATION, Material
 
 THIN_M = 0.06
@@ -30,7 +17,9 @@ def leaf_skin(rng: Rng) -> Skin:
     return Skin.drawn(rng, VEGETATION, Material.LEAF, 0.7, 1.25)
 
 
-def _leaves(rng: Rng, centre: Array, radii: Array, count: int, sizes: Span, leaf: Skin) -> Mesh:
+def _leaves(
+    rng: Rng, centre: Array, radii: Array, count: int, sizes: tuple[float, float], leaf: Skin
+) -> Mesh:
     """Return leaves that thicken towards the rim of an ellipsoid."""
     direction = rng.standard_normal((count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Simulated measurement of one revolution: range and intensity of the pulses that return."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -9,6 +9,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
+from salsanext_cli.synthesis.presets import HDL64_RESPONSE
 from salsanext_cli.synthesis.surfaces import OPTICS
 
 GRAZING_COSINE = 0.14
@@ -56,24 +57,15 @@ class Response(NamedTuple):
     steps: int  # Number of steps of the reported brightness from 0 to 1
 
 
-HDL64 = Response(
-    noise=0.009,
-    nearest=1.6,
-    farthest=81.0,
-    lost_pulses=0.004,
-    threshold=6.0e-6,
-    gain=1.0,
-    gamma=1.0,
-    steps=100,
-)
+HDL64 = Response(**HDL64_RESPONSE)
 
 
-class Firings(NamedTuple):
-    """Gain, offset and power of the laser that fires each ray, (R,) each; see `Beams`."""
+class Lasers(NamedTuple):
+    """What tells lasers apart: of each laser (L,), or of the laser that fires each ray (R,)."""
 
-    gain: Array
-    offset: Array
-    power: Array
+    gain: Array  # Brightness that it reports relative to the others
+    offset: Array  # What it reports less
+    power: Array  # Strength of the pulse relative to the others
 
 
 class Scene:
@@ -89,65 +81,54 @@ class Scene:
             self._tensor(mesh.triangles.astype(np.uint32)),
         )
 
-    def cast(self, rays: Array) -> tuple[Array, npt.NDArray[np.int64], Array]:
+    def cast(self, rays: Array) -> tuple[Array, npt.NDArray[np.uint32], Array]:
         """Return distance (inf where nothing is hit), triangle and |cos| of incidence per ray."""
-        hits: dict[str, Any] = self._scene.cast_rays(
-            self._tensor(rays.astype(np.float32)), nthreads=1
-        )
-        distance = hits["t_hit"].numpy().astype(float)
-        triangle = hits["primitive_ids"].numpy().astype(np.int64)
-        normals = hits["primitive_normals"].numpy()
-        cosine = np.abs((normals * rays[:, 3:]).sum(1))
-        return distance, np.where(np.isfinite(distance), triangle, 0), cosine
+        hits = self._scene.cast_rays(self._tensor(rays.astype(np.float32)), nthreads=1)
+        cosine = np.abs((hits["primitive_normals"].numpy() * rays[:, 3:]).sum(1))
+        return hits["t_hit"].numpy().astype(float), hits["primitive_ids"].numpy(), cosine
 
 
 def measure(
-    rng: Rng, scenes: list[Scene], rays: Array, firings: Firings, response: Response
+    rng: Rng, scenes: list[Scene], rays: Array, lasers: Lasers, response: Response
 ) -> tuple[Array, Array, RawIds]:
-    """Measure along rays.
+    """Measure along rays (R, 6), origins and unit directions, the nearest hit over all scenes.
 
-    `rng`: of the noise; `scenes`: the nearest hit over all of them counts; `rays` (R, 6), origins
-    and unit directions, world coordinates; neighbours in azimuth follow each other; `firings`: of
-    the rays' lasers; `response`: of the sensor.
-
-    Returns `distance` (R,), metres, NaN where nothing came back; `intensity` (R,), 0…1; `labels`
-    (R,) uint32, raw ids.
+    Neighbours in azimuth follow each other. Returns distances (R,) in metres, NaN where nothing
+    came back, intensities (R,), 0…1, and raw ids (R,) uint32.
     """
-    distance, cosine = np.full(len(rays), np.inf), np.ones(len(rays))
-    labels = np.zeros(len(rays), np.uint32)
-    materials, shades = np.zeros(len(rays), np.int64), np.ones(len(rays))
+    count = len(rays)
+    distance, cosine = np.full(count, np.inf), np.ones(count)
+    labels = np.zeros(count, np.uint32)
+    materials, shades = np.zeros(count, np.int64), np.ones(count)
     for scene in scenes:
-        found, triangle, cos = scene.cast(rays)
-        nearer = found < distance
+        reached, triangle, cos = scene.cast(rays)
+        nearer = reached < distance
         hit = triangle[nearer]
-        distance[nearer], cosine[nearer] = found[nearer], cos[nearer]
+        distance[nearer], cosine[nearer] = reached[nearer], cos[nearer]
         labels[nearer] = scene.mesh.labels[hit]
         materials[nearer], shades[nearer] = scene.mesh.materials[hit], scene.mesh.shades[hit]
     brightness, texture, falloff, gloss, roughness = OPTICS[materials].T
     reach = np.where(np.isfinite(distance), distance, response.farthest + 1)
-    noise = rng.standard_normal((3, len(rays)))
+    noise = rng.standard_normal((3, count))
     reflected = brightness * shades * np.exp(texture * noise[0] - texture**2 / 2)
-    kept = _returns(rng, reflected, cosine, reach, gloss, firings.power, response)
+    signal = lasers.power * (reflected + LEAST_REFLECTED) * cosine / reach**2
+    weakness = response.threshold / np.maximum(signal, 1e-12)
+    detected = 1 / (1 + weakness**DETECTION_STEEPNESS)
+    kept = rng.random(count) < detected * (1 - response.lost_pulses)
+    kept &= _patchy(rng, count) >= _lost_to_gloss(reflected, cosine, gloss, lasers.power)
     blended, lost_at_edge = _edges(rng, reach)
     measured = blended + noise[1] * np.hypot(response.noise, roughness)
     kept &= (reach < response.farthest) & (measured > response.nearest) & ~lost_at_edge
     grazing = np.clip(cosine / GRAZING_COSINE, 0.01, 1) ** falloff
     echo = reflected * np.interp(reach, DISTANCES_M, RELATIVE_RESPONSE) * grazing
-    echo = (
-        response.gain * USUAL_ECHO * (echo / USUAL_ECHO) ** response.gamma * firings.gain
-        - firings.offset
-    )
-    echo = echo + INTENSITY_NOISE * noise[2] - INTENSITY_NOISE
-    intensity = np.clip(echo, 0, MOST_INTENSITY)
-    intensity = np.round(intensity * response.steps) / response.steps
+    amplified = response.gain * USUAL_ECHO * (echo / USUAL_ECHO) ** response.gamma * lasers.gain
+    reported = amplified - lasers.offset + INTENSITY_NOISE * noise[2] - INTENSITY_NOISE
+    intensity = np.round(np.clip(reported, 0, MOST_INTENSITY) * response.steps) / response.steps
     return np.where(kept, measured, np.nan), intensity, labels
 
 
 def _edges(rng: Rng, reach: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Return the distances (R,) of pulses, some of which hit two surfaces, and which are lost.
-
-    A pulse is as wide as the step to the next one: near surfaces give one echo between them.
-    """
+    """Return distances (R,) of pulses as wide as the step to the next one, and which are lost."""
     step = np.diff(reach, append=reach[-1:])
     chance, share = rng.random((2, len(reach)))
     both = chance < EDGE_SHARE
@@ -155,30 +136,18 @@ def _edges(rng: Rng, reach: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     return blended, (np.abs(step) >= PULSE_M) & (chance < LOST_AT_EDGE_SHARE)
 
 
-def _returns(
-    rng: Rng,
-    reflected: Array,
-    cosine: Array,
-    reach: Array,
-    gloss: Array,
-    power: Array,
-    response: Response,
-) -> npt.NDArray[np.bool_]:
-    """Decide which pulses return."""
-    chance = rng.random(len(reach))
-    signal = power * (reflected + LEAST_REFLECTED) * cosine / reach**2
-    weakness = response.threshold / np.maximum(signal, 1e-12)
-    detected = 1 / (1 + weakness**DETECTION_STEEPNESS)
-    # A mirror sends the pulse back only when hit straight on. Strong lasers still see its dirt, so
-    # that glass and dark paint come back in some rows and not in others.
+def _lost_to_gloss(reflected: Array, cosine: Array, gloss: Array, power: Array) -> Array:
+    """Return the chance (R,) that a pulse is lost to a mirror, which sends it elsewhere.
+
+    A mirror sends a pulse back only when hit straight on. Strong lasers still see its dirt, so
+    that glass and dark paint come back in some rows and not in others.
+    """
     diffuse = np.minimum(MOST_DIFFUSE, DIFFUSE_SHARE * reflected / DIFFUSE_BRIGHTNESS)
     straight_on = STRAIGHT_ON_SHARE * cosine**STRAIGHT_ON_EXPONENT
     mirrored = gloss * (1 - straight_on) * (1 - diffuse)
     odds = mirrored / np.maximum(1 - mirrored, 1e-6) / power**POWER_EXPONENT
-    lost_to_gloss = odds / (1 + odds)
-    kept = chance < detected * (1 - response.lost_pulses)
-    reflected_back: npt.NDArray[np.bool_] = _patchy(rng, len(reach)) >= lost_to_gloss
-    return kept & reflected_back
+    chance: Array = odds / (1 + odds)
+    return chance
 
 
 def _patchy(rng: Rng, count: int) -> Array:

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: MIT
+"""Sensor on its vehicle: its beams in order and time, and what the vehicle hides."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.synthesis.lidar import HDL64, Lasers, Response
+from salsanext_cli.synthesis.mesh import Array, Rng
+from salsanext_cli.synthesis.presets import RANDOM_SENSOR as BOUNDS
+from salsanext_cli.synthesis.presets import VEHICLE_OUTLINES_DEG
+
+ENCODER_STEP_DEG = 0.09
+"""Resolution of the azimuth."""
+REVOLUTION_S = 0.1
+PARALLAX_DEG = 1.2
+"""Shift of the vehicle as seen by lasers to the left and right of the axis."""
+UPPER_BLOCK, LOWER_BLOCK = (2.4, -8.0, 32), (-8.6, -23.9, 32)
+"""Elevation of the first and the last beam of a block in degrees, and their number."""
+AZIMUTH_STEP_DEG = 0.1667
+"""Angle between firings of a laser at 10 Hz."""
+HDL64_MOUNT_M = 1.73
+
+
+@dataclass(frozen=True, slots=True)
+class Beams:
+    """The lasers of one sensor, upper ones first; L of them."""
+
+    elevation: Array  # (L,): radians
+    azimuth: Array  # (L,): offset of the first firing, radians
+    # (L,): where the beam starts, metres above and to the left of the sensor's origin
+    height: Array
+    aside: Array
+    lasers: Lasers  # (L,) each
+    columns: int  # Firings per revolution
+
+    def azimuths(self) -> Array:
+        """Return the azimuth of each firing, (L, columns), radians, anticlockwise from ahead."""
+        tick = np.radians(ENCODER_STEP_DEG)
+        step = np.arange(self.columns) * (2 * np.pi / self.columns)
+        azimuth: Array = np.floor(step / tick) * tick + self.azimuth[:, None]
+        return azimuth
+
+    def rays(self) -> tuple[Array, Array, Array]:
+        """Return origins and directions (L * columns, 3), sensor frame, and the time of each.
+
+        In the order of KITTI's files: laser by laser from the top, each once around from
+        straight ahead to the left. The time (L * columns,) is in seconds; the sensor turns
+        clockwise from behind and looks ahead at time 0.
+        """
+        azimuth = self.azimuths()
+        elevation = np.broadcast_to(self.elevation[:, None], azimuth.shape)
+        horizontal = np.cos(elevation)
+        x, y = np.cos(azimuth), np.sin(azimuth)
+        directions = np.stack([horizontal * x, horizontal * y, np.sin(elevation)], -1)
+        aside = self.aside[:, None]
+        height = np.broadcast_to(self.height[:, None], azimuth.shape)
+        origins = np.stack([-y * aside, x * aside, height], -1)
+        turned = np.mod(np.pi - azimuth, 2 * np.pi) / (2 * np.pi)
+        times = (turned - 0.5) * REVOLUTION_S
+        return origins.reshape(-1, 3), directions.reshape(-1, 3), times.reshape(-1)
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A sensor and its mounting."""
+
+    beams: Beams  # Its lasers
+    response: Response  # What it makes of the pulses that return
+    seen: npt.NDArray[np.bool_]  # (L * columns,) bool: rays that the vehicle does not block
+    mount: float  # Height above the road, metres
+    tilt: Array  # (2,): pitch and roll of the mounting, radians
+
+    def rays(self) -> tuple[Array, Array, Array]:
+        """Return origins, directions and times of the rays that leave the vehicle."""
+        origins, directions, times = self.beams.rays()
+        return origins[self.seen], directions[self.seen], times[self.seen]
+
+    def lasers(self) -> Lasers:
+        """Return the properties of the laser that fires each ray."""
+        return Lasers(*(np.repeat(v, self.beams.columns)[self.seen] for v in self.beams.lasers))
+
+
+RigMaker = Callable[[Rng], Rig]
+"""Draws a sensor and its mounting."""
+
+
+def hidden_by_vehicle(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
+    """Return the rays that the recording vehicle blocks, (L * columns,); mounting varies a bit."""
+    azimuth = np.degrees(beams.azimuths()) + PARALLAX_DEG * np.sign(beams.aside)[:, None]
+    elevation = np.degrees(beams.elevation)[:, None]
+    hidden = np.zeros(azimuth.shape, bool)
+    for outline in VEHICLE_OUTLINES_DEG:
+        corner, upper, lower = outline.T
+        beyond = np.mod(azimuth - corner[0] - rng.normal(0, 0.3), 360)
+        shift = rng.normal(0, 0.3)
+        below = elevation < np.interp(beyond, corner - corner[0], upper, right=-90) + shift
+        hidden |= below & (elevation > np.interp(beyond, corner - corner[0], lower, right=-90))
+    return hidden.reshape(-1)
+
+
+def _lasers(rng: Rng, count: int) -> Lasers:
+    """Draw gain, offset and power of lasers; a few report much less than others."""
+    gain = rng.normal(1, 0.08, count)
+    offset = np.abs(rng.normal(0, 0.012, count))
+    weak = rng.random(count) < 0.1
+    offset[weak] += rng.uniform(0.03, 0.2, int(weak.sum()))
+    return Lasers(gain, offset, np.exp(rng.normal(0, 0.5, count)))
+
+
+def hdl64_rig(rng: Rng) -> Rig:
+    """Draw an HDL-64E with its own small deviations, and its mounting."""
+    elevation = np.concatenate([np.linspace(*UPPER_BLOCK), np.linspace(*LOWER_BLOCK)])
+    elevation = elevation + rng.normal(0, 0.045, 64) + rng.normal(0, 0.06)
+    columns = round(360 / (AZIMUTH_STEP_DEG + rng.normal(0, 0.0006)))
+    azimuth = rng.uniform(0, 2 * np.pi / columns, 64)
+    height = np.repeat([0.05, 0.0], 32) + rng.normal(0, 0.003, 64)
+    aside = np.tile([0.026, -0.026], 32)
+    downwards = np.radians(np.sort(elevation)[::-1])
+    beams = Beams(downwards, azimuth, height, aside, _lasers(rng, 64), columns)
+    tilt = rng.normal(0, np.radians(0.35), 2)
+    return Rig(beams, HDL64, ~hidden_by_vehicle(beams, rng), HDL64_MOUNT_M, tilt)
+
+
+def random_rig(rng: Rng) -> Rig:
+    """Draw a sensor unlike others, and its mounting."""
+    beams, response = _random_beams(rng), _random_response(rng)
+    seen = ~_random_shadow(beams, rng)
+    tilt = np.radians(rng.normal(0, BOUNDS.tilt, 2))
+    return Rig(beams, response, seen, float(rng.uniform(*BOUNDS.mount)), tilt)
+
+
+RIGS: dict[str, RigMaker] = {"hdl64": hdl64_rig, "random": random_rig}
+"""Makers of the sensor of a sequence by the name that `--sensor` takes."""
+
+
+def _random_beams(rng: Rng) -> Beams:
+    lost = rng.uniform(*BOUNDS.lost_beams) * (rng.random() < BOUNDS.lost_beams_chance)
+    elevation = _random_elevations(rng)
+    elevation = elevation[rng.random(len(elevation)) >= lost]
+    count = len(elevation)
+    columns = min(int(rng.choice(BOUNDS.column_counts)), int(BOUNDS.max_rays / count))
+    azimuth = rng.choice(BOUNDS.stagger) * rng.uniform(0, 2 * np.pi / columns, count)
+    height = np.zeros(count)
+    aside = rng.uniform(*BOUNDS.laser_aside) * np.resize([1.0, -1.0], count)
+    return Beams(np.radians(elevation), azimuth, height, aside, _lasers(rng, count), columns)
+
+
+def _random_elevations(rng: Rng) -> Array:
+    """Draw elevations in degrees, the highest first: evenly spaced, or denser near the horizon."""
+    count = int(rng.choice(BOUNDS.beam_counts))
+    upper, lower = rng.uniform(*BOUNDS.upper_edge), rng.uniform(*BOUNDS.lower_edge)
+    between = np.linspace(upper, lower, 1001)
+    density = np.ones(len(between))
+    if rng.random() < BOUNDS.dense_chance:
+        middle, width = rng.uniform(*BOUNDS.dense_elevation), rng.uniform(*BOUNDS.dense_width)
+        bell = np.exp(-(((between - middle) / width) ** 2) / 2)
+        density += rng.uniform(*BOUNDS.dense_factor) * bell
+    above = np.cumsum(density)
+    above = (above - above[0]) / (above[-1] - above[0])
+    elevation = np.interp(np.linspace(0, 1, count), above, between)
+    jitter = rng.normal(0, BOUNDS.elevation_jitter * (upper - lower) / count, count)
+    return np.sort(elevation + jitter)[::-1]
+
+
+def _random_response(rng: Rng) -> Response:
+    low, high = np.log(list(BOUNDS.response.values())).T
+    values = np.exp(rng.uniform(low, high)).tolist()
+    drawn = dict(zip(BOUNDS.response, values, strict=True))
+    return Response(**drawn, steps=int(rng.choice(BOUNDS.intensity_steps)))
+
+
+def _random_shadow(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
+    """Draw which rays the vehicle blocks: none, those of a car's outline, or those of a roof."""
+    kind = rng.choice(BOUNDS.shadows)
+    if kind == "none":
+        return np.zeros(len(beams.elevation) * beams.columns, bool)
+    if kind == "car":
+        return hidden_by_vehicle(beams, rng)
+    azimuth = beams.azimuths()
+    wave = np.cos(2 * azimuth) * rng.uniform(*BOUNDS.roof_ahead_and_behind)
+    wave = wave + np.cos(azimuth) * rng.uniform(*BOUNDS.roof_ahead)
+    edge = -rng.uniform(*BOUNDS.roof_edge) + wave
+    hidden: npt.NDArray[np.bool_] = np.degrees(beams.elevation)[:, None] < edge
+    return hidden.reshape(-1)

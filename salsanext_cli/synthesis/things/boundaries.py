@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: MIT
+"""Fences, walls, crash barriers, hedges and ivy, `length` metres long."""
+
+import numpy as np
+
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, facets, loft, merge, quads
+from salsanext_cli.synthesis.surfaces import FENCE, Material
+from salsanext_cli.synthesis.things.vegetation import FOOT_M, leaf_skin
+
+FENCES = ("pickets", "pickets", *["railing"] * 3, *["mesh"] * 3, "boards", "wall")
+PALES = {
+    "pickets": (Material.WOOD, 0.16, 0.09),
+    "boards": (Material.WOOD, 0.21, 0.2),
+    "railing": (Material.METAL, 0.13, 0.035),
+    "mesh": (Material.METAL, 0.1, 0.018),
+}
+"""Material, distance and width of the upright pieces, metres."""
+HEDGE_OUTLINE = np.array(
+    [[-0.5, 0.0], [-0.52, 0.35], [-0.5, 0.7], [-0.42, 0.95], [0, 1.0]]
+    + [[0.42, 0.95], [0.5, 0.7], [0.52, 0.35], [0.5, 0.0]]
+)
+"""Cross-section of a hedge in shares of depth and height."""
+
+
+def fence(rng: Rng, length: float, kind: str, height: float, shade: float) -> Mesh:
+    """Return a fence, one of `FENCES` or a crash ``"barrier"``."""
+    if kind == "wall":
+        skin = Skin(FENCE, Material.BRICK, shade)
+        body = box((0, -0.12, FOOT_M), (length, 0.12, height), skin)
+        return merge([body, box((0, -0.17, height), (length, 0.17, height + 0.07), skin)])
+    if kind == "barrier":
+        skin = Skin(FENCE, Material.METAL, shade)
+        at = np.arange(0, length, 2.0)
+        posts = [box((x, 0.02, FOOT_M), (x + 0.1, 0.14, 0.72), skin) for x in at]
+        beams = [box((0, -0.05, z), (length, 0.02, z + 0.12), skin) for z in (0.45, 0.63)]
+        return merge([*posts, *beams, box((0, -0.01, 0.5), (length, 0.0, 0.7), skin)])
+    material, pitch, width = PALES[kind]
+    skin = Skin(FENCE, material, shade)
+    x = np.arange(0, length, pitch)
+    parts = [_strips(x, x + width, 0.03, height + rng.normal(0, 0.015, len(x)), skin=skin)]
+    for post in np.arange(0, length, 2.2):
+        parts.append(box((post, -0.05, FOOT_M), (post + 0.08, 0.05, height + 0.05), skin))
+    for z in (0.2, height - 0.15):
+        parts.append(box((0, 0.01, z - 0.04), (length, 0.05, z + 0.04), skin))
+    if kind == "mesh":
+        rows = np.arange(0.1, height, 0.12)
+        parts.append(_strips(0.0, length, rows, rows + 0.018, skin=skin))
+    return merge(parts)
+
+
+def _strips(*edges: Array | float, skin: Skin) -> Mesh:
+    """Return upright rectangles in the plane y = 0: left, right, lower and upper edges."""
+    x0, x1, z0, z1, y = np.broadcast_arrays(*edges, 0.0)
+    corners = [np.stack(c, -1) for c in ((x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1))]
+    return quads(np.stack(corners, 1), skin)
+
+
+def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -> Mesh:
+    """Return a hedge, its surface with a standard deviation of `ragged` metres, under leaves."""
+    leaf = leaf_skin(rng)
+    stations = np.linspace(0, length, max(3, int(length / 0.4)))
+    section = HEDGE_OUTLINE * [depth * 0.9, height * 0.96]
+    section[[0, -1], 1] = FOOT_M
+    sides = section + rng.normal(0, ragged, (len(stations), len(section), 2))
+    x = np.broadcast_to(stations[:, None, None], (*sides.shape[:2], 1))
+    core = loft(np.concatenate([x, sides], -1), leaf)
+    count = int(length * (height + depth) * rng.uniform(15, 45))
+    place = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
+    outer, largest = rng.random(count), rng.uniform(0.04, 0.12)
+    place[:, 1] = np.where(outer < 0.75, np.sign(place[:, 1]) * depth * 0.48, place[:, 1])
+    place[:, 2] = np.where(outer >= 0.75, height, place[:, 2])
+    place += rng.normal(0, ragged, place.shape)
+    return merge([core, facets(place, rng.uniform(0.02, largest, count), leaf, rng)])
+
+
+def ivy(rng: Rng, length: float, height: float) -> Mesh:
+    """Return ivy on a wall at y = 0, its upper edge uneven."""
+    x = rng.uniform(0, length, int(60 * length * height))
+    phase, wave = rng.uniform(0, 2 * np.pi, 3), rng.uniform(0.3, 3, 3)
+    edge = height * (0.7 + 0.1 * np.sin(x[:, None] * wave + phase).sum(-1))
+    y = -np.abs(rng.normal(0.05, 0.07, len(x)))
+    places = np.stack([x, y, rng.uniform(0, 1, len(x)) * edge], -1)
+    return facets(places, rng.uniform(0.08, 0.2, len(x)), leaf_skin(rng), rng)
