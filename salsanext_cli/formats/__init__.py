@@ -19,11 +19,7 @@ SCAN_SUFFIXES = (*CLOUD_SUFFIXES, *TABLE_SUFFIXES)
 
 def scan_suffix(name: str) -> str:
     """Return the suffix that makes a file a scan, in lower case; empty if it is none."""
-    name = name.lower()
-    last = name[name.rfind(".") :]
-    if name.endswith(".pcd.bin"):
-        return ".pcd.bin"
-    return last if last in SCAN_SUFFIXES else ""
+    return next((suffix for suffix in SCAN_SUFFIXES if name.lower().endswith(suffix)), "")
 
 
 def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:

@@ -28,20 +28,15 @@ ANEW = "write it anew as float32 x, y, z, intensity"
 
 
 def read_bin(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
-    """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring.
-
-    `path`: the file; `columns`: names of other columns; empty for those above; `intensity_scale`:
-    divides the intensity.
-    """
+    """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring, or of `columns`."""
     has_ring = path.name.lower().endswith(".pcd.bin")
     width = len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS)
     values, size = _read_floats(path, width)
     if count := evident_count(values, width):
         raise _other_count(path, values, count, width)
     if size % (4 * width):
-        raise FormatError(
-            path, f"{size} bytes", _expected(width), "it is cut off or of another kind"
-        )
+        remedy = "it is cut off or of another kind"
+        raise FormatError(path, f"{size} bytes", _expected(width), remedy)
     table = values.reshape(-1, width)
     if columns:
         scan = scan_of(unnamed_columns(table, columns, path), path, intensity_scale)

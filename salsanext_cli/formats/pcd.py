@@ -9,20 +9,18 @@ with uninitialised values where ascii files are short or DATA is in upper case.
 import io
 import math
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.optional_packages import import_open3d
-from salsanext_cli.files.reading import read_values, reading, size_of
+from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import Columns, rows_as_rings, scan_of
 from salsanext_cli.records import Scan
 
-KINDS = ("ascii", "binary", "binary_compressed")
 TYPES = {
     **{f"F{size}": f"<f{size}" for size in (4, 8)},
     **{f"I{size}": f"<i{size}" for size in (1, 2, 4, 8)},
@@ -31,6 +29,7 @@ TYPES = {
 """numpy's type of each TYPE and SIZE."""
 CODES = {kind: code for code, kind in TYPES.items()}
 PADDING = "_"
+MAX_DIGITS = 15
 MAX_HEADER_BYTES = 1 << 16
 """Size of the largest header and of the largest row."""
 LARGEST_RATIO = 264 / 3
@@ -45,21 +44,17 @@ class Header:
     types: tuple[str, ...]
     counts: tuple[int, ...]
     points: int  # N
-    kind: str  # One of `KINDS`
+    kind: str  # Encoding of the points
     height: int = 1  # Rows of an organised cloud, else 1
 
     def __post_init__(self) -> None:
-        if not len(self.names) == len(self.types) == len(self.counts):
-            raise ValueError("a PCD header whose FIELDS, TYPE, SIZE and COUNT differ in length")
         named = [name for name in self.names if name != PADDING]
         if len(set(named)) < len(named):
-            raise ValueError("a PCD header with a field twice")
+            raise ValueError("a field twice")
         if self.points < 0 or min(self.counts, default=0) < 0:
-            raise ValueError("a PCD header with a negative number")
-        if self.row_size > MAX_HEADER_BYTES:
-            raise ValueError(f"a PCD header with {self.row_size} bytes per point")
-        if self.kind not in KINDS:
-            raise ValueError(f"PCD data of kind {self.kind}, not {', '.join(KINDS)}")
+            raise ValueError("a negative number")
+        if self.row_bytes > MAX_HEADER_BYTES:
+            raise ValueError(f"{self.row_bytes} bytes per point")
 
     @property
     def scalars(self) -> dict[str, int]:
@@ -67,8 +62,8 @@ class Header:
         return {n: i for i, n in enumerate(self.names) if n != PADDING and self.counts[i] == 1}
 
     @property
-    def row_size(self) -> int:
-        """Size of one point in bytes, padding included."""
+    def row_bytes(self) -> int:
+        """Size of one point, padding included."""
         sizes = (np.dtype(kind).itemsize for kind in self.types)
         return sum(size * count for size, count in zip(sizes, self.counts, strict=True))
 
@@ -100,35 +95,28 @@ def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
 
 
 def pcd_columns(path: Path) -> Columns:
-    """Read the fields of a PCD file with one value per point; errors are those of `read_pcd`."""
+    """Read the fields of a PCD file with one value per point."""
     return _read(path)[1]
 
 
 def _read(path: Path) -> tuple[Header, Columns]:
-    with reading(path) as file:
-        try:
-            header = _read_header(file)
-            match header.kind:
-                case "ascii":
-                    columns = _read_ascii(file, header)
-                case "binary":
-                    columns = _read_binary(file, path, header)
-                case _:
-                    columns = _read_compressed(file, header)
-        except ValueError as error:
-            raise FormatError(path, shortened(str(error)), "a whole PCD file") from error
-    return header, columns
+    with reading(path) as file, refusing_damage(path, "a whole PCD file"):
+        header = _read_header(file)
+        match header.kind:
+            case "ascii":
+                return header, _read_ascii(file, header)
+            case "binary":
+                return header, _read_binary(file, path, header)
+            case "binary_compressed":
+                return header, _read_compressed(file, header)
+        raise ValueError(f"PCD data of kind {header.kind}, not ascii or binary")
 
 
-def _read_ascii(file: BinaryIO, header: Header) -> Columns:
-    text = file.read()
-    width = sum(header.counts)
-    values: npt.NDArray[np.float64] = np.empty((0, width))
+def _read_ascii(file: BufferedReader, header: Header) -> Columns:
+    text, width = file.read(), sum(header.counts)
+    values = np.empty((0, width))
     if text.strip():
-        try:
-            values = np.loadtxt(io.BytesIO(text), np.float64, comments=None, ndmin=2)
-        except ValueError as error:
-            raise ValueError("lines that do not hold the same count of numbers") from error
+        values = np.loadtxt(io.BytesIO(text), np.float64, comments=None, ndmin=2)
     if values.shape != (header.points, width):
         found = f"{len(values)} lines of {values.shape[1]} values"
         raise ValueError(f"{found}, not {header.points} of {width}")
@@ -140,24 +128,24 @@ def _read_ascii(file: BinaryIO, header: Header) -> Columns:
         }
 
 
-def _read_binary(file: BinaryIO, path: Path, header: Header) -> Columns:
-    promised = header.points * header.row_size
+def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:
+    promised = header.points * header.row_bytes
     if (held := size_of(file) - file.tell()) < promised:
         raise ValueError(f"{held} bytes of data, not {promised}")
     table = read_values(file, path, header.row, header.points)
     return {name: table[name] for name in header.scalars}
 
 
-def _read_compressed(file: BinaryIO, header: Header) -> Columns:
+def _read_compressed(file: BufferedReader, header: Header) -> Columns:
     if len(header.scalars) < len(header.names):
         raise ValueError("compressed PCD data with fields of several values")
-    sizes = np.fromfile(file, "<u4", 2)
-    promised = header.points * header.row_size
-    held = size_of(file) - file.tell()
-    if len(sizes) < 2 or held < sizes[0] or sizes[1] != promised:
-        raise ValueError(f"{held} bytes of compressed data that do not unpack to {promised}")
+    sizes = np.frombuffer(file.read(8), "<u4")
+    promised = header.points * header.row_bytes
+    packed = file.read()
+    if len(sizes) < 2 or len(packed) < sizes[0] or sizes[1] != promised:
+        raise ValueError(f"{len(packed)} bytes of compressed data, not of {promised}")
     if promised > LARGEST_RATIO * sizes[0]:
-        raise ValueError(f"{sizes[0]} bytes of compressed data that cannot unpack to {promised}")
+        raise ValueError(f"{sizes[0]} bytes of compressed data that cannot be of {promised}")
     if header.points == 0:
         return {name: np.empty(0, t) for name, t in zip(header.names, header.types, strict=True)}
     open3d = import_open3d()
@@ -165,39 +153,36 @@ def _read_compressed(file: BinaryIO, header: Header) -> Columns:
         NamedTemporaryFile(suffix=".pcd") as copy,
         open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error),
     ):
-        copy.write(header.encode() + sizes.tobytes() + file.read(sizes[0]))
+        copy.write(header.encode() + sizes.tobytes() + packed[: sizes[0]])
         copy.flush()
-        try:
-            cloud = open3d.t.io.read_point_cloud(copy.name, format="pcd")
-        except RuntimeError as error:
-            raise ValueError("compressed PCD data that open3d cannot take") from error
+        cloud = open3d.t.io.read_point_cloud(copy.name, format="pcd")
     if "positions" not in cloud.point or len(cloud.point.positions) != header.points:
         raise ValueError("compressed PCD data that does not unpack")
     columns = {name: cloud.point[name].numpy()[:, 0] for name in cloud.point}
     return columns | dict(zip("xyz", cloud.point.positions.numpy().T, strict=True))
 
 
-def _read_header(file: BinaryIO) -> Header:
+def _read_header(file: BufferedReader) -> Header:
     """Read up to the line DATA; an unusable header raises `ValueError`."""
     entries = _entries(file)
     try:
         names = tuple(entries["FIELDS"])
-        kinds, sizes = entries["TYPE"], entries["SIZE"]
         counts = entries.get("COUNT", ["1"] * len(names))
         points = entries.get("POINTS") or entries["WIDTH"] + entries["HEIGHT"]
+        fields = [*zip(entries["TYPE"], entries["SIZE"], counts, names, strict=True)]
         return Header(
             names,
-            tuple(TYPES[kind + size] for kind, size in zip(kinds, sizes, strict=False)),
-            tuple(_number(count) for count in counts),
+            tuple(TYPES[kind + size] for kind, size, _, _ in fields),
+            tuple(map(_number, counts)),
             math.prod(map(_number, points)),
             entries["DATA"][0].lower(),
             _number(entries.get("HEIGHT", ["1"])[0]),
         )
-    except (KeyError, IndexError) as error:
-        raise ValueError(f"a PCD header without a usable {error}") from error
+    except (LookupError, ValueError) as error:
+        raise ValueError(f"an unusable PCD header: {error}") from error
 
 
-def _entries(file: BinaryIO) -> dict[str, list[str]]:
+def _entries(file: BufferedReader) -> dict[str, list[str]]:
     """Return the words after each keyword."""
     entries: dict[str, list[str]] = {}
     while "DATA" not in entries:
@@ -212,9 +197,6 @@ def _entries(file: BinaryIO) -> dict[str, list[str]]:
 
 def _number(word: str) -> int:
     """Return a number of fields or points, of a size that can be calculated with."""
-    if len(word) > 15:
-        raise ValueError("a PCD header with an impossible number")
-    try:
-        return int(word)
-    except ValueError as error:
-        raise ValueError(f"a PCD header with {word} in place of a number") from error
+    if len(word) > MAX_DIGITS:
+        raise ValueError("an impossible number")
+    return int(word)

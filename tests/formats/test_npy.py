@@ -55,10 +55,10 @@ class Trap:
 def test_pickles_are_not_opened(tmp_path):
     path = tmp_path / "a.npy"
     np.save(path, np.array([Trap()], object), allow_pickle=True)
-    with pytest.raises(FormatError, match=r"\|O"):
+    with pytest.raises(FormatError, match="npy file of object"):
         read_array(path, np.float32, (None,))
     path.write_bytes(pickle.dumps(Trap()))
-    with pytest.raises(FormatError, match=r"not a \.npy file"):
+    with pytest.raises(FormatError, match="magic string"):
         read_array(path, np.float32, (None,))
 
 
