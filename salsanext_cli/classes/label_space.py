@@ -114,27 +114,11 @@ class LabelSpace:
         return {int(i): int(n) for i, n in zip(ids, counts, strict=True)}
 
     def to_train(self, raw: RawIds, *, strict: bool = True, source: object = "labels") -> TrainIds:
-        """Map raw ids to train ids; instance bits are dropped.
+        """Map raw ids, uint32 of any shape, to train ids, uint8; instance bits are dropped.
 
-        Parameters
-        ----------
-        raw : uint32, any shape
-            Raw ids as label files hold them.
-        strict : bool
-            Raise on an unknown id; otherwise it becomes 0, unlabelled, as in the official
-            evaluator, and the caller reports `unknown_ids`. More than `MAX_UNKNOWN_SHARE` of the
-            labelled points are never tolerated: these are ids of something else.
-        source : object
-            Subject of the error.
-
-        Returns
-        -------
-        uint8, same shape
-
-        Raises
-        ------
-        LabelError
-            If `strict` and an id is unknown, or too many are.
+        An unknown id raises `LabelError`, or becomes 0 unless `strict`, as in the official
+        evaluator, and the caller reports `unknown_ids`. More than `MAX_UNKNOWN_SHARE` of the
+        labelled points are never tolerated: these are ids of something else.
         """
         train: TrainIds = self._train_of_raw[raw & 0xFFFF]
         unknown = train == UNKNOWN
@@ -166,9 +150,8 @@ class LabelSpace:
     def split(self, name: str) -> tuple[str, ...]:
         """Return the sequence names of a split; an unknown split raises `UsageError`."""
         if name not in self.splits:
-            raise UsageError(
-                f"split {name}", "no such split", f"one of {', '.join(self.splits) or 'none'}"
-            )
+            expected = f"one of {', '.join(self.splits) or 'none'}"
+            raise UsageError(f"split {name}", "no such split", expected)
         return self.splits[name]
 
     def split_of(self, sequence: str) -> str | None:
@@ -176,10 +159,7 @@ class LabelSpace:
         return next((name for name, members in self.splits.items() if sequence in members), None)
 
     def fits(self, other: LabelSpace) -> bool:
-        """Return whether both have the same names and raw ids of the same train ids.
-
-        Then weights for one serve the other; splits and ignored classes may differ.
-        """
+        """Return whether weights for one serve the other: names and raw ids of train ids agree."""
         same_ids = self.learning_map_inv == other.learning_map_inv
         return same_ids and self.names == other.names
 
@@ -221,13 +201,7 @@ class LabelSpace:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "label space") -> LabelSpace:
-        """Build a label space from data in the form of SemanticKITTI's yaml.
-
-        Raises
-        ------
-        UsageError
-            If the data is not of that form or contradicts itself; `source` is named.
-        """
+        """Build a label space from data in the form of SemanticKITTI's yaml."""
         try:
             labels = {int(i): str(name) for i, name in data["labels"].items()}
             learning_map = {int(i): int(train) for i, train in data["learning_map"].items()}
@@ -342,11 +316,9 @@ def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
     try:
         data = read_yaml(path, "a yaml file in SemanticKITTI's form")
     except FileNotFoundError as error:
-        raise UsageError(
-            path, "no such file", f"a .yaml file or one of {', '.join(BUILT_IN)}"
-        ) from error
+        expected = f"a .yaml file or one of {', '.join(BUILT_IN)}"
+        raise UsageError(path, "no such file", expected) from error
     if not isinstance(data, dict):
-        raise UsageError(
-            path, f"a {type(data).__name__}", f"a mapping with the keys {', '.join(KEYS)}"
-        )
+        expected = f"a mapping with the keys {', '.join(KEYS)}"
+        raise UsageError(path, f"a {type(data).__name__}", expected)
     return LabelSpace.from_dict(data, path)

@@ -4,7 +4,10 @@
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats import kitti, las, numpy_scans, pcd, ply, text
+from salsanext_cli.formats import kitti, las, numpy_scans, text
+from salsanext_cli.formats.columns import scan_of
+from salsanext_cli.formats.pcd import pcd_columns
+from salsanext_cli.formats.ply import ply_columns
 from salsanext_cli.formats.recordings import read_recorded, recording_of
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import Sensor
@@ -48,9 +51,9 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
         case ".bin" | ".pcd.bin":
             return kitti.read_bin(path, columns=columns, intensity_scale=scale)
         case ".pcd":
-            return pcd.read_pcd(path, intensity_scale=scale)
+            return scan_of(pcd_columns(path), path, scale)
         case ".ply":
-            return ply.read_ply(path, intensity_scale=scale)
+            return scan_of(ply_columns(path), path, scale)
         case ".las" | ".laz":
             return las.read_las(path)
         case ".npy":

@@ -31,36 +31,25 @@ def columns_of(message: Any, path: Path) -> Columns:
     organised cloud follow row by row, which is their ring, unless a field says otherwise.
     """
     height, width, step = message.height, message.width, message.point_step
-    row = message.row_step if height > 1 else width * step
-    held, claimed = len(message.data), max(height - 1, 0) * row + width * step if height else 0
-    if claimed > held or row < width * step:
-        size = f"{height}×{width} points of {step} bytes, rows of {row}, in {held} bytes"
-        raise FormatError(path, size, "a cloud as large as it says", "it is damaged")
-    types = _types(message, path)
+    row_step = message.row_step if height > 1 else width * step
     order = ">" if message.is_bigendian else "<"
-    data = np.asarray(message.data, np.uint8)
-    if height == 0 or width == 0:
-        return {name: np.empty(0, order + kind) for name, (kind, _) in types.items()}
+    with refusing_damage(path, EXPECTED, REMEDY):
+        if row_step < width * step:
+            raise ValueError(f"rows of {row_step} bytes for {width} points of {step}")
+        fields = {
+            field.name: (order + TYPES[field.datatype], field.offset)
+            for field in reversed(message.fields)
+            if field.count <= 1  # Old drivers write 0.
+        }
+        kinds, offsets = zip(*fields.values(), strict=True) if fields else ((), ())
+        point = np.dtype(
+            {"names": [*fields], "formats": kinds, "offsets": offsets, "itemsize": step}
+        )
+        data = np.asarray(message.data, np.uint8)
+        points = np.ndarray((height, width), point, data, 0, (row_step, step))
     # Without fields, points take no room, however many there are.
-    rings = rows_as_rings(height * width, height) if types else {}
-    return rings | {
-        name: np.ndarray((height, width), order + kind, data, offset, (row, step)).ravel()
-        for name, (kind, offset) in types.items()
-    }
-
-
-def _types(message: Any, path: Path) -> dict[str, tuple[str, int]]:
-    """Return NumPy's type and the offset of each field of one value by its name."""
-    types: dict[str, tuple[str, int]] = {}
-    for field in message.fields:
-        kind = TYPES.get(field.datatype, "")
-        if not kind or field.offset + np.dtype(kind).itemsize > message.point_step:
-            wrong = f"field {field.name!r:.80} of type {field.datatype} at byte {field.offset}"
-            expected = f"types 1 to 8 within the {message.point_step} bytes of a point"
-            raise FormatError(path, wrong, expected, "it is damaged")
-        if field.count <= 1:  # Old drivers write 0.
-            types.setdefault(field.name, (kind, field.offset))
-    return types
+    rings = rows_as_rings(height * width, height) if fields else {}
+    return rings | {name: points[name].ravel() for name in fields}
 
 
 class Bag:

@@ -100,37 +100,25 @@ def _plain(name: str) -> str:
 
 def whole_numbers(values: npt.NDArray[Any], path: Path, name: str) -> Ids:
     """Return labels (M,) of any real dtype as integers, `NO_VALUE` for NaN."""
-    known, largest, remedy = np.ones(len(values), bool), MAX_ID, ""
-    expected = f"a number up to {largest}"
-    if values.dtype.kind == "f":
-        known = ~np.isnan(values)
-        _require(~known | (values == np.rint(values)), values, path, name, "a whole number")
-        largest = min(MAX_ID, 2 ** (np.finfo(values.dtype).nmant + 1))
-    if largest < MAX_ID:
-        rounded = f"{values.dtype.itemsize * 8}-bit floats round larger ones"
-        expected = f"a number up to {largest}, since {rounded}"
-        remedy = "export integers, or classes without instances"
+    known = ~np.isnan(values)
+    largest, rounding, remedy = MAX_ID, "", ""
+    if values.dtype.kind == "f" and (exact := 2 ** (np.finfo(values.dtype).nmant + 1)) < MAX_ID:
+        largest, remedy = exact, "export integers, or classes without instances"
+        rounding = f", since {values.dtype.itemsize * 8}-bit floats round larger ones"
     possible = (values >= -largest) & (values <= largest)
-    _require(~known | possible, values, path, name, expected, remedy)
+    conditions = (
+        (values == np.rint(values), "a whole number", ""),
+        (possible, f"a number up to {largest}{rounding}", remedy),
+    )
+    for sound, expected, advice in conditions:
+        if (wrong := known & ~sound).any():
+            first, count = int(wrong.argmax()), int(wrong.sum())
+            found = f"{name} of point {first} is {values[first]}"
+            found += f", and so are {count - 1:,} more" if count > 1 else ""
+            raise LabelError(path, found, expected, advice)
     ids = np.full(len(values), NO_VALUE, np.int64)
     ids[known] = values[known].astype(np.int64)
     return ids
-
-
-def _require(
-    sound: npt.NDArray[np.bool_],
-    values: npt.NDArray[Any],
-    path: Path,
-    name: str,
-    expected: str,
-    remedy: str = "",
-) -> None:
-    if not sound.all():
-        first = int(np.argmin(sound))
-        count = len(sound) - int(sound.sum())
-        found = f"{name} of point {first} is {values[first]}"
-        found += f", and so are {count - 1:,} more" if count > 1 else ""
-        raise LabelError(path, found, expected, remedy)
 
 
 @dataclass(frozen=True, slots=True)

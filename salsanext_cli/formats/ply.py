@@ -13,17 +13,11 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, MissingDependency
 from salsanext_cli.files.reading import reading, refusing_damage
-from salsanext_cli.formats.columns import Columns, scan_of
-from salsanext_cli.records import Scan
+from salsanext_cli.formats.columns import Columns
 
 MAX_HEADER_BYTES = 1 << 20
 COUNT = re.compile(rb"(?:^|[\r\n])\s*element\s+\S+\s+(\S+)")
 """Number of elements of a kind, in a line of a header."""
-
-
-def read_ply(path: Path, *, intensity_scale: float = 1.0) -> Scan:
-    """Read the vertices of a PLY file; without an intensity it is 0."""
-    return scan_of(ply_columns(path), path, intensity_scale)
 
 
 def ply_columns(path: Path) -> Columns:
