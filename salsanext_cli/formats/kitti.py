@@ -9,7 +9,6 @@ from salsanext_cli.errors import FormatError
 from salsanext_cli.files.reading import read_values, reading, size_of
 from salsanext_cli.formats.columns import normalised_intensity, ring_of, scan_of, unnamed_columns
 from salsanext_cli.formats.raw_records import (
-    MIN_TEXT_BYTES,
     TEXT_BYTES,
     TEXT_SUFFIX,
     are_coordinates,
@@ -58,8 +57,7 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
         size = size_of(file)
         if size == 0:
             raise FormatError(path, "is empty", _expected(width), "copy it again, or remove it")
-        start = file.read(TEXT_BYTES + 1)
-        if size >= MIN_TEXT_BYTES and (suffix := other_suffix(start)):
+        if suffix := other_suffix(file.read(TEXT_BYTES)):
             kind = "text" if suffix == TEXT_SUFFIX else f"a {suffix} file"
             remedy = f"rename it to {suffix} if it is a table of points"
             raise FormatError(path, f"is {kind}", f"{width} float32 per point", remedy)

@@ -35,7 +35,7 @@ class Header(NamedTuple):
     """Fields, points and encoding of a PCD file."""
 
     point: np.dtype[Any]  # Fields in order of storage
-    count: int  # N
+    point_count: int  # N
     kind: str  # Encoding of the points
     height: int  # Rows of an organised cloud, else 1
 
@@ -52,7 +52,7 @@ class Header(NamedTuple):
             f"SIZE {' '.join(kind[2] for kind in kinds)}\n"
             f"TYPE {' '.join(kind[1].upper() for kind in kinds)}\n"
             f"COUNT {' '.join('1' for _ in kinds)}\n"
-            f"WIDTH {self.count}\nHEIGHT 1\nPOINTS {self.count}\nDATA {self.kind}\n"
+            f"WIDTH {self.point_count}\nHEIGHT 1\nPOINTS {self.point_count}\nDATA {self.kind}\n"
         ).encode()
 
 
@@ -70,7 +70,7 @@ def pcd_columns(path: Path) -> Columns:
             case _:
                 raise ValueError(f"PCD data of kind {header.kind}, not ascii or binary")
     # Without columns, points take no room, however many there are.
-    rings = rows_as_rings(header.count, header.height) if columns else {}
+    rings = rows_as_rings(header.point_count, header.height) if columns else {}
     return {**rings, **columns}
 
 
@@ -80,9 +80,9 @@ def _read_ascii(file: BufferedReader, header: Header) -> Columns:
     text, values = file.read(), np.empty((0, first[-1]))
     if text.strip():
         values = np.loadtxt(io.BytesIO(text), np.float64, comments=None, ndmin=2)
-    if values.shape != (header.count, first[-1]):
+    if values.shape != (header.point_count, first[-1]):
         found = f"{len(values)} lines of {values.shape[1]} values"
-        raise ValueError(f"{found}, not {header.count} of {first[-1]}")
+        raise ValueError(f"{found}, not {header.point_count} of {first[-1]}")
     column_of = dict(zip(header.point.names or (), values.T[first[:-1]], strict=True))
     # A NaN in an integer field that is not used is no reason to fail.
     with np.errstate(invalid="ignore", over="ignore"):
@@ -90,10 +90,10 @@ def _read_ascii(file: BufferedReader, header: Header) -> Columns:
 
 
 def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:
-    promised = header.count * header.point.itemsize
+    promised = header.point_count * header.point.itemsize
     if (held := size_of(file) - file.tell()) < promised:
         raise ValueError(f"{held} bytes of data, not {promised}")
-    points = read_values(file, path, header.point, header.count)
+    points = read_values(file, path, header.point, header.point_count)
     return {name: points[name] for name in header.scalars}
 
 
@@ -101,13 +101,13 @@ def _read_compressed(file: BufferedReader, header: Header) -> Columns:
     if header.scalars != [*(header.point.names or ())]:
         raise ValueError("compressed PCD data with fields of several values")
     sizes = np.frombuffer(file.read(8), "<u4")
-    promised = header.count * header.point.itemsize
+    promised = header.point_count * header.point.itemsize
     packed = file.read()
     if len(sizes) < 2 or len(packed) < sizes[0] or sizes[1] != promised:
         raise ValueError(f"{len(packed)} bytes of compressed data, not of {promised}")
     if promised > LARGEST_RATIO * sizes[0]:
         raise ValueError(f"{sizes[0]} bytes of compressed data that cannot be of {promised}")
-    if header.count == 0:
+    if header.point_count == 0:
         return {name: np.empty(0, header.point[name]) for name in header.scalars}
     open3d = import_open3d()
     with (
@@ -117,7 +117,7 @@ def _read_compressed(file: BufferedReader, header: Header) -> Columns:
         copy.write(header.encode() + sizes.tobytes() + packed[: sizes[0]])
         copy.flush()
         cloud = open3d.t.io.read_point_cloud(copy.name, format="pcd")
-    if "positions" not in cloud.point or len(cloud.point.positions) != header.count:
+    if "positions" not in cloud.point or len(cloud.point.positions) != header.point_count:
         raise ValueError("compressed PCD data that does not unpack")
     columns = {name: cloud.point[name].numpy()[:, 0] for name in cloud.point}
     return columns | dict(zip("xyz", cloud.point.positions.numpy().T, strict=True))

@@ -27,8 +27,8 @@ MAGIC = {
 TEXT_SUFFIX = ".csv"
 TEXT_BYTES = 4096
 """Size of the start of a file that shows whether it is text."""
-MIN_TEXT_BYTES = 16
-"""Size of a file that is called text."""
+MIN_TEXT_BYTES = 256
+"""Size from which on float32 values hold some of the bytes that do not occur in text."""
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")
 """Bytes that do not occur in text; blanks, line ends and escapes do."""
 LEAST, MOST = 1e-12, 1e7
@@ -42,21 +42,11 @@ SAMPLE = 4096
 """Rows that are looked at, evenly spaced."""
 
 
-def other_suffix(content: bytes) -> str | None:
-    """Return the suffix for content that begins as another format or as text does, else None."""
-    for magic, suffix in MAGIC.items():
-        if content.startswith(magic):
-            return suffix
-    start = content[:TEXT_BYTES]
-    if CONTROL.search(start):
-        return None
-    try:
-        start.decode()
-    except UnicodeDecodeError as error:
-        # A character may be cut at the end.
-        if error.start < len(start) - 3 or len(content) <= TEXT_BYTES:
-            return None
-    return TEXT_SUFFIX
+def other_suffix(start: bytes) -> str | None:
+    """Return the suffix for a file that begins as one of another format or text does, else None."""
+    of_magic = (suffix for magic, suffix in MAGIC.items() if start.startswith(magic))
+    is_text = len(start) >= MIN_TEXT_BYTES and not CONTROL.search(start)
+    return next(of_magic, TEXT_SUFFIX if is_text else None)
 
 
 def are_float64(values: Float) -> bool:
