@@ -41,11 +41,16 @@ def columns_of(message: Any, path: Path) -> Columns:
             for field in reversed(message.fields)
             if field.count <= 1  # Old drivers write 0.
         }
-        kinds = [kind for kind, _ in fields.values()]
-        offsets = [offset for _, offset in fields.values()]
-        layout = {"names": [*fields], "formats": kinds, "offsets": offsets, "itemsize": step}
+        point = np.dtype(
+            {
+                "names": [*fields],
+                "formats": [kind for kind, _ in fields.values()],
+                "offsets": [offset for _, offset in fields.values()],
+                "itemsize": step,
+            }
+        )
         data = np.asarray(message.data, np.uint8)
-        points = np.ndarray((height, width), np.dtype(layout), data, 0, (row_step, step))
+        points = np.ndarray((height, width), point, data, 0, (row_step, step))
     # Without fields, points take no room, however many there are.
     rings = rows_as_rings(height * width, height) if fields else {}
     return rings | {name: points[name].ravel() for name in fields}
