@@ -136,8 +136,8 @@ def encode_las(
 def import_laspy(subject: object) -> Any:
     """Import laspy, for whose lack the error names a subject, and keep it from printing."""
     try:
-        import_extra("lazrs", "las")
         laspy = import_extra("laspy", "las")
+        import_extra("lazrs", "las")
     except MissingDependency as error:
         found = f"LAS needs {error.subject}"
         raise MissingDependency(subject, found, remedy=error.remedy) from error
