@@ -20,6 +20,13 @@ MAX_NESTED_BRACKETS = 20
 """Deepest nesting of brackets in YAML; each makes later characters slower to read."""
 
 
+YAML_ERRORS = (
+    *(yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError),
+    RecursionError,
+)
+"""Errors of PyYAML, its own and those of invalid dates and numbers."""
+
+
 class _PlainLoader(yaml.SafeLoader):
     """Loader of plain values without references.
 
@@ -45,7 +52,7 @@ def read_yaml(path: Path, expected: str) -> Any:
     text = _text(path, MAX_YAML_BYTES, expected)
     try:
         return yaml.load(text, _PlainLoader)
-    except Exception as error:  # of PyYAML, and of Python for invalid dates and numbers
+    except YAML_ERRORS as error:
         raise UsageError(path, error_text(error), expected) from error
 
 
