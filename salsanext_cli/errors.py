@@ -1,19 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Errors that the user can correct, and the text of messages.
 
-::
-
-    SalsanextError            a mistake that one line can explain
-    ├── UsageError            the command line or a setting is wrong (exit status 2)
-    ├── NoInputError          there is nothing to work on
-    ├── FormatError           a file does not hold what its format promises
-    ├── LabelError            labels and scans, or labels and label space, do not fit
-    ├── WeightsError          a weights file cannot be used
-    ├── OutputError           a result cannot be written, or would overwrite another
-    ├── TrainingError         training cannot start or cannot go on
-    ├── WorkersLost           worker processes died
-    └── MissingDependency     an optional package or a system library is absent
-
 The library raises these; only the command line prints them and chooses the exit status.
 Anything else that escapes is a bug and keeps its traceback.
 """
@@ -59,7 +46,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def first_few(names: Sequence[object]) -> str:
-    """Return the first `MAX_NAMES_SHOWN` names, and how many more there are."""
+    """Return the first names, and how many more there are."""
     more = len(names) - MAX_NAMES_SHOWN
     shown = ", ".join(map(str, names[:MAX_NAMES_SHOWN]))
     return f"{shown} and {more} more" if more > 0 else shown
@@ -130,7 +117,7 @@ class SalsanextError(Exception):
 
 
 class UsageError(SalsanextError):
-    """The command line or a setting is wrong."""
+    """The command line or a setting is wrong (exit status 2)."""
 
     code = "usage"
 

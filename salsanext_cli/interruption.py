@@ -36,8 +36,8 @@ def end_on_signals() -> None:
     for number in filter(_left_to_python, WORDS):
         signal.signal(number, _end)
     if TIMER:
-        # Programs that this one starts would inherit SIG_IGN.
-        signal.signal(TIMER, _pass_over)
+        # The timer may ring after the work, and programs that are started would inherit SIG_IGN.
+        signal.signal(TIMER, lambda *_: None)
     sys.unraisablehook = _show_unraisable
 
 
@@ -61,10 +61,6 @@ def _end(number: int, _: object) -> NoReturn:
     os._exit(128 + number)
 
 
-def _pass_over(_: int, __: object) -> None:
-    """Do nothing at a timer that rings after the work."""
-
-
 def _come_again() -> None:
     if TIMER:
         signal.setitimer(signal.ITIMER_REAL, RETRY_S)
@@ -74,8 +70,7 @@ def _come_again() -> None:
 def interruptible() -> Iterator[None]:
     """Raise `KeyboardInterrupt` in the body at a signal, and after it whatever has become of that.
 
-    Where a program handles a signal itself, it goes on doing so. A signal that comes again after
-    `REPEATED_S` ends the process at once.
+    A signal that a program handles itself is left to it; one that comes again ends the process.
     """
     import logging
     import threading

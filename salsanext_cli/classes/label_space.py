@@ -7,11 +7,11 @@ network predicts train ids: 0…C-1, 0 being "unlabelled".
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
-from itertools import zip_longest
+from itertools import chain, islice, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +19,35 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
-from salsanext_cli.classes.label_yaml import ALTERNATIVES, KEYS, RAW_ID_COUNT, UNKNOWN, read_fields
-from salsanext_cli.errors import LabelError, UsageError, first_few
+from salsanext_cli.errors import LabelError, UsageError, first_few, shortened
 from salsanext_cli.files.yaml_toml import read_yaml
 
 TrainIds = npt.NDArray[np.uint8]
 RawIds = npt.NDArray[np.uint32]
 
 BUILT_IN = ("semantic-kitti", "coarse")
+RAW_ID_COUNT = 1 << 16
+UNKNOWN = 255
+"""Mark of raw ids without a train id."""
+SHOWN_IDS = 20
+"""Number of ids in an error, and of digits of each."""
+ALTERNATIVES = "learning_alternatives"
+KEYS = (
+    *("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split"),
+    ALTERNATIVES,
+)
 MAX_UNKNOWN_SHARE = 0.1
 """Largest share of the labelled points of a scan whose ids may be unknown where that is tolerated,
 beyond twice the standard error of a small number; of another data set it was 0.4 or more."""
 MOVING = "moving-"
 """Start of the names of moving things, which are classes of their own over several scans only."""
+COMPARED = {
+    "learning_map": "train id of raw id",
+    "splits": "split",
+    "labels": "raw id",
+    "alternatives": "alternatives of raw id",
+}
+"""Fields in which label spaces of the same classes may differ, and what their keys are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,27 +114,11 @@ class LabelSpace:
         return {int(i): int(n) for i, n in zip(ids, counts, strict=True)}
 
     def to_train(self, raw: RawIds, *, strict: bool = True, source: object = "labels") -> TrainIds:
-        """Map raw ids to train ids; instance bits are dropped.
+        """Map raw ids, uint32 of any shape, to train ids, uint8; instance bits are dropped.
 
-        Parameters
-        ----------
-        raw : uint32, any shape
-            Raw ids as label files hold them.
-        strict : bool
-            Raise on an unknown id; otherwise it becomes 0, unlabelled, as in the official
-            evaluator, and the caller reports `unknown_ids`. More than `MAX_UNKNOWN_SHARE` of the
-            labelled points are never tolerated: these are ids of something else.
-        source : object
-            Subject of the error.
-
-        Returns
-        -------
-        uint8, same shape
-
-        Raises
-        ------
-        LabelError
-            If `strict` and an id is unknown, or too many are.
+        An unknown id raises `LabelError`, or becomes 0 unless `strict`, as in the official
+        evaluator, and the caller reports `unknown_ids`. More than `MAX_UNKNOWN_SHARE` of the
+        labelled points are never tolerated: these are ids of something else.
         """
         train: TrainIds = self._train_of_raw[raw & 0xFFFF]
         unknown = train == UNKNOWN
@@ -150,9 +150,8 @@ class LabelSpace:
     def split(self, name: str) -> tuple[str, ...]:
         """Return the sequence names of a split; an unknown split raises `UsageError`."""
         if name not in self.splits:
-            raise UsageError(
-                f"split {name}", "no such split", f"one of {', '.join(self.splits) or 'none'}"
-            )
+            expected = f"one of {', '.join(self.splits) or 'none'}"
+            raise UsageError(f"split {name}", "no such split", expected)
         return self.splits[name]
 
     def split_of(self, sequence: str) -> str | None:
@@ -160,10 +159,7 @@ class LabelSpace:
         return next((name for name, members in self.splits.items() if sequence in members), None)
 
     def fits(self, other: LabelSpace) -> bool:
-        """Return whether both have the same names and raw ids of the same train ids.
-
-        Then weights for one serve the other; splits and ignored classes may differ.
-        """
+        """Return whether weights for one serve the other: names and raw ids of train ids agree."""
         same_ids = self.learning_map_inv == other.learning_map_inv
         return same_ids and self.names == other.names
 
@@ -171,18 +167,12 @@ class LabelSpace:
         """Name what another label space has otherwise, the classes first."""
         pairs = zip_longest(self._described(), other._described(), fillvalue="none")
         found = [f"train id {i}: {a} ≠ {b}" for i, (a, b) in enumerate(pairs) if a != b]
-        for key in ("learning_map", "splits", "labels", "alternatives"):
-            mine, theirs = getattr(self, key), getattr(other, key)
-            changed = [k for k in mine.keys() | theirs if mine.get(k) != theirs.get(k)]
-            words = {
-                "learning_map": "train id of raw id",
-                "splits": "split",
-                "labels": "raw id",
-                "alternatives": "alternatives of raw id",
-            }
+        for field_name, words in COMPARED.items():
+            own, others = getattr(self, field_name), getattr(other, field_name)
             found += [
-                f"{words[key]} {k}: {_words(mine.get(k))} ≠ {_words(theirs.get(k))}"
-                for k in sorted(changed)
+                f"{words} {key}: {_words(own.get(key))} ≠ {_words(others.get(key))}"
+                for key in sorted(own.keys() | others)
+                if own.get(key) != others.get(key)
             ]
         if self.colours.tolist() != other.colours.tolist():
             found.append("colours")
@@ -196,33 +186,109 @@ class LabelSpace:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data in the form of SemanticKITTI's yaml, which `from_dict` accepts."""
+        raw_ids = [self.learning_map_inv[i] for i in range(self.class_count)]
+        alternatives = {i: list(several) for i, several in self.alternatives.items()}
         return {
             "name": self.name,
             "labels": self.labels,
-            "color_map": {
-                self.learning_map_inv[i]: self.colours[i, ::-1].tolist()
-                for i in range(self.class_count)
-            },
+            "color_map": dict(zip(raw_ids, self.colours[:, ::-1].tolist(), strict=True)),
             "learning_map": self.learning_map,
             "learning_map_inv": self.learning_map_inv,
             "learning_ignore": dict(enumerate(self.ignored)),
             "split": {name: list(members) for name, members in self.splits.items()},
-        } | (
-            {ALTERNATIVES: {i: list(several) for i, several in self.alternatives.items()}}
-            if self.alternatives
-            else {}
-        )
+            **({ALTERNATIVES: alternatives} if alternatives else {}),
+        }
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "label space") -> LabelSpace:
-        """Build a label space from data in the form of SemanticKITTI's yaml.
+        """Build a label space from data in the form of SemanticKITTI's yaml."""
+        try:
+            labels = {int(i): str(name) for i, name in data["labels"].items()}
+            learning_map = {int(i): int(train) for i, train in data["learning_map"].items()}
+            inverse = {int(train): int(i) for train, i in data["learning_map_inv"].items()}
+            ignore = {
+                int(train): bool(flag)
+                for train, flag in data.get("learning_ignore", {0: True}).items()
+            }
+            alternatives = {
+                int(i): tuple(sorted({int(train) for train in _list(several)}))
+                for i, several in data.get(ALTERNATIVES, {}).items()
+            }
+            colours = {int(i): _colour(bgr) for i, bgr in data.get("color_map", {}).items()}
+            splits = {
+                str(name): tuple(_sequence_name(s) for s in _list(members))
+                for name, members in data.get("split", {}).items()
+            }
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            found = f"not a label space: {shortened(error)}"
+            raise UsageError(source, found, f"keys {', '.join(KEYS)}") from error
+        if problem := _contradiction(labels, learning_map, inverse, alternatives):
+            raise UsageError(source, problem, "a consistent label space")
+        ids = range(len(inverse))
+        bgr = [colours.get(inverse[i], _spare_colour(i)) for i in ids]
+        return cls(
+            str(data.get("name", getattr(source, "stem", source))),
+            labels,
+            learning_map,
+            inverse,
+            tuple(ignore.get(i, i == 0) for i in ids),
+            np.array([colour[::-1] for colour in bgr], np.uint8),
+            splits,
+            alternatives,
+        )
 
-        Raises
-        ------
-        UsageError
-            If the data is not of that form or contradicts itself; `source` is named.
-        """
-        return cls(**read_fields(data, source))
+
+def _contradiction(
+    labels: dict[int, str],
+    learning_map: dict[int, int],
+    inverse: dict[int, int],
+    alternatives: dict[int, tuple[int, ...]],
+) -> str:
+    """Return a description of an inconsistency, empty without one."""
+    if not inverse or sorted(inverse) != list(range(len(inverse))) or len(inverse) > UNKNOWN:
+        return f"train ids {_some(inverse)} are not 0…C-1 with C ≤ {UNKNOWN}"
+    if bad := [i for i in (*learning_map, *labels) if not 0 <= i < RAW_ID_COUNT]:
+        return f"raw ids {_some(bad)} do not fit 16 bits"
+    if bad := sorted(set(learning_map.values()) - set(inverse)):
+        return f"learning_map leads to train ids {_some(bad)} that learning_map_inv lacks"
+    if bad := sorted(set(inverse.values()) - set(labels)):
+        return f"raw ids {_some(bad)} have no name in labels"
+    if bad := sorted({*chain(*alternatives.values())} - set(inverse)):
+        return f"{ALTERNATIVES} lead to train ids {_some(bad)} that learning_map_inv lacks"
+    if bad := [i for i, several in alternatives.items() if learning_map.get(i) not in several]:
+        return f"{ALTERNATIVES} of raw ids {_some(bad)} lack the train id of their learning_map"
+    return ""
+
+
+def _some(ids: Iterable[int]) -> str:
+    """Return a short list of the first ids, for any number and size of them."""
+    listed = sorted(ids)
+    shown = [shortened(i, SHOWN_IDS) for i in listed[:SHOWN_IDS]]
+    return f"[{', '.join([*shown, '…'] if len(listed) > SHOWN_IDS else shown)}]"
+
+
+def _list(members: object) -> list[Any]:
+    if not isinstance(members, list | tuple):
+        raise TypeError(f"{shortened(members)} is not a list")
+    return list(members)
+
+
+def _sequence_name(sequence: object) -> str:
+    """Return the name of a sequence's folder: numbers get two digits."""
+    return f"{sequence:02d}" if isinstance(sequence, int) else str(sequence)
+
+
+def _colour(channels: Any) -> list[int]:
+    """Return the three bytes of a colour; anything else raises `ValueError`."""
+    colour = [int(channel) for channel in islice(channels, 4)]
+    if len(colour) != 3 or not all(0 <= channel <= 255 for channel in colour):
+        raise ValueError(f"{shortened(channels)} is not a colour of 3 bytes")
+    return colour
+
+
+def _spare_colour(train_id: int) -> list[int]:
+    """Return a stable blue, green, red for a class without a colour; unlabelled is black."""
+    return [0, 0, 0] if train_id == 0 else [(train_id * step) % 206 + 50 for step in (67, 109, 151)]
 
 
 def _words(value: object) -> str:
@@ -250,11 +316,9 @@ def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
     try:
         data = read_yaml(path, "a yaml file in SemanticKITTI's form")
     except FileNotFoundError as error:
-        raise UsageError(
-            path, "no such file", f"a .yaml file or one of {', '.join(BUILT_IN)}"
-        ) from error
+        expected = f"a .yaml file or one of {', '.join(BUILT_IN)}"
+        raise UsageError(path, "no such file", expected) from error
     if not isinstance(data, dict):
-        raise UsageError(
-            path, f"a {type(data).__name__}", f"a mapping with the keys {', '.join(KEYS)}"
-        )
+        expected = f"a mapping with the keys {', '.join(KEYS)}"
+        raise UsageError(path, f"a {type(data).__name__}", expected)
     return LabelSpace.from_dict(data, path)

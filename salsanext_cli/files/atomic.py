@@ -34,11 +34,9 @@ def writing(
     """Open a file for writing that appears under its name only when it is complete.
 
     Parent folders are made. If the body raises, Ctrl-C included, nothing is left behind and an
-    older file of that name stays as it was. The body should do nothing but write.
-
-    `path`: the file; `durable`: whether it must survive a power cut too, for some milliseconds.
-    Otherwise what was written in the last half minute before may be empty or cut off then;
-    `before_rename`: called with the status of the complete file before it gets its name.
+    older file of that name stays as it was. A `durable` file survives a power cut, for some
+    milliseconds; another of the last half minute may be empty or cut off then. `before_rename` is
+    called with the status of the complete file.
     """
     path = Path(path)
     temporary = _temporary(path)
@@ -140,24 +138,20 @@ def sweep(folder: Path, mark: str) -> None:
 
 
 def sweep_stale(folder: Path) -> None:
-    """Remove the temporary files of writers that died long ago; nothing else is touched.
+    """Remove the temporary files that nobody has touched for a day; others may be writing here.
 
-    Others may be writing here at this moment, so an unfinished file is left alone until nobody
-    has touched it for a day. Both times are of the disk, whose clock may not be ours.
+    Both times are of the disk, whose clock may not be ours.
     """
     with suppress(OSError):
         found = [path for path in folder.iterdir() if TEMPORARY.fullmatch(path.name)]
-        now = _time_of_disk(folder) if found else 0.0
+        if not found:
+            return
+        with _probe(folder) as probe:
+            now = probe.stat().st_mtime
         for temporary in found:
             with suppress(OSError):
                 if now - temporary.stat().st_mtime > STALE_AFTER_S:
                     temporary.unlink()
-
-
-def _time_of_disk(folder: Path) -> float:
-    """Return the time that a file gets which is written now."""
-    with _probe(folder) as probe:
-        return probe.stat().st_mtime
 
 
 def write_bytes(path: Path, content: bytes, *, durable: bool = False) -> None:

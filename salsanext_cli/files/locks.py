@@ -25,22 +25,19 @@ def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[N
     """Hold a lock while the body runs; where the file system has none, run it all the same.
 
     The lock is the system's, on an empty file that is made and removed here. It is released when
-    the process dies; its file may stay then, and means nothing.
-
-    `path`: the file; its folder is made; `timeout_s`: seconds to wait for others; `stage`: stage
-    whose run holds it while it fills the folder of the file, for the error.
+    the process dies; its file may stay then, and means nothing. A `stage` whose run holds it while
+    it fills the folder of the file is named in the error.
     """
     lock = FileLock(path, timeout=timeout_s, fallback_to_soft=False)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout as error:
-        if not stage:
-            found, remedy = "held by another process", "wait until it has ended"
-            raise OutputError(path, found, remedy=remedy) from error
-        found = f"another run of `{stage}` is at work in it"
-        remedy = "wait until it has ended, or use another folder"
-        raise OutputError(path.parent, found, remedy=remedy) from error
+        subject, found, remedy = path, "held by another process", "wait until it has ended"
+        if stage:
+            subject, found = path.parent, f"another run of `{stage}` is at work in it"
+            remedy += ", or use another folder"
+        raise OutputError(subject, found, remedy=remedy) from error
     except OSError as error:
         if error.errno not in UNSUPPORTED:
             raise refusal(path, error) from error

@@ -6,19 +6,22 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedIOBase, BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, SalsanextError, error_text
 
 NO_FILE = "neither a file nor a link to one"
+PANIC = "PanicException"
+"""Error of libraries in Rust, no `Exception`, whose class no module has."""
 
 
 @contextmanager
-def reading(path: Path | str) -> Iterator[BinaryIO]:
+def reading(path: Path | str) -> Iterator[BufferedReader]:
     """Open a file for reading; whatever the system refuses becomes a `FormatError`."""
     try:
         # A pipe would block, and a device may never end.
@@ -31,27 +34,37 @@ def reading(path: Path | str) -> Iterator[BinaryIO]:
         raise FormatError(path, f"cannot be read: {reason(error)}", "a readable file") from error
 
 
-def read_values(file: BinaryIO, path: Path, dtype: npt.DTypeLike, count: int) -> npt.NDArray[Any]:
-    """Read values from the current position of an open file."""
-    values = np.fromfile(file, dtype, count)
-    if len(values) != count:
+@contextmanager
+def refusing_damage(path: Path, expected: str, remedy: str = "") -> Iterator[None]:
+    """Turn whatever a library raises at a damaged file into a `FormatError`."""
+    try:
+        yield
+    except SalsanextError:
+        raise
+    except BaseException as error:
+        if not isinstance(error, Exception) and type(error).__name__ != PANIC:
+            raise
+        found = f"damaged or cut off: {error_text(error)}"
+        raise FormatError(path, found, expected, remedy) from error
+
+
+def read_values(
+    file: BufferedIOBase, path: Path, dtype: npt.DTypeLike, count: int
+) -> npt.NDArray[Any]:
+    """Read values (count,) from the current position of an open file that holds as many."""
+    values = np.empty(count * np.dtype(dtype).itemsize, np.uint8)
+    if file.readinto(values) != len(values):
         raise FormatError(path, "changed while it was read", "a file that no program is writing")
-    return values
+    return values.view(dtype)
 
 
 def present(path: Path) -> bool:
-    """Return whether a name exists.
-
-    A link to itself counts, and its reader refuses it; a link to nothing does not.
-    """
+    """Return whether a name exists, as one of a link to itself does, which its reader refuses."""
     return _status(path) is not None
 
 
 def filled(path: Path) -> bool:
-    """Return whether a name is that of a file with content.
-
-    A power cut can leave a file empty that had just got its name. Raises as `present` does.
-    """
+    """Return whether a name is that of a file with content; a power cut can leave it empty."""
     status = _status(path)
     return status is not None and not stat.S_ISLNK(status.st_mode) and status.st_size > 0
 
@@ -80,6 +93,6 @@ def reason(error: OSError) -> str:
     return (error.strerror or str(error)).lower()
 
 
-def size_of(file: BinaryIO) -> int:
+def size_of(file: BufferedReader) -> int:
     """Return the size of an open file in bytes."""
     return os.fstat(file.fileno()).st_size

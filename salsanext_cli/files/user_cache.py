@@ -25,10 +25,7 @@ log = logging.getLogger(__name__)
 
 
 def cache_folder() -> str:
-    """Return the user's cache folder: ``$XDG_CACHE_HOME/salsanext`` or the like.
-
-    It is empty, for nowhere, if the user has no home.
-    """
+    """Return the user's cache folder, ``$XDG_CACHE_HOME/salsanext`` say; empty without a home."""
     try:
         home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     except RuntimeError:
@@ -43,10 +40,8 @@ def cached(name: str, make: Callable[[], bytes]) -> bytes:
     each time, which is said once.
     """
     folder = cache_folder()
-    path = Path(folder, name)
-    if folder and (content := _read(path)) is not None:
-        return content
-    return store(name, make())
+    content = _read(Path(folder, name)) if folder else None
+    return store(name, make()) if content is None else content
 
 
 def check_once(name: str, check: Callable[[], object]) -> None:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Readers of YAML and TOML files in bounded time and memory."""
 
-import stat
 import tomllib
 from collections.abc import Iterable
 from dataclasses import fields
@@ -10,7 +9,8 @@ from typing import Any
 
 import yaml
 
-from salsanext_cli.errors import UsageError, error_text, shortened
+from salsanext_cli.errors import FormatError, UsageError, error_text, shortened
+from salsanext_cli.files.reading import reading
 
 MAX_YAML_BYTES, MAX_TOML_BYTES = 1 << 18, 1 << 14
 """Largest files; the time to read some texts grows with the square of their length."""
@@ -18,6 +18,8 @@ MAX_LINE_CHARACTERS = 1000
 """Longest line of TOML; a key of thousands of parts takes hundreds of megabytes."""
 MAX_NESTED_BRACKETS = 20
 """Deepest nesting of brackets in YAML; each makes later characters slower to read."""
+
+
 YAML_ERRORS = (
     *(yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError),
     RecursionError,
@@ -72,21 +74,17 @@ def read_toml(path: Path, kind: str, presets: Iterable[str]) -> dict[str, Any]:
 
 def _text(path: Path, largest: int, expected: str) -> str:
     try:
-        # A pipe would block, and a device may never end.
-        mode = path.stat().st_mode
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-            raise UsageError(path, "not a file", expected)
-        with path.open("rb") as file:
+        with reading(path) as file:
             content = file.read(largest + 1)
-        if len(content) > largest:
-            raise UsageError(path, f"more than {largest} bytes", expected)
+    except FormatError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            raise error.__cause__ from None
+        raise UsageError(path, error.found, expected) from error
+    if len(content) > largest:
+        raise UsageError(path, f"more than {largest} bytes", expected)
+    try:
         return content.decode("utf-8").replace("\r\n", "\n")
-    except FileNotFoundError:
-        raise
-    except OSError as error:
-        found = f"cannot be read: {(error.strerror or str(error)).lower()}"
-        raise UsageError(path, found, expected) from error
-    except ValueError as error:
+    except UnicodeDecodeError as error:
         raise UsageError(path, error_text(error), expected) from error
 
 

@@ -4,7 +4,10 @@
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats import kitti, las, numpy_scans, pcd, ply, text
+from salsanext_cli.formats import kitti, las, numpy_scans, text
+from salsanext_cli.formats.columns import scan_of
+from salsanext_cli.formats.pcd import pcd_columns
+from salsanext_cli.formats.ply import ply_columns
 from salsanext_cli.formats.recordings import read_recorded, recording_of
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import Sensor
@@ -19,11 +22,7 @@ SCAN_SUFFIXES = (*CLOUD_SUFFIXES, *TABLE_SUFFIXES)
 
 def scan_suffix(name: str) -> str:
     """Return the suffix that makes a file a scan, in lower case; empty if it is none."""
-    name = name.lower()
-    last = name[name.rfind(".") :]
-    if name.endswith(".pcd.bin"):
-        return ".pcd.bin"
-    return last if last in SCAN_SUFFIXES else ""
+    return next((suffix for suffix in SCAN_SUFFIXES if name.lower().endswith(suffix)), "")
 
 
 def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
@@ -52,9 +51,9 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
         case ".bin" | ".pcd.bin":
             return kitti.read_bin(path, columns=columns, intensity_scale=scale)
         case ".pcd":
-            return pcd.read_pcd(path, intensity_scale=scale)
+            return scan_of(pcd_columns(path), path, scale)
         case ".ply":
-            return ply.read_ply(path, intensity_scale=scale)
+            return scan_of(ply_columns(path), path, scale)
         case ".las" | ".laz":
             return las.read_las(path)
         case ".npy":

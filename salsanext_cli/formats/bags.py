@@ -4,7 +4,6 @@
 import struct
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import chain, islice
 from pathlib import Path
 from threading import Lock
@@ -12,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.errors import FormatError, error_text
+from salsanext_cli.errors import FormatError
 from salsanext_cli.files.optional_packages import require_rosbags
-from salsanext_cli.files.reading import filled, reading
+from salsanext_cli.files.reading import filled, reading, refusing_damage
 from salsanext_cli.formats.columns import Columns, rows_as_rings
 
 POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
@@ -22,57 +21,43 @@ TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's names of the types of a field."""
 INDEX_ENTRY = struct.Struct("<QQ")
 """Time and place of a message, in the index of an MCAP chunk."""
-DAMAGED = (
-    *(struct.error, ValueError, LookupError, TypeError, AttributeError, AssertionError),
-    *(ArithmeticError, MemoryError, EOFError, RuntimeError, OSError),
-)
-"""Built-in errors of the library where a bag is damaged."""
+EXPECTED, REMEDY = "a ROS bag", "mend it by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
 
 
 def columns_of(message: Any, path: Path) -> Columns:
-    """Return the values of each field of one value per point, as views into the message.
+    """Return the values (N,) of each field of one value per point, as views into the message.
 
-    `message`: rows may be padded, points too; those of an organised cloud follow row by row;
-    `path`: named in errors.
-
-    Returns arrays (N,) by the field's name; of two of one name, the first. The row
-    of an organised cloud is its ring, unless a field says otherwise.
+    Of two fields of one name, the first counts. Rows may be padded, points too; those of an
+    organised cloud follow row by row, which is their ring, unless a field says otherwise.
     """
     height, width, step = message.height, message.width, message.point_step
-    row = message.row_step if height > 1 else width * step
-    held, claimed = len(message.data), max(height - 1, 0) * row + width * step if height else 0
-    if claimed > held or row < width * step:
-        found = f"{height}×{width} points of {step} bytes, rows of {row}, in {held} bytes"
-        raise FormatError(path, found, "a cloud as large as it says", "it is damaged")
-    types = _types(message, path)
+    row_step = message.row_step if height > 1 else width * step
     order = ">" if message.is_bigendian else "<"
-    data = np.asarray(message.data, np.uint8)
-    if height == 0 or width == 0:
-        return {name: np.empty(0, order + kind) for name, (kind, _) in types.items()}
+    with refusing_damage(path, EXPECTED, REMEDY):
+        if row_step < width * step:
+            raise ValueError(f"rows of {row_step} bytes for {width} points of {step}")
+        fields = {
+            field.name: (order + TYPES[field.datatype], field.offset)
+            for field in reversed(message.fields)
+            if field.count <= 1  # Old drivers write 0.
+        }
+        point = np.dtype(
+            {
+                "names": [*fields],
+                "formats": [kind for kind, _ in fields.values()],
+                "offsets": [offset for _, offset in fields.values()],
+                "itemsize": step,
+            }
+        )
+        data = np.asarray(message.data, np.uint8)
+        points = np.ndarray((height, width), point, data, 0, (row_step, step))
     # Without fields, points take no room, however many there are.
-    rings = rows_as_rings(height * width, height) if types else {}
-    return rings | {
-        name: np.ndarray((height, width), order + kind, data, offset, (row, step)).ravel()
-        for name, (kind, offset) in types.items()
-    }
-
-
-def _types(message: Any, path: Path) -> dict[str, tuple[str, int]]:
-    """Return NumPy's type and the offset of each field of one value by its name."""
-    found: dict[str, tuple[str, int]] = {}
-    for field in message.fields:
-        kind = TYPES.get(field.datatype, "")
-        if not kind or field.offset + np.dtype(kind).itemsize > message.point_step:
-            wrong = f"field {field.name!r:.80} of type {field.datatype} at byte {field.offset}"
-            expected = f"types 1 to 8 within the {message.point_step} bytes of a point"
-            raise FormatError(path, wrong, expected, "it is damaged")
-        if field.count <= 1:  # Old drivers write 0.
-            found.setdefault(field.name, (kind, field.offset))
-    return found
+    rings = rows_as_rings(height * width, height) if fields else {}
+    return rings | {name: points[name].ravel() for name in fields}
 
 
 class Bag:
-    """ROS bag, a `Recording` whose topics are those of ROS, read by `rosbags`."""
+    """ROS bag, read by `rosbags`, by any number of threads."""
 
     def __init__(self, path: Path, files: list[Path]) -> None:
         require_rosbags()
@@ -87,7 +72,7 @@ class Bag:
             if filled(log):
                 found, expected = "what its recorder left is not in the database", "a closed bag"
                 raise FormatError(log, found, expected, f"open {file.name} with sqlite3 once")
-        with _refusing(path):
+        with refusing_damage(path, EXPECTED, REMEDY):
             # Databases of before 2023 lack definitions; all releases have the same ones of clouds.
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
             self._reader.open()
@@ -104,34 +89,32 @@ class Bag:
         return [topic for topic, kind in self.topics().items() if kind == POINT_CLOUD2]
 
     def times(self, topic: str) -> list[int]:
-        """Return the times of the clouds of a topic in nanoseconds, sorted.
-
-        They are those of recording, since others would have to be read from the clouds.
-        """
-        with self._lock, _refusing(self.path):
+        """Return the times of recording of the clouds of a topic in nanoseconds, sorted."""
+        with self._lock, refusing_damage(self.path, EXPECTED, REMEDY):
             (reader,) = self._reader.readers
             return sorted(_indexed_times(getattr(reader, "storage", reader), topic))
 
     def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
         """Read the cloud of a topic and a time; of several of one time that of a number."""
-        with _refusing(path):
+        clouds = _connections_of(self._reader, topic)
+        with refusing_damage(path, EXPECTED, REMEDY):
             with self._lock:
-                found = next(islice(self._messages(topic, time), number, None), None)
-            if found is None:
+                messages = self._reader.messages(clouds, time, time + 1)
+                message = next(islice(messages, number, None), None)
+            if message is None:
                 raise FormatError(path, "not there", "a cloud that the bag lists")
-            return columns_of(self._reader.deserialize(*found), path)
+            connection, _, raw = message
+            return columns_of(self._reader.deserialize(raw, connection.msgtype), path)
 
-    def _messages(self, topic: str, time: int) -> Iterator[tuple[bytes, str]]:
-        """Yield the content and the type of the clouds of a topic and a time."""
-        wanted = [each for each in self._reader.connections if each.topic == topic]
-        wanted = [each for each in wanted if each.msgtype == POINT_CLOUD2]
-        for connection, _, raw in self._reader.messages(wanted, time, time + 1) if wanted else ():
-            yield raw, connection.msgtype
+
+def _connections_of(reader: Any, topic: str) -> list[Any]:
+    """Return the connections of a reader that have clouds of a topic."""
+    return [c for c in reader.connections if (c.topic, c.msgtype) == (topic, POINT_CLOUD2)]
 
 
 def _indexed_times(storage: Any, topic: str) -> Iterator[int]:
     """Yield the times of the clouds of a topic in nanoseconds, unordered, from the indices."""
-    wanted = [c for c in storage.connections if (c.topic, c.msgtype) == (topic, POINT_CLOUD2)]
+    wanted = _connections_of(storage, topic)
     keys = [each.id for each in wanted]
     if hasattr(storage, "storages"):  # a folder of files
         yield from chain.from_iterable(_indexed_times(each, topic) for each in storage.storages)
@@ -158,18 +141,3 @@ def _times_of_chunk(storage: Any, chunk: Any, key: int) -> Iterator[int]:
     if (op, channel) != (0x07, key):
         raise ValueError("the index of a chunk is not where it should be")
     yield from (time for time, _ in INDEX_ENTRY.iter_unpack(storage.bio.read(size)))
-
-
-@contextmanager
-def _refusing(path: Path) -> Iterator[None]:
-    """Turn the errors of the library into a `FormatError`."""
-    import apsw
-    from rosbags.highlevel import AnyReaderError
-    from rosbags.rosbag2.reader import zstd
-
-    try:
-        yield
-    except (AnyReaderError, zstd.ZstdError, apsw.Error, *DAMAGED) as error:
-        remedy = "mend it by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
-        found = f"damaged or cut off: {error_text(error)}"
-        raise FormatError(path, found, "a ROS bag", remedy) from error

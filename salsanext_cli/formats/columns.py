@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, counted
+from salsanext_cli.errors import FormatError, counted, shortened
 from salsanext_cli.records import Float, Int, Scan
 from salsanext_cli.sensors.limits import MAX_BEAMS, UNUSED_COLUMN
 
@@ -20,6 +20,7 @@ INTENSITY_NAMES = ("intensity", "scalar_intensity", "reflectivity", "reflectance
 RING = "ring"
 """Name of the number of the beam."""
 MAX_RING = 4095
+MAX_SHOWN_CHARACTERS = 300
 USUAL_COLUMNS = ("x", "y", "z", "intensity")
 MAX_UNNAMED_COLUMNS = 5
 """Most columns that are taken for the usual ones and another one: six may end in colours."""
@@ -29,20 +30,29 @@ MAX_DISTANCE_M = 10_000.0
 
 def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
     """Make a scan of the columns x, y, z and the intensity; without intensity it is 0."""
+    points = coordinates(columns, path)
+    _require_near_origin(points, path)
     known = {name.lower(): values for name, values in columns.items() if values.dtype.kind in "iuf"}
-    if missing := [axis for axis in "xyz" if axis not in known]:
-        found = ", ".join(columns) or "nothing"
-        raise FormatError(path, f"points of {found}", f"also {', '.join(missing)}")
-    for axis in "xy":
-        _require_near_origin(known[axis], path, axis)
+    intensities = (known[name] for name in INTENSITY_NAMES if name in known)
+    intensity = next(intensities, np.zeros(len(points), np.float32))
+    ring = ring_of(known[RING]) if RING in known else None
+    return Scan(points, normalised_intensity(intensity, intensity_scale), ring)
+
+
+def coordinates(columns: Columns, path: Path) -> Float:
+    """Return the columns x, y, z, in upper or lower case, as points (N, 3) float32 in metres."""
+    numbers = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
+    by_axis = {name.lower(): values for name, values in numbers.items()}
+    if missing := [axis for axis in "xyz" if axis not in by_axis]:
+        raise FormatError(path, f"points of {listed(columns)}", f"also {', '.join(missing)}")
     # float64 beyond float32 becomes infinity, and a NaN may signal; neither is a measurement.
     with np.errstate(over="ignore", invalid="ignore"):
-        points = np.column_stack([known[axis].astype(np.float32) for axis in "xyz"])
-    values = next((known[name] for name in INTENSITY_NAMES if name in known), None)
-    if values is None:
-        values = np.zeros(len(points), np.float32)
-    ring = ring_of(known[RING]) if RING in known else None
-    return Scan(points, normalised_intensity(values, intensity_scale), ring)
+        return np.column_stack([by_axis[axis].astype(np.float32) for axis in "xyz"])
+
+
+def listed(columns: Columns) -> str:
+    """Return the names of columns for an error."""
+    return shortened(", ".join(columns) or "nothing", MAX_SHOWN_CHARACTERS)
 
 
 def ring_of(values: npt.NDArray[Any]) -> Int:
@@ -58,17 +68,13 @@ def rows_as_rings(count: int, height: int) -> dict[str, npt.NDArray[Any]]:
 
 
 def unnamed_columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Columns:
-    """Name the columns of a table.
-
-    `table` (N, C), values of the file; `names`: those of the sensor, or none for `USUAL_COLUMNS`
-    and at most one more; `path`: the file, for the error.
-    """
+    """Name the columns of a table (N, C) as a sensor does, or else as usual."""
     names = columns_of_width(table.shape[1], names, path)
     return {name: table[:, i] for i, name in enumerate(names) if name != UNUSED_COLUMN}
 
 
 def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[str, ...]:
-    """Return the names of so many columns; see `unnamed_columns`."""
+    """Return the names of so many columns: a sensor's, or `USUAL_COLUMNS` and at most one more."""
     if names and count != len(names):
         expected = f"{len(names)}: {', '.join(names)}"
         raise FormatError(path, counted(count, "column"), expected, "name all with --columns")
@@ -84,27 +90,24 @@ def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[st
     return (*USUAL_COLUMNS, UNUSED_COLUMN)[:count]
 
 
-def _require_near_origin(values: npt.NDArray[Any], path: Path, axis: str) -> None:
-    """Refuse coordinates that do not surround a sensor at the origin."""
-    if (np.abs(values) <= MAX_DISTANCE_M).any():
-        return
-    # Values beyond float32 stand for something else.
-    finite = values[np.abs(values) <= np.finfo(np.float32).max]
-    if len(finite):
-        raise FormatError(
-            path,
-            f"{axis} from {finite.min():.0f} to {finite.max():.0f}, as of a map",
-            "metres from a sensor at the origin",
-            "subtract the position of the sensor from the coordinates",
-        )
+def _require_near_origin(points: Float, path: Path) -> None:
+    """Refuse points that do not surround a sensor at the origin."""
+    for axis, values in zip("xy", points.T, strict=False):
+        if (np.abs(values) <= MAX_DISTANCE_M).any():
+            continue
+        if len(finite := values[np.isfinite(values)]):
+            raise FormatError(
+                path,
+                f"{axis} from {finite.min():.0f} to {finite.max():.0f}, as of a map",
+                "metres from a sensor at the origin",
+                "subtract the position of the sensor from the coordinates",
+            )
 
 
 def normalised_intensity(values: npt.NDArray[Any], scale: float) -> Float:
-    """Return intensities as (N,) float32, nominally 0…1.
+    """Return intensities (N,) of a file as float32, nominally 0…1.
 
-    `values` (N,), any real dtype, values of the file; `scale`: divides the values; a sensor's
-    `intensity_scale`. Bytes are divided by 255 whatever the scale, because their type already says
-    their range.
+    Bytes are divided by 255 whatever the scale, since their type tells their range.
     """
     divisor = 255.0 if values.dtype == np.uint8 else scale
     # A signalling NaN is a point without an intensity.

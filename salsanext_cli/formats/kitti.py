@@ -9,7 +9,6 @@ from salsanext_cli.errors import FormatError
 from salsanext_cli.files.reading import read_values, reading, size_of
 from salsanext_cli.formats.columns import normalised_intensity, ring_of, scan_of, unnamed_columns
 from salsanext_cli.formats.raw_records import (
-    MIN_TEXT_BYTES,
     TEXT_BYTES,
     TEXT_SUFFIX,
     are_coordinates,
@@ -28,20 +27,15 @@ ANEW = "write it anew as float32 x, y, z, intensity"
 
 
 def read_bin(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
-    """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring.
-
-    `path`: the file; `columns`: names of other columns; empty for those above; `intensity_scale`:
-    divides the intensity.
-    """
+    """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring, or of `columns`."""
     has_ring = path.name.lower().endswith(".pcd.bin")
     width = len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS)
     values, size = _read_floats(path, width)
     if count := evident_count(values, width):
         raise _other_count(path, values, count, width)
     if size % (4 * width):
-        raise FormatError(
-            path, f"{size} bytes", _expected(width), "it is cut off or of another kind"
-        )
+        remedy = "it is cut off or of another kind"
+        raise FormatError(path, f"{size} bytes", _expected(width), remedy)
     table = values.reshape(-1, width)
     if columns:
         scan = scan_of(unnamed_columns(table, columns, path), path, intensity_scale)
@@ -63,8 +57,7 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
         size = size_of(file)
         if size == 0:
             raise FormatError(path, "is empty", _expected(width), "copy it again, or remove it")
-        start = file.read(TEXT_BYTES + 1)
-        if size >= MIN_TEXT_BYTES and (suffix := other_suffix(start)):
+        if suffix := other_suffix(file.read(TEXT_BYTES)):
             kind = "text" if suffix == TEXT_SUFFIX else f"a {suffix} file"
             remedy = f"rename it to {suffix} if it is a table of points"
             raise FormatError(path, f"is {kind}", f"{width} float32 per point", remedy)

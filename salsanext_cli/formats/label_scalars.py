@@ -14,7 +14,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.errors import FormatError, LabelError, UsageError, quoted, shortened
 from salsanext_cli.files.yaml_toml import read_yaml
-from salsanext_cli.formats.columns import Columns
+from salsanext_cli.formats.columns import Columns, coordinates, listed
 from salsanext_cli.formats.las import LAST_STANDARD_CLASS, UNASSIGNED, las_columns
 from salsanext_cli.formats.pcd import pcd_columns
 from salsanext_cli.formats.ply import ply_columns
@@ -40,8 +40,6 @@ NO_VALUE = np.iinfo(np.int64).min
 """Id of a point without a value, for which programs write NaN."""
 MAX_ID = 0xFFFFFFFF
 """Largest number that a label file holds, the instance in its upper 16 bits."""
-MAX_SHOWN_CHARACTERS = 300
-
 Ids = npt.NDArray[np.int64]
 CLASS_BITS = 0xFFFF
 EXPECTED_MAP = "a mapping of a tool's ids to names or raw ids of the label space, such as 3: car"
@@ -59,101 +57,68 @@ class LabelledCloud:
 def read_labelled_cloud(path: Path, scalar: str | None = None) -> LabelledCloud:
     """Read coordinates and labels of a PLY, PCD, LAS or LAZ file.
 
-    `path`: the file, with a suffix of `READERS`; `scalar`: name of the scalar with the labels;
-    otherwise the only one of the `LABEL_NAMES`.
+    Without a `scalar`, the labels are the only one of the `LABEL_NAMES`.
     """
     columns = READERS[path.suffix.lower()](path)
     columns = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
-    by_axis = {name.lower(): values for name, values in columns.items() if name.lower() in "xyz"}
-    if missing := [axis for axis in "xyz" if axis not in by_axis]:
-        raise FormatError(path, f"points of {_listed(columns)}", f"also {', '.join(missing)}")
+    points = coordinates(columns, path)
     name = _label_column(columns, scalar, path)
-    # float64 beyond float32 becomes infinity, and a NaN may signal; neither is a measurement.
-    with np.errstate(over="ignore", invalid="ignore"):
-        points = np.column_stack([by_axis[axis].astype(np.float32) for axis in "xyz"])
     ids = whole_numbers(columns[name], path, name)
-    if scalar is None and _plain(name) == OF_ASPRS:
-        _require_own_classes(ids, path, name)
+    largest = int(ids.max(initial=0))
+    if scalar is None and _plain(name) == OF_ASPRS and UNASSIGNED < largest <= LAST_STANDARD_CLASS:
+        found = f"{name} up to {largest}, which may be classes of the ASPRS"
+        remedy = f"for raw ids, or with --map, give --scalar {name}"
+        raise LabelError(path, found, "raw ids of the label space", remedy)
     return LabelledCloud(points, ids, name)
 
 
 def _label_column(columns: Columns, scalar: str | None, path: Path) -> str:
     """Return the name of the column that holds the labels."""
     if scalar is not None:
-        fitting = [name for name in columns if name == scalar] or [
-            name for name in columns if _plain(name) == _plain(scalar)
-        ]
+        alike = [name for name in columns if _plain(name) == _plain(scalar)]
+        fitting = [scalar] if scalar in columns else alike
         if len(fitting) != 1:
             found = f"{'several scalars' if fitting else 'no scalar'} of that name"
-            raise FormatError(path, f"{found}: {_listed(columns)}", f"one called {scalar}")
+            raise FormatError(path, f"{found}: {listed(columns)}", f"one called {scalar}")
         return fitting[0]
     fitting = [name for name in columns if _plain(name) in LABEL_NAMES]
     # LAS has a classification, whoever labels; where nobody did, all of it is 0.
     used = [name for name in fitting if columns[name].any()] or fitting[:1]
     if not used:
-        raise FormatError(
-            path,
-            f"no label among the scalars {_listed(columns)}",
-            f"one called {', '.join(LABEL_NAMES)}",
-            "name it with --scalar",
-        )
+        found = f"no label among the scalars {listed(columns)}"
+        expected = f"one called {', '.join(LABEL_NAMES)}"
+        raise FormatError(path, found, expected, "name it with --scalar")
     if len(used) > 1:
         found = f"several scalars that may be labels: {', '.join(used)}"
         raise LabelError(path, found, "one", f"choose with --scalar, as --scalar {used[0]}")
     return used[0]
 
 
-def _require_own_classes(ids: Ids, path: Path, name: str) -> None:
-    """Refuse a classification whose ids may all be classes of the ASPRS."""
-    largest = int(ids.max(initial=0))
-    if UNASSIGNED < largest <= LAST_STANDARD_CLASS:
-        found = f"{name} up to {largest}, which may be classes of the ASPRS"
-        remedy = f"for raw ids, or with --map, give --scalar {name}"
-        raise LabelError(path, found, "raw ids of the label space", remedy)
-
-
 def _plain(name: str) -> str:
     return name.lower().removeprefix(PREFIX)
 
 
-def _listed(columns: Columns) -> str:
-    return shortened(", ".join(columns) or "nothing", MAX_SHOWN_CHARACTERS)
-
-
 def whole_numbers(values: npt.NDArray[Any], path: Path, name: str) -> Ids:
     """Return labels (M,) of any real dtype as integers, `NO_VALUE` for NaN."""
-    known = ~np.isnan(values) if values.dtype.kind == "f" else np.ones(len(values), bool)
-    most = MAX_ID
-    if values.dtype.kind == "f":
-        most = min(MAX_ID, 2 ** (np.finfo(values.dtype).nmant + 1))
-        whole = values == np.rint(values)
-        _require(whole | ~known, values, path, name, "a whole number")
-    possible = (values >= -most) & (values <= most)
-    expected = f"a number up to {most}"
-    remedy = ""
-    if most < MAX_ID:
-        expected += f", since {values.dtype.itemsize * 8}-bit floats round larger ones"
-        remedy = "export integers, or classes without instances"
-    _require(possible | ~known, values, path, name, expected, remedy)
+    known = ~np.isnan(values)
+    largest, rounding, remedy = MAX_ID, "", ""
+    if values.dtype.kind == "f" and (exact := 2 ** (np.finfo(values.dtype).nmant + 1)) < MAX_ID:
+        largest, remedy = exact, "export integers, or classes without instances"
+        rounding = f", since {values.dtype.itemsize * 8}-bit floats round larger ones"
+    possible = (values >= -largest) & (values <= largest)
+    conditions = (
+        (values == np.rint(values), "a whole number", ""),
+        (possible, f"a number up to {largest}{rounding}", remedy),
+    )
+    for sound, expected, advice in conditions:
+        if (wrong := known & ~sound).any():
+            first, count = int(wrong.argmax()), int(wrong.sum())
+            found = f"{name} of point {first} is {values[first]}"
+            found += f", and so are {count - 1:,} more" if count > 1 else ""
+            raise LabelError(path, found, expected, advice)
     ids = np.full(len(values), NO_VALUE, np.int64)
     ids[known] = values[known].astype(np.int64)
     return ids
-
-
-def _require(
-    sound: npt.NDArray[np.bool_],
-    values: npt.NDArray[Any],
-    path: Path,
-    name: str,
-    expected: str,
-    remedy: str = "",
-) -> None:
-    if not sound.all():
-        first = int(np.argmin(sound))
-        count = len(sound) - int(sound.sum())
-        found = f"{name} of point {first} is {values[first]}"
-        found += f", and so are {count - 1:,} more" if count > 1 else ""
-        raise LabelError(path, found, expected, remedy)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,15 +169,15 @@ def _raw_ids(space: LabelSpace) -> list[int]:
 
 
 def _read_map(path: Path, space: LabelSpace) -> dict[int, int]:
-    """Read the raw id of each id of a tool; names are those of the classes, then of the raw ids."""
+    """Read the raw id of each id of a tool; a class's name stands for the raw id of the class."""
     try:
         data = read_yaml(path, EXPECTED_MAP)
     except FileNotFoundError as error:
         raise UsageError(f"--map {path}", "no such file", EXPECTED_MAP) from error
     if not isinstance(data, Mapping) or not data:
         raise UsageError(path, f"a {type(data).__name__}", EXPECTED_MAP)
-    standing = {space.labels[raw]: raw for raw in space.learning_map_inv.values()}
-    by_name = {name: raw for raw, name in reversed(space.labels.items())} | standing
+    by_name = {name: raw for raw, name in reversed(space.labels.items())}
+    by_name |= {space.labels[raw]: raw for raw in space.learning_map_inv.values()}
     known = _raw_ids(space)
     raw_of: dict[int, int] = {}
     wrong = []

@@ -34,17 +34,13 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
     with reading(path) as file:
         size = size_of(file)
         if size % 4 and (count is None or size not in (count, 2 * count)):
-            raise FormatError(
-                path, f"{size} bytes", "a multiple of 4 (one uint32 per point)", "it is cut off"
-            )
+            expected = "a multiple of 4 (one uint32 per point)"
+            raise FormatError(path, f"{size} bytes", expected, "it is cut off")
         raw = _labels(read_values(file, path, np.uint8, size), count or 0)
     if count is not None and len(raw) != count:
-        raise LabelError(
-            path,
-            counted(len(raw), "label"),
-            f"{count:,}, one per point of the scan",
-            "use the labels that belong to this scan",
-        )
+        expected = f"{count:,}, one per point of the scan"
+        remedy = "use the labels that belong to this scan"
+        raise LabelError(path, counted(len(raw), "label"), expected, remedy)
     return raw
 
 

@@ -1,34 +1,27 @@
 # SPDX-License-Identifier: MIT
-"""LAS and LAZ clouds through laspy and lazrs, which are imported when they are used.
-
-Both believe a header, so it is compared with the file's size first, and points are read in parts.
-"""
+"""LAS and LAZ clouds through laspy and lazrs, which are imported when they are used."""
 
 import io
 import logging
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import MOVING, LabelSpace, RawIds
-from salsanext_cli.errors import FormatError, MissingDependency, OutputError, shortened
+from salsanext_cli.errors import MissingDependency, OutputError
 from salsanext_cli.files.optional_packages import import_extra
-from salsanext_cli.files.reading import reading, size_of
+from salsanext_cli.files.reading import reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import MAX_DISTANCE_M, Columns, scan_of
 from salsanext_cli.records import Scan
 
-HEADER = struct.Struct("<4s20x2B68xHIIBHI")
-"""Start of a header: signature, version, its size, offset of the points, number of records of
-variable length, format, size and number of points."""
-COUNT = struct.Struct("<247xQ")
-"""Number of points in headers from version 1.4 on."""
+PLACES = struct.Struct("<96xII")
+"""Offset of the points, and number of the records of variable length before them, in a header."""
 RECORD_BYTES = 54
 """Least size of a record of variable length."""
-COMPRESSED_BIT = 0x80
 COMPRESSED_SUFFIX = ".laz"
 MAX_POINTS_PER_BYTE = 16
 """Largest number of points for a byte of compressed data; of a LiDAR's each takes some bytes."""
@@ -40,13 +33,6 @@ ORIGIN_OF_DATE, DATE_BYTES = 90, 4
 FORMAT, VERSION = 7, "1.4"
 """Point format with colours and 256 classes."""
 COLOURS = ("red", "green", "blue")
-BAD_FILE = (
-    *(ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, RuntimeError),
-    *(TypeError, ValueError, struct.error),
-)
-"""Errors of laspy and lazrs, besides laspy's own, for a damaged file."""
-PANIC = "PanicException"
-"""Another error of lazrs, no `Exception`, whose class no module has."""
 
 
 def read_las(path: Path) -> Scan:
@@ -55,58 +41,30 @@ def read_las(path: Path) -> Scan:
 
 
 def las_columns(path: Path) -> Columns:
-    """Read all dimensions of a LAS or LAZ file with one value per point, x, y and z in metres.
-
-    Errors are those of `read_las`.
-    """
+    """Read all dimensions of a LAS or LAZ file with one value per point, x, y, z in metres."""
     return _read(path, _all_columns)
 
 
 def _read(path: Path, columns_of: Callable[[Any], Columns]) -> Columns:
-    with reading(path) as file:
-        laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
-        try:
-            _require_room(file)
-            return _read_columns(file, path, laspy, columns_of)
-        except BaseException as error:
-            expected = (laspy.errors.LaspyException, *BAD_FILE)
-            if not isinstance(error, expected) and type(error).__name__ != PANIC:
-                raise
-            found = f"not a whole LAS file: {shortened(str(error))}"
-            raise FormatError(path, found, "a .las or .laz file") from error
-
-
-def _require_room(file: BinaryIO) -> None:
-    """Raise `ValueError` if what a header promises cannot all be in the file."""
-    size = size_of(file)
-    start = file.read(COUNT.size)
-    file.seek(0)
-    signature, major, minor, header, offset, records, kind, row, count = HEADER.unpack(
-        start[: HEADER.size].ljust(HEADER.size, b"\0")
-    )
-    if signature != b"LASF" or len(start) < HEADER.size:
-        raise ValueError("no LAS header")
-    if (major, minor) >= (1, 4) and len(start) == COUNT.size:
-        count = COUNT.unpack(start)[0]
-    held = size - offset
-    room = held * MAX_POINTS_PER_BYTE if kind & COMPRESSED_BIT else held // max(row, 1)
-    if header > offset or records * RECORD_BYTES > offset or held < 0 or count > room:
-        raise ValueError("the header promises more than the file holds")
-    file.seek(0)
-
-
-def _read_columns(
-    file: BinaryIO, path: Path, laspy: Any, columns_of: Callable[[Any], Columns]
-) -> Columns:
-    """Read columns part by part; a function takes them from some points."""
-    backend = laspy.LazBackend.Lazrs
-    with laspy.open(file, closefd=False, read_evlrs=False, laz_backend=backend) as reader:
-        header = reader.header
-        if header.are_points_compressed and not backend.is_available():
-            raise _missing(path, "lazrs")
-        parts = [columns_of(points) for points in reader.chunk_iterator(POINTS_PER_PART)]
-        if sum(len(part["x"]) for part in parts) != header.point_count:
-            raise ValueError("it is cut off")
+    """Read a file part by part; a function takes the columns from some points."""
+    with reading(path) as file, refusing_damage(path, "a whole .las or .laz file"):
+        laspy, size = import_laspy(path), size_of(file)
+        # laspy looks for as many records as a header promises, and in memory for what is between.
+        offset, record_count = PLACES.unpack(file.read(PLACES.size))
+        if record_count * RECORD_BYTES > offset or offset > size:
+            raise ValueError("its header promises more than it holds")
+        file.seek(0)
+        backend = laspy.LazBackend.Lazrs
+        with laspy.open(file, closefd=False, read_evlrs=False, laz_backend=backend) as reader:
+            header = reader.header
+            room = size // header.point_format.size
+            if header.are_points_compressed:
+                room = size * MAX_POINTS_PER_BYTE
+            if header.point_count > room:
+                raise ValueError("its header promises more points than it holds")
+            parts = [columns_of(points) for points in reader.chunk_iterator(POINTS_PER_PART)]
+            if sum(len(part["x"]) for part in parts) != header.point_count:
+                raise ValueError("it lacks points")
     empty = {name: np.empty(0) for name in "xyz"}
     return {n: np.concatenate([part[n] for part in parts]) for n in parts[0]} if parts else empty
 
@@ -132,15 +90,13 @@ def encode_las(
     classification: npt.NDArray[np.uint8],
     comments: Iterable[str] = (),
 ) -> bytes:
-    """Return a cloud as a LAS 1.4 file.
+    """Return a cloud as a LAS 1.4 file, compressed if its name to be ends in `.laz`.
 
-    `path`: name of the file to be; `.laz` is compressed; `columns`: x, y, z in metres; red, green,
-    blue uint8; intensity, nominally 0…1; the others become extra dimensions of their name and type.
-    Points that are not finite are written at the origin and marked as withheld; `classification`
-    (N,) uint8, classes of the ASPRS; `comments`: lines of the text record.
+    `columns` (N,): x, y, z in metres; red, green, blue uint8; intensity, nominally 0…1; the others
+    become extra dimensions of their name and type. Points that are not finite are written at the
+    origin and marked as withheld. `classification` (N,): classes of the ASPRS.
     """
-    compressed = path.suffix == COMPRESSED_SUFFIX
-    laspy = import_laspy(path, compressed=compressed)
+    laspy = import_laspy(path)
     points = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
     finite = np.isfinite(points).all(axis=1)
     points[~finite] = 0
@@ -169,28 +125,24 @@ def encode_las(
     for name, values in extra.items():
         cloud[name] = values
     with io.BytesIO() as buffer:
-        backend = laspy.LazBackend.Lazrs if compressed else None
-        cloud.write(buffer, do_compress=compressed, laz_backend=backend)
+        compressed = path.suffix == COMPRESSED_SUFFIX
+        cloud.write(buffer, do_compress=compressed, laz_backend=laspy.LazBackend.Lazrs)
         content = bytearray(buffer.getvalue())
     # Without the day of its creation a file depends on its points only.
     content[ORIGIN_OF_DATE : ORIGIN_OF_DATE + DATE_BYTES] = bytes(DATE_BYTES)
     return bytes(content)
 
 
-def import_laspy(subject: object, *, compressed: bool) -> Any:
-    """Import laspy, and keep it from printing."""
+def import_laspy(subject: object) -> Any:
+    """Import laspy, for whose lack the error names a subject, and keep it from printing."""
     try:
         laspy = import_extra("laspy", "las")
+        import_extra("lazrs", "las")
     except MissingDependency as error:
-        raise _missing(subject, "laspy") from error
-    if compressed and not laspy.LazBackend.Lazrs.is_available():
-        raise _missing(subject, "lazrs")
+        found = f"LAS needs {error.subject}"
+        raise MissingDependency(subject, found, remedy=error.remedy) from error
     logging.getLogger("laspy").addHandler(logging.NullHandler())
     return laspy
-
-
-def _missing(subject: object, package: str) -> MissingDependency:
-    return MissingDependency(subject, f"LAS needs {package}", remedy="pip install 'salsanext[las]'")
 
 
 # Classes of the ASPRS, which LAS files hold
@@ -220,7 +172,7 @@ LAST_OWN_CLASS = 255
 
 
 def asprs_class(raw_id: int, space: LabelSpace) -> int:
-    """Return the class of a raw id; `UNASSIGNED` if it is unknown, or too large for a class."""
+    """Return the class of a raw id, `UNASSIGNED` if it is unknown or too large."""
     name = space.labels.get(raw_id, "unlabelled")
     if name in CLASS_OF_NAME:
         return CLASS_OF_NAME[name]

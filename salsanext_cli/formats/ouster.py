@@ -6,20 +6,17 @@ import struct
 import subprocess
 import sys
 import weakref
-from collections.abc import Iterator
-from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
 from threading import Lock
-from typing import BinaryIO
 
-from salsanext_cli.errors import FormatError, shortened
+from salsanext_cli.errors import FormatError
 from salsanext_cli.files.optional_packages import import_extra
-from salsanext_cli.files.reading import reading, size_of
+from salsanext_cli.files.reading import reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import Columns, rows_as_rings
 
-MAX_SHOWN = 200
-"""Characters of an error of the library that are shown."""
-PROBE_TIMEOUT_S = 600
+EXPECTED = "a recording of Ouster sensors"
+REMEDY = "put the metadata of the sensor beside a .pcap, as a .json of the same name"
 PROBE = "import sys; from ouster.sdk import open_source; open_source(sys.argv[1], collate=False)"
 PCAP_BYTE_ORDER = {
     **dict.fromkeys((b"\xd4\xc3\xb2\xa1", b"\x4d\x3c\xb2\xa1"), "<"),
@@ -33,7 +30,7 @@ log = logging.getLogger(__name__)
 
 
 class OusterRecording:
-    """`Recording` of one or more Ouster sensors, which are its topics."""
+    """Recording of one or more Ouster sensors, which are its topics, as bags have them."""
 
     def __init__(self, path: Path) -> None:
         import_extra("ouster.sdk", "ouster")
@@ -46,7 +43,7 @@ class OusterRecording:
                 log.warning("%s: cut off within a packet: its last scan is not whole", path)
         if not is_pcap:
             _probe(path)
-        with _refusing(path):
+        with refusing_damage(path, EXPECTED, REMEDY):
             self._source = open_source(str(path), collate=False, index=True)
             unit = NS_PER_PCAP_TIME if is_pcap else 1
             self._times = {
@@ -68,17 +65,13 @@ class OusterRecording:
         return sorted(self._times[topic])
 
     def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
-        """Read the frame of a sensor and a time; of several of one time that of a number.
-
-        Every column of the sensor counts, measured or not: pixels without a return are points at
-        the origin. Only first returns are read.
-        """
+        """Read the first returns of a frame, as `Bag.columns`; at the origin where is none."""
         from ouster.sdk.core import XYZLut
 
         places = [place for place, each in enumerate(self._times[topic]) if each == time]
         if number >= len(places):
             raise FormatError(path, "not there", "a scan that the recording lists")
-        with _refusing(path), self._lock:
+        with refusing_damage(path, EXPECTED, REMEDY), self._lock:
             of_sensor = self._source.single([*self._times].index(topic))
             frame = of_sensor[places[number]][0]
             distances = frame.field("RANGE")
@@ -88,7 +81,7 @@ class OusterRecording:
             return columns | {"reflectivity": frame.field("REFLECTIVITY").ravel()}
 
 
-def _is_cut(file: BinaryIO) -> bool:
+def _is_cut(file: BufferedReader) -> bool:
     """Say whether a file of packets ends within one."""
     size, order = size_of(file), PCAP_BYTE_ORDER.get(file.read(4))
     place = file.seek(24)
@@ -105,24 +98,5 @@ def _is_cut(file: BinaryIO) -> bool:
 def _probe(path: Path) -> None:
     """Open a recording in a process of its own first, which the library ends if it is damaged."""
     command = [sys.executable, "-c", PROBE, str(path)]
-    try:
-        done = subprocess.run(command, capture_output=True, timeout=PROBE_TIMEOUT_S, check=False)
-    except subprocess.TimeoutExpired as error:
-        raise FormatError(path, f"not opened in {PROBE_TIMEOUT_S} s", "an OSF file") from error
-    if done.returncode < 0:
+    if subprocess.run(command, capture_output=True, check=False).returncode < 0:
         raise FormatError(path, "damaged: ouster-sdk crashes at it", "an OSF file", "copy it anew")
-
-
-@contextmanager
-def _refusing(path: Path) -> Iterator[None]:
-    """Turn the errors of the library into a `FormatError`."""
-    from ouster.sdk.open_source import SourceURLException
-
-    errors = (SourceURLException, RuntimeError, ValueError, LookupError, TypeError, OSError)
-    try:
-        yield
-    except (*errors, MemoryError) as error:
-        said = str(error).rpartition("more details:")[2] or type(error).__name__
-        found = shortened(" ".join(said.split()), MAX_SHOWN)
-        remedy = "put the metadata of the sensor beside a .pcap, as a .json of the same name"
-        raise FormatError(path, found, "a recording of Ouster sensors", remedy) from error

@@ -8,196 +8,144 @@ with uninitialised values where ascii files are short or DATA is in upper case.
 
 import io
 import math
-from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import Any, BinaryIO
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.optional_packages import import_open3d
-from salsanext_cli.files.reading import read_values, reading, size_of
-from salsanext_cli.formats.columns import Columns, rows_as_rings, scan_of
-from salsanext_cli.records import Scan
+from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
+from salsanext_cli.formats.columns import Columns, rows_as_rings
 
-KINDS = ("ascii", "binary", "binary_compressed")
 TYPES = {
     **{f"F{size}": f"<f{size}" for size in (4, 8)},
     **{f"I{size}": f"<i{size}" for size in (1, 2, 4, 8)},
     **{f"U{size}": f"<u{size}" for size in (1, 2, 4, 8)},
 }
 """numpy's type of each TYPE and SIZE."""
-CODES = {kind: code for code, kind in TYPES.items()}
 PADDING = "_"
 MAX_HEADER_BYTES = 1 << 16
-"""Size of the largest header and of the largest row."""
 LARGEST_RATIO = 264 / 3
 """Largest compression ratio of LZF: three bytes stand for up to 264."""
 
 
-@dataclass(frozen=True, slots=True)
-class Header:
+class Header(NamedTuple):
     """Fields, points and encoding of a PCD file."""
 
-    names: tuple[str, ...]  # Fields in order of storage: name, numpy type, values per point
-    types: tuple[str, ...]
-    counts: tuple[int, ...]
-    points: int  # N
-    kind: str  # One of `KINDS`
-    height: int = 1  # Rows of an organised cloud, else 1
-
-    def __post_init__(self) -> None:
-        if not len(self.names) == len(self.types) == len(self.counts):
-            raise ValueError("a PCD header whose FIELDS, TYPE, SIZE and COUNT differ in length")
-        named = [name for name in self.names if name != PADDING]
-        if len(set(named)) < len(named):
-            raise ValueError("a PCD header with a field twice")
-        if self.points < 0 or min(self.counts, default=0) < 0:
-            raise ValueError("a PCD header with a negative number")
-        if self.row_size > MAX_HEADER_BYTES:
-            raise ValueError(f"a PCD header with {self.row_size} bytes per point")
-        if self.kind not in KINDS:
-            raise ValueError(f"PCD data of kind {self.kind}, not {', '.join(KINDS)}")
+    point: np.dtype[Any]  # Fields in order of storage
+    point_count: int  # N
+    kind: str  # Encoding of the points
+    height: int  # Rows of an organised cloud, else 1
 
     @property
-    def scalars(self) -> dict[str, int]:
-        """Names and indices of the fields with one named value per point."""
-        return {n: i for i, n in enumerate(self.names) if n != PADDING and self.counts[i] == 1}
-
-    @property
-    def row_size(self) -> int:
-        """Size of one point in bytes, padding included."""
-        sizes = (np.dtype(kind).itemsize for kind in self.types)
-        return sum(size * count for size, count in zip(sizes, self.counts, strict=True))
-
-    @property
-    def row(self) -> np.dtype[Any]:
-        """Type of a point in plain binary data."""
-        scalars = self.scalars
-        # A name in a header never has a space.
-        names = (n if n in scalars else f"field {i}" for i, n in enumerate(self.names))
-        shapes = (() if count == 1 else (count,) for count in self.counts)
-        return np.dtype(list(zip(names, self.types, shapes, strict=True)))
+    def scalars(self) -> list[str]:
+        """Names of the fields with one named value per point; the others have a space."""
+        return [name for name in self.point.names or () if " " not in name]
 
     def encode(self) -> bytes:
-        """Return the header in its usual form and order, of a cloud in one row."""
-        types = [CODES[kind] for kind in self.types]
+        """Return the header in its usual form and order, of scalars in one row."""
+        kinds = [self.point[name].str for name in self.scalars]
         return (
-            f"VERSION 0.7\nFIELDS {' '.join(self.names)}\nSIZE {' '.join(t[1:] for t in types)}\n"
-            f"TYPE {' '.join(t[0] for t in types)}\nCOUNT {' '.join(map(str, self.counts))}\n"
-            f"WIDTH {self.points}\nHEIGHT 1\nPOINTS {self.points}\nDATA {self.kind}\n"
+            f"VERSION 0.7\nFIELDS {' '.join(self.scalars)}\n"
+            f"SIZE {' '.join(kind[2] for kind in kinds)}\n"
+            f"TYPE {' '.join(kind[1].upper() for kind in kinds)}\n"
+            f"COUNT {' '.join('1' for _ in kinds)}\n"
+            f"WIDTH {self.point_count}\nHEIGHT 1\nPOINTS {self.point_count}\nDATA {self.kind}\n"
         ).encode()
 
 
-def read_pcd(path: Path, *, intensity_scale: float = 1.0) -> Scan:
-    """Read a PCD file; intensities of one byte are divided by 255, without any they are 0."""
-    header, columns = _read(path)
-    # Without columns, points take no room, however many there are.
-    rings = rows_as_rings(header.points, header.height) if columns else {}
-    return scan_of({**rings, **columns}, path, intensity_scale)
-
-
 def pcd_columns(path: Path) -> Columns:
-    """Read the fields of a PCD file with one value per point; errors are those of `read_pcd`."""
-    return _read(path)[1]
+    """Read the fields of a PCD file with one value per point, and the rows of an organised one."""
+    with reading(path) as file, refusing_damage(path, "a whole PCD file"):
+        header = _read_header(file)
+        match header.kind:
+            case "ascii":
+                columns = _read_ascii(file, header)
+            case "binary":
+                columns = _read_binary(file, path, header)
+            case "binary_compressed":
+                columns = _read_compressed(file, header)
+            case _:
+                raise ValueError(f"PCD data of kind {header.kind}, not ascii or binary")
+    # Without columns, points take no room, however many there are.
+    rings = rows_as_rings(header.point_count, header.height) if columns else {}
+    return {**rings, **columns}
 
 
-def _read(path: Path) -> tuple[Header, Columns]:
-    with reading(path) as file:
-        try:
-            header = _read_header(file)
-            match header.kind:
-                case "ascii":
-                    columns = _read_ascii(file, header)
-                case "binary":
-                    columns = _read_binary(file, path, header)
-                case _:
-                    columns = _read_compressed(file, header)
-        except ValueError as error:
-            raise FormatError(path, shortened(str(error)), "a whole PCD file") from error
-    return header, columns
-
-
-def _read_ascii(file: BinaryIO, header: Header) -> Columns:
-    text = file.read()
-    width = sum(header.counts)
-    values: npt.NDArray[np.float64] = np.empty((0, width))
+def _read_ascii(file: BufferedReader, header: Header) -> Columns:
+    shapes = [header.point[name].shape for name in header.point.names or ()]
+    first = np.cumsum([0, *map(math.prod, shapes)])
+    text, values = file.read(), np.empty((0, first[-1]))
     if text.strip():
-        try:
-            values = np.loadtxt(io.BytesIO(text), np.float64, comments=None, ndmin=2)
-        except ValueError as error:
-            raise ValueError("lines that do not hold the same count of numbers") from error
-    if values.shape != (header.points, width):
+        values = np.loadtxt(io.BytesIO(text), np.float64, comments=None, ndmin=2)
+    if values.shape != (header.point_count, first[-1]):
         found = f"{len(values)} lines of {values.shape[1]} values"
-        raise ValueError(f"{found}, not {header.points} of {width}")
-    first = np.cumsum((0, *header.counts))
+        raise ValueError(f"{found}, not {header.point_count} of {first[-1]}")
+    column_of = dict(zip(header.point.names or (), values.T[first[:-1]], strict=True))
     # A NaN in an integer field that is not used is no reason to fail.
     with np.errstate(invalid="ignore", over="ignore"):
-        return {
-            name: values[:, first[i]].astype(header.types[i]) for name, i in header.scalars.items()
-        }
+        return {name: column_of[name].astype(header.point[name]) for name in header.scalars}
 
 
-def _read_binary(file: BinaryIO, path: Path, header: Header) -> Columns:
-    promised = header.points * header.row_size
+def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:
+    promised = header.point_count * header.point.itemsize
     if (held := size_of(file) - file.tell()) < promised:
         raise ValueError(f"{held} bytes of data, not {promised}")
-    table = read_values(file, path, header.row, header.points)
-    return {name: table[name] for name in header.scalars}
+    points = read_values(file, path, header.point, header.point_count)
+    return {name: points[name] for name in header.scalars}
 
 
-def _read_compressed(file: BinaryIO, header: Header) -> Columns:
-    if len(header.scalars) < len(header.names):
+def _read_compressed(file: BufferedReader, header: Header) -> Columns:
+    if header.scalars != [*(header.point.names or ())]:
         raise ValueError("compressed PCD data with fields of several values")
-    sizes = np.fromfile(file, "<u4", 2)
-    promised = header.points * header.row_size
-    held = size_of(file) - file.tell()
-    if len(sizes) < 2 or held < sizes[0] or sizes[1] != promised:
-        raise ValueError(f"{held} bytes of compressed data that do not unpack to {promised}")
+    sizes = np.frombuffer(file.read(8), "<u4")
+    promised = header.point_count * header.point.itemsize
+    packed = file.read()
+    if len(sizes) < 2 or len(packed) < sizes[0] or sizes[1] != promised:
+        raise ValueError(f"{len(packed)} bytes of compressed data, not of {promised}")
     if promised > LARGEST_RATIO * sizes[0]:
-        raise ValueError(f"{sizes[0]} bytes of compressed data that cannot unpack to {promised}")
-    if header.points == 0:
-        return {name: np.empty(0, t) for name, t in zip(header.names, header.types, strict=True)}
+        raise ValueError(f"{sizes[0]} bytes of compressed data that cannot be of {promised}")
+    if header.point_count == 0:
+        return {name: np.empty(0, header.point[name]) for name in header.scalars}
     open3d = import_open3d()
     with (
         NamedTemporaryFile(suffix=".pcd") as copy,
         open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error),
     ):
-        copy.write(header.encode() + sizes.tobytes() + file.read(sizes[0]))
+        copy.write(header.encode() + sizes.tobytes() + packed[: sizes[0]])
         copy.flush()
-        try:
-            cloud = open3d.t.io.read_point_cloud(copy.name, format="pcd")
-        except RuntimeError as error:
-            raise ValueError("compressed PCD data that open3d cannot take") from error
-    if "positions" not in cloud.point or len(cloud.point.positions) != header.points:
+        cloud = open3d.t.io.read_point_cloud(copy.name, format="pcd")
+    if "positions" not in cloud.point or len(cloud.point.positions) != header.point_count:
         raise ValueError("compressed PCD data that does not unpack")
     columns = {name: cloud.point[name].numpy()[:, 0] for name in cloud.point}
     return columns | dict(zip("xyz", cloud.point.positions.numpy().T, strict=True))
 
 
-def _read_header(file: BinaryIO) -> Header:
+def _read_header(file: BufferedReader) -> Header:
     """Read up to the line DATA; an unusable header raises `ValueError`."""
     entries = _entries(file)
     try:
-        names = tuple(entries["FIELDS"])
-        kinds, sizes = entries["TYPE"], entries["SIZE"]
-        counts = entries.get("COUNT", ["1"] * len(names))
-        points = entries.get("POINTS") or entries["WIDTH"] + entries["HEIGHT"]
-        return Header(
-            names,
-            tuple(TYPES[kind + size] for kind, size in zip(kinds, sizes, strict=False)),
-            tuple(_number(count) for count in counts),
-            math.prod(map(_number, points)),
-            entries["DATA"][0].lower(),
-            _number(entries.get("HEIGHT", ["1"])[0]),
+        names = entries["FIELDS"]
+        counts = [*map(int, entries.get("COUNT", ["1"] * len(names)))]
+        fields = zip(names, entries["TYPE"], entries["SIZE"], counts, strict=True)
+        point = np.dtype(
+            [
+                (name, TYPES[kind + size])
+                if count == 1 and name != PADDING
+                else (f"{name} {place}", TYPES[kind + size], (count,))
+                for place, (name, kind, size, count) in enumerate(fields)
+            ]
         )
-    except (KeyError, IndexError) as error:
-        raise ValueError(f"a PCD header without a usable {error}") from error
+        points = entries.get("POINTS") or entries["WIDTH"] + entries["HEIGHT"]
+        height = int(entries.get("HEIGHT", ["1"])[0])
+        return Header(point, math.prod(map(int, points)), entries["DATA"][0].lower(), height)
+    except (LookupError, ValueError) as error:
+        raise ValueError(f"an unusable PCD header: {error}") from error
 
 
-def _entries(file: BinaryIO) -> dict[str, list[str]]:
+def _entries(file: BufferedReader) -> dict[str, list[str]]:
     """Return the words after each keyword."""
     entries: dict[str, list[str]] = {}
     while "DATA" not in entries:
@@ -208,13 +156,3 @@ def _entries(file: BinaryIO) -> dict[str, list[str]]:
         if words and not words[0].startswith("#"):
             entries[words[0]] = words[1:]
     return entries
-
-
-def _number(word: str) -> int:
-    """Return a number of fields or points, of a size that can be calculated with."""
-    if len(word) > 15:
-        raise ValueError("a PCD header with an impossible number")
-    try:
-        return int(word)
-    except ValueError as error:
-        raise ValueError(f"a PCD header with {word} in place of a number") from error

@@ -7,7 +7,6 @@ multiples; read with another number, every column holds a mixture.
 """
 
 import re
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,8 +27,8 @@ MAGIC = {
 TEXT_SUFFIX = ".csv"
 TEXT_BYTES = 4096
 """Size of the start of a file that shows whether it is text."""
-MIN_TEXT_BYTES = 16
-"""Size of a file that is called text."""
+MIN_TEXT_BYTES = 256
+"""Size from which on float32 values hold some of the bytes that do not occur in text."""
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")
 """Bytes that do not occur in text; blanks, line ends and escapes do."""
 LEAST, MOST = 1e-12, 1e7
@@ -43,31 +42,19 @@ SAMPLE = 4096
 """Rows that are looked at, evenly spaced."""
 
 
-def other_suffix(content: bytes) -> str | None:
-    """Return the suffix for content that begins as another format or as text does, else None."""
-    for magic, suffix in MAGIC.items():
-        if content.startswith(magic):
-            return suffix
-    start = content[:TEXT_BYTES]
-    if CONTROL.search(start):
-        return None
-    try:
-        start.decode()
-    except UnicodeDecodeError as error:
-        # A character may be cut at the end.
-        if error.start < len(start) - 3 or len(content) <= TEXT_BYTES:
-            return None
-    return TEXT_SUFFIX
+def other_suffix(start: bytes) -> str | None:
+    """Return the suffix for a file that begins as one of another format or text does, else None."""
+    of_magic = (suffix for magic, suffix in MAGIC.items() if start.startswith(magic))
+    is_text = len(start) >= MIN_TEXT_BYTES and not CONTROL.search(start)
+    return next(of_magic, TEXT_SUFFIX if is_text else None)
 
 
 def are_float64(values: Float) -> bool:
-    """Say whether float32 values are the halves of float64 ones.
+    """Say whether float32 values (M,) of a file are the halves of float64 ones.
 
-    `values` (M,) float32, all values of a file.
-
-    Returns true if most are possible as float64 and most of their low halves are not as float32:
-    those of rounded decimals are random, those that were float32 before have one of eight values,
-    of which six are impossible.
+    Then most are possible as float64 and most of their low halves are not as float32: those of
+    rounded decimals are random, those that were float32 before have one of eight values, of which
+    six are impossible.
     """
     if len(values) % 2:
         return False
@@ -128,10 +115,9 @@ RANGE_LOG10 = 3.0
 
 
 def evident_count(values: Float, expected: int) -> int | None:
-    """Return another number of columns that a table evidently has, None if there is none.
+    """Return another number of columns than expected that a table evidently has, else None.
 
-    `values` (M,) float32, all values of the table, row by row; a part of the last row may be
-    missing; `expected`: number of columns that its reader expects.
+    A part of the last row may be missing from its values (M,), row by row.
     """
     if len(values) < LEAST_EXPLAINED_BY_CHANCE:
         return None
@@ -161,29 +147,18 @@ def likely_names(table: Float) -> tuple[str, ...] | None:
         values = column[np.isfinite(column) & (column != 0)]
         if np.count_nonzero(are_possible(values)) < len(values) / 2:
             return None
-    others = [_Kind.of(column) for column in rows.T[3:]]
-    if [kind.is_whole for kind in others] == [True, False] and others[1].may_be_intensity:
-        return ("x", "y", "z", "ring", "intensity")
-    names = [UNUSED_COLUMN] * len(others)
-    first = next((i for i, kind in enumerate(others) if kind.may_be_intensity), None)
-    if first is not None:
-        names[first] = "intensity"
-    if names == ["intensity", UNUSED_COLUMN] and others[1].is_whole:
+    others = rows[:, 3:]
+    varies = (others != others[:1]).any(axis=0)
+    whole = varies & (others == np.rint(others)).all(axis=0)
+    positive = varies & ~(others < 0).any(axis=0)
+    names = [UNUSED_COLUMN] * others.shape[1]
+    if positive.any():
+        names[int(positive.argmax())] = "intensity"
+    if whole.tolist() == [True, False] and positive[1]:
+        names = ["ring", "intensity"]
+    elif names == ["intensity", UNUSED_COLUMN] and whole[1]:
         names[1] = "ring"
     return ("x", "y", "z", *names)
-
-
-class _Kind(NamedTuple):
-    """Values that a column may hold."""
-
-    may_be_intensity: bool
-    is_whole: bool
-
-    @classmethod
-    def of(cls, column: Float) -> "_Kind":
-        varies = bool((column != column[0]).any())
-        is_whole = varies and bool((column == np.rint(column)).all())
-        return cls(varies and not (column < 0).any(), is_whole)
 
 
 def _places(count: int, length: int) -> npt.NDArray[np.intp]:

@@ -9,12 +9,11 @@ import os
 import re
 from functools import lru_cache
 from pathlib import Path
-from typing import Protocol
 
 from salsanext_cli.errors import FormatError, NoInputError, UsageError, shortened
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.bags import Bag
-from salsanext_cli.formats.columns import Columns, scan_of
+from salsanext_cli.formats.columns import scan_of
 from salsanext_cli.formats.ouster import OusterRecording
 from salsanext_cli.records import Scan
 
@@ -57,59 +56,34 @@ def sequence_of(recording: Path) -> str:
     return recording.name if is_folder(recording) else recording.stem
 
 
-class Recording(Protocol):
-    """Recording of any kind, open for reading by any number of threads.
-
-    Opening one raises `FormatError` if nothing of it can be read, and `MissingDependency` if the
-    package that reads it is missing or too old.
-    """
-
-    def topics(self) -> dict[str, str]:
-        """Return the type of the messages of every topic that has some."""
-
-    def clouds(self) -> list[str]:
-        """Return the topics of point clouds."""
-
-    def times(self, topic: str) -> list[int]:
-        """Return the times of the clouds of a topic in nanoseconds, sorted."""
-
-    def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
-        """Read the cloud of a topic and a time; of several of one time that of a number."""
+Recording = Bag | OusterRecording
 
 
 def recorded_paths(path: Path) -> list[Path]:
-    """Return the paths of the scans of a recording, sorted by time; no scan is read.
-
-    `path`: a recording with one topic of point clouds; a topic in it; one of its scans.
-    """
-    recording = _of(path)
-    opened = _opened(recording)
-    inside = "/".join(path.relative_to(recording).parts)
-    clouds = {topic.strip("/"): topic for topic in opened.clouds()}
-    if not inside:
-        inside = _only(clouds, recording, opened)
+    """Return the paths of the scans of a recording, a topic in it or a scan, sorted by time."""
+    folder, recording, clouds = _opened(path)
+    inside = "/".join(path.relative_to(folder).parts) or _only_topic(folder, recording, clouds)
     topic, name = (inside, "") if inside in clouds else inside.rpartition("/")[::2]
     if topic not in clouds:
-        listed = shortened(", ".join(opened.clouds()), MAX_SHOWN)
-        raise NoInputError(recording, f"no clouds of topic {inside}", f"one of {listed}")
-    names = _names(opened.times(clouds[topic]))
+        listed = shortened(", ".join(clouds.values()), MAX_SHOWN)
+        raise NoInputError(folder, f"no clouds of topic {inside}", f"one of {listed}")
+    names = _names(recording.times(clouds[topic]))
     if name and name not in names:
         raise NoInputError(path, "no such scan", f"one of the {len(names)} of the recording")
-    return [recording / topic / each for each in names if name in ("", each)]
+    return [folder / topic / each for each in names if name in ("", each)]
 
 
-def _only(clouds: dict[str, str], recording: Path, opened: Recording) -> str:
-    """Return the topic of a recording that has one."""
+def _only_topic(folder: Path, recording: Recording, clouds: dict[str, str]) -> str:
+    """Return the topic of a recording that has one of point clouds."""
     if len(clouds) == 1:
         return next(iter(clouds))
     if clouds:
-        listed = shortened(", ".join(clouds.values()), MAX_SHOWN)
-        first = next(iter(clouds.values()))
-        found = f"{len(clouds)} topics of point clouds: {listed}"
-        raise UsageError(recording, found, "one of them", f"--topic {first}")
-    others = ", ".join(f"{topic} ({kind})" for topic, kind in opened.topics().items())
+        topics = [*clouds.values()]
+        found = f"{len(topics)} topics of point clouds: {shortened(', '.join(topics), MAX_SHOWN)}"
+        raise UsageError(folder, found, "one of them", f"--topic {topics[0]}")
+    others = ", ".join(f"{topic} ({kind})" for topic, kind in recording.topics().items())
     found = f"no point clouds, but {shortened(others, MAX_SHOWN)}" if others else "no messages"
-    raise NoInputError(recording, found, "clouds, such as sensor_msgs/PointCloud2")
+    raise NoInputError(folder, found, "clouds, such as sensor_msgs/PointCloud2")
 
 
 def _names(times: list[int]) -> list[str]:
@@ -123,40 +97,35 @@ def _names(times: list[int]) -> list[str]:
 
 
 def read_recorded(path: Path, intensity_scale: float) -> Scan:
-    """Read a scan of a recording.
-
-    `path`: one of `recorded_paths`; `intensity_scale`: divides the intensity, except that of bytes.
-    """
-    recording = _of(path)
-    opened = _opened(recording)
-    topic = "/".join(path.parent.relative_to(recording).parts)
-    given = next((each for each in opened.clouds() if each.strip("/") == topic), None)
+    """Read a scan of a recording, whose path is one of the `recorded_paths`."""
+    folder, recording, clouds = _opened(path)
+    topic = "/".join(path.parent.relative_to(folder).parts)
     match = NAME.fullmatch(path.name)
-    if given is None or match is None:
+    if topic not in clouds or match is None:
         raise FormatError(path, "not there", "a scan that the recording lists")
-    columns = opened.columns(given, int(match[1]), int(match[2] or 0), path)
+    columns = recording.columns(clouds[topic], int(match[1]), int(match[2] or 0), path)
     return scan_of(columns, path, intensity_scale)
 
 
-def _of(path: Path) -> Path:
-    recording = recording_of(path)
-    if recording is None:
+def _opened(path: Path) -> tuple[Path, Recording, dict[str, str]]:
+    """Return the path of the recording of a path, the recording, and its topics by their folders.
+
+    It is kept open until another one is asked for.
+    """
+    folder = recording_of(path)
+    if folder is None:
         raise FormatError(path, "no such recording", "a recording or a scan in one")
-    return recording
-
-
-def _opened(recording: Path) -> Recording:
-    """Return a recording, kept open until another one is asked for."""
     # A file that is open in a forked process has one position in both.
     version = [os.getpid()]
-    for file in files_of(recording):
+    for file in files_of(folder):
         status = file.stat()
         version += [status.st_ino, status.st_size, status.st_mtime_ns]
-    return _kept(recording, tuple(version))
+    recording = _kept(folder, tuple(version))
+    return folder, recording, {topic.strip("/"): topic for topic in recording.clouds()}
 
 
 @lru_cache(maxsize=1)
-def _kept(recording: Path, version: tuple[int, ...]) -> Recording:
-    if recording.is_dir() or recording.suffix.lower() in BAG_SUFFIXES:
-        return Bag(recording, files_of(recording))
-    return OusterRecording(recording)
+def _kept(folder: Path, version: tuple[int, ...]) -> Recording:
+    if folder.is_dir() or folder.suffix.lower() in BAG_SUFFIXES:
+        return Bag(folder, files_of(folder))
+    return OusterRecording(folder)

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import MOVING, LabelSpace, RawIds
-from salsanext_cli.classes.label_yaml import RAW_ID_COUNT
+from salsanext_cli.classes.label_space import MOVING, RAW_ID_COUNT, LabelSpace, RawIds
 from salsanext_cli.errors import LabelError, SalsanextError, counted, first_few
 from salsanext_cli.files.reading import reading, size_of
 from salsanext_cli.formats import read_scan, scan_suffix

@@ -55,18 +55,14 @@ def are_columns(names: tuple[str, ...]) -> bool:
 def is_box(values: Sequence[float]) -> bool:
     """Return whether these are the least and the largest coordinates of a box, or nothing."""
     lowest, highest = values[:3], values[3:]
-    return not values or (
-        len(values) == 6
-        and all(-MAX_NUMBER <= a < b <= MAX_NUMBER for a, b in zip(lowest, highest, strict=True))
-    )
+    pairs = zip(lowest, highest, strict=False)
+    return len(values) in (0, 6) and all(-MAX_NUMBER <= a < b <= MAX_NUMBER for a, b in pairs)
 
 
 def faults(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield what was found and what was expected of each value that is impossible.
+    """Yield what was found and what was expected of each impossible field of a `Sensor`.
 
     Only the first is meaningful: later ones take earlier values to be right.
-
-    `sensor`: the fields of a `Sensor` by name.
     """
     shown = {key: shortened(value) for key, value in sensor.items()}
     if not isinstance(sensor["name"], str):
@@ -98,11 +94,9 @@ def faults(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if not (len(sensor["origin"]) == 3 and math.hypot(*sensor["origin"]) < MAX_NUMBER):
         yield f"origin {shown['origin']}", "a place, three numbers in metres"
     quantiles = sensor["intensity_quantiles"]
-    if not (
-        len(quantiles) in (0, INTENSITY_LEVELS)
-        and list(quantiles) == sorted(quantiles)
-        and all(abs(value) <= MAX_NUMBER for value in quantiles)
-    ):
+    rise = list(quantiles) == sorted(quantiles)
+    bounded = all(abs(value) <= MAX_NUMBER for value in quantiles)
+    if not (len(quantiles) in (0, INTENSITY_LEVELS) and rise and bounded):
         expected = f"{INTENSITY_LEVELS} numbers that rise, up to {MAX_NUMBER:g}"
         yield f"intensity_quantiles {shown['intensity_quantiles']}", expected
     for name in NOISE:

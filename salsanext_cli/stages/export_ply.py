@@ -101,7 +101,7 @@ def export_ply(
     if form not in FORMATS:
         raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
     if form != "ply":
-        import_laspy(f"--format {form}", compressed=form == "laz")
+        import_laspy(f"--format {form}")
     chosen = results.chosen(selection, space, network.classes)
     scans, space = chosen.scans, chosen.space
     if max_error is not None:

@@ -165,7 +165,7 @@ def test_missing_file_and_folder(tmp_path):
         label_space(tmp_path)
     # Which would never end.
     (tmp_path / "zero.yaml").symlink_to("/dev/zero")
-    with pytest.raises(UsageError, match="not a file"):
+    with pytest.raises(UsageError, match="neither a file"):
         label_space(tmp_path / "zero.yaml")
 
 

@@ -42,17 +42,6 @@ def test_labels_and_coordinates_are_read(tmp_path, name, scalar, kind):
     np.testing.assert_allclose(found.points, POINTS.astype("f4"), rtol=0, atol=rounding)
 
 
-@pytest.mark.parametrize("name", WRITERS)
-def test_a_file_that_is_cut_off_is_an_error_of_its_format(tmp_path, name):
-    path = write(name, tmp_path / name, {"label": IDS.astype("f4")})
-    content = path.read_bytes()
-    for share in (0.0, 0.2, 0.7, 0.97):
-        path.write_bytes(content[: int(share * len(content))])
-        with pytest.raises(FormatError) as caught:
-            read_labelled_cloud(path)
-        assert caught.value.subject == str(path)
-
-
 @pytest.mark.parametrize("name", LABEL_NAMES)
 def test_the_usual_names_of_labels_are_known(tmp_path, name):
     path = write_ply(tmp_path / "s.ply", {f"scalar_{name.title()}": IDS.astype("f4")})
@@ -91,14 +80,6 @@ def test_a_classification_that_may_be_the_asprs_is_taken_where_it_is_named(tmp_p
     with pytest.raises(LabelError, match="up to 10, which may be classes of the ASPRS"):
         read_labelled_cloud(path)
     np.testing.assert_array_equal(read_labelled_cloud(path, "classification").ids, IDS // 8)
-
-
-@pytest.mark.parametrize("missing", "xyz")
-def test_coordinates_are_required(tmp_path, missing):
-    content = write_ply(tmp_path / "s.ply", {"label": IDS.astype("f4")}).read_bytes()
-    (tmp_path / "s.ply").write_bytes(content.replace(b" %c\n" % ord(missing), b" w\n"))
-    with pytest.raises(FormatError, match=f"expected also {missing}"):
-        read_labelled_cloud(tmp_path / "s.ply")
 
 
 @pytest.mark.parametrize(

@@ -36,15 +36,6 @@ def test_another_dtype_or_shape_is_refused(tmp_path, dtype, shape):
     assert np.dtype(dtype).str in caught.value.found
 
 
-@pytest.mark.parametrize("size", [0, 1, 6, 8, 10, 64, 127, 128, 200, 287, 289])
-def test_files_of_another_size(tmp_path, size):
-    path = tmp_path / "a.npy"
-    np.save(path, np.zeros(40, np.float32))
-    path.write_bytes((path.read_bytes() + b"x")[:size])
-    with pytest.raises(FormatError):
-        read_array(path, np.float32, (None,))
-
-
 class Trap:
     """Run code when unpickled."""
 
@@ -55,10 +46,10 @@ class Trap:
 def test_pickles_are_not_opened(tmp_path):
     path = tmp_path / "a.npy"
     np.save(path, np.array([Trap()], object), allow_pickle=True)
-    with pytest.raises(FormatError, match=r"\|O"):
+    with pytest.raises(FormatError, match="npy file of object"):
         read_array(path, np.float32, (None,))
     path.write_bytes(pickle.dumps(Trap()))
-    with pytest.raises(FormatError, match=r"not a \.npy file"):
+    with pytest.raises(FormatError, match="magic string"):
         read_array(path, np.float32, (None,))
 
 
@@ -94,18 +85,16 @@ def test_uncertainties_are_read_with_their_gaps(path):
             read_uncertainty(path, count)
 
 
-@pytest.mark.parametrize("value", [-1e-9, np.inf, -np.inf])
-def test_invalid_uncertainties_are_refused(path, value):
-    write_array(path, np.array([0.1, value], np.float32))
-    with pytest.raises(FormatError, match=r"negative or infinite at 1 of 2 points"):
-        read_uncertainty(path, 2)
-
-
-@pytest.mark.parametrize("value", [-1e-9, 1.0000001, np.inf])
-def test_probabilities_of_error_are_not_above_one(path, value):
+@pytest.mark.parametrize(
+    ("highest", "value", "found"),
+    [
+        *((np.inf, value, "negative or infinite") for value in (-1e-9, np.inf, -np.inf)),
+        *((1, value, "below 0 or above 1") for value in (-1e-9, 1.0000001, np.inf)),
+    ],
+)
+def test_impossible_uncertainties_are_refused(path, highest, value, found):
     write_array(path, np.array([0, 1, np.nan, value], np.float32))
-    assert value <= 1 or np.float32(value) > 1
-    with pytest.raises(FormatError, match=r"below 0 or above 1 at 1 of 4 points .* from 0 to 1"):
-        read_uncertainty(path, 4, highest=1)
+    with pytest.raises(FormatError, match=rf"{found} at 1 of 4 points"):
+        read_uncertainty(path, 4, highest)
     write_array(path, np.array([0, 1, np.nan], np.float32))
-    assert np.nanmax(read_uncertainty(path, 3, highest=1)) == 1
+    assert np.nanmax(read_uncertainty(path, 3, highest)) == 1

@@ -6,7 +6,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -22,15 +22,9 @@ from scans import SMALL, make_scan, write_sequence
 from tiny_network import TinyNetwork
 
 from salsanext_cli import LabelSpace, label_space, project, read_labels, read_scan, sensor
-from salsanext_cli.files.json_files import read_json
 from salsanext_cli.fitting.scan_checks import field_of_view_coverage
 from salsanext_cli.formats import recordings
-from salsanext_cli.formats.npy import (
-    encode_array,
-    read_array,
-    read_probabilities,
-    read_uncertainty,
-)
+from salsanext_cli.formats.npy import encode_array, read_array
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.weights import read_weights, save_weights
@@ -75,11 +69,6 @@ def _scan(path: Path) -> None:
     scan = read_scan(path)
     project(scan, SMALL)
     field_of_view_coverage(scan, SMALL)
-
-
-def _scan_of_five_columns(path: Path) -> None:
-    five = replace(SMALL, columns=("x", "y", "z", "intensity", "ring"))
-    project(read_scan(path, five), SMALL)
 
 
 def _table() -> dict[str, np.ndarray]:
@@ -289,8 +278,6 @@ def _sensor() -> bytes:
 
 
 IMAGE = np.zeros((5, 4, 6), np.float32)
-NUMBERS = encode_array(np.arange(COUNT, dtype=np.float32))
-SOFTMAX = encode_array(np.full((COUNT, 3), 1 / 3, np.float16))
 LABELS = [bytes(4 * COUNT), b"\x0a\0\1\0" * 3]
 SPACE = yaml.safe_dump(FEW.to_dict(), sort_keys=False).encode()
 READERS: dict[str, Callable[[Path], Reader]] = {
@@ -302,12 +289,6 @@ READERS: dict[str, Callable[[Path], Reader]] = {
         [encode_array(IMAGE), encode_array(IMAGE[:, :1])],
         lambda p: read_array(p, np.float32, (5, None, None)),
     ),
-    "npy of uncertainty": lambda _: Reader(
-        "u.npy", [NUMBERS], lambda p: read_uncertainty(p, COUNT)
-    ),
-    "npy of probabilities": lambda _: Reader(
-        "p.npy", [SOFTMAX], lambda p: read_probabilities(p, COUNT, 3)
-    ),
     "ply": lambda folder: Reader("a.ply", _ply(folder), _scan),
     "pcd ascii": lambda _: Reader("a.pcd", _pcd("ascii"), _scan),
     "pcd binary": lambda _: Reader("b.pcd", _pcd("binary"), _scan),
@@ -317,7 +298,6 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "npz": lambda _: Reader("s.npz", npz(_table()), _scan),
     "csv": lambda _: Reader("s.csv", lines(_table(), ","), _scan),
     "xyz": lambda _: Reader("s.xyz", lines(_table(), " "), _scan),
-    "columns": lambda _: Reader("s.bin", _bin(5), _scan_of_five_columns),
     "db3": lambda folder: _bag(folder, ".db3", ""),
     "metadata of a bag": lambda folder: _bag(folder, ".mcap", "", damaged="metadata.yaml"),
     "pcap": _pcap,
@@ -334,6 +314,5 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "record": _record,
     "train.json": lambda folder: _run_folder(folder, "train.json"),
     "class_counts.json": lambda folder: _run_folder(folder, "class_counts.json"),
-    "json": lambda _: Reader("eval.json", [b'{"settings": {"by_distance": false}}'], read_json),
 }
 """Functions that make a reader, with valid files in an empty folder, by its name."""

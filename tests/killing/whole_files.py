@@ -27,9 +27,9 @@ def _is_csv(path: Path) -> None:
 
 
 def _is_ply(path: Path) -> None:
-    from salsanext_cli.formats.ply import read_ply
+    from salsanext_cli.formats.ply import ply_columns
 
-    read_ply(path)
+    ply_columns(path)
 
 
 def _is_weights(path: Path) -> None:

@@ -118,13 +118,13 @@ def test_archives_that_are_cut_or_promise_too_much(tmp_path):
     np.savez(path, points=TABLE)
     content = path.read_bytes()
     path.write_bytes(content[:-5])
-    with pytest.raises(FormatError, match=r"not a whole \.npz file"):
+    with pytest.raises(FormatError, match="damaged or cut off"):
         read_npz(path)
     zeros = io.BytesIO()
     np.save(zeros, np.zeros((1 << 22, 4), np.float32))
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("points.npy", zeros.getvalue())
-    with pytest.raises(FormatError, match=r"not a whole \.npz file"):
+    with pytest.raises(FormatError, match="damaged or cut off"):
         read_npz(path)
     np.save(tmp_path / "s.npy", TABLE)
     (tmp_path / "s.npy").write_bytes((tmp_path / "s.npy").read_bytes()[:-1])
