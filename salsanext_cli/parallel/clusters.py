@@ -22,9 +22,9 @@ from typing import Any
 
 from salsanext_cli.errors import MissingDependency, UsageError
 from salsanext_cli.interruption import ARRIVED
-from salsanext_cli.parallel import ray_guard as ray_guard
+from salsanext_cli.parallel import ray_guard
 from salsanext_cli.parallel.options import RunOptions, cores
-from salsanext_cli.parallel.pools import CHUNKS_IN_FLIGHT, WorkerPool, signals_blocked
+from salsanext_cli.parallel.worker import CHUNKS_IN_FLIGHT, WorkerPool, signals_blocked
 
 CONNECT_TIMEOUT_S = 15
 """Time for a scheduler to answer, and for a first worker to come; Ray itself waits for minutes."""

@@ -68,8 +68,8 @@ class Shard:
         names = [PREFIX + name for name in ("ID", "MIN", "COUNT")]
         if any(name not in environment for name in names):
             return None
-        number, least, count = (_number(name, environment) for name in names)
-        step = _number(PREFIX + "STEP", environment, "1")
+        number, least, count = (_number(name, environment[name]) for name in names)
+        step = _number(PREFIX + "STEP", environment.get(PREFIX + "STEP", "1"))
         index, rest = divmod(number - least, max(1, step))
         if rest or not 0 <= index < count:
             raise UsageError(
@@ -84,7 +84,7 @@ class Shard:
         """Return this shard's scans, neighbours of each other, in order of sequence and stem.
 
         All shards together have every scan once, and differ in size by one at most, if all are
-        given the same scans; neither the order nor what is done already plays a part.
+        given the same scans, in any order.
         """
         if self.count == 1:
             return list(scans)
@@ -93,8 +93,7 @@ class Shard:
         return ordered[start:stop]
 
 
-def _number(name: str, environment: Mapping[str, str], default: str = "") -> int:
-    text = environment.get(name, default)
+def _number(name: str, text: str) -> int:
     if not re.fullmatch(r"\d{1,9}", text, re.ASCII):
         raise UsageError(name, repr(text), "a whole number", "say which share with --shard i/n")
     return int(text)
@@ -103,12 +102,8 @@ def _number(name: str, environment: Mapping[str, str], default: str = "") -> int
 def chunks(scans: Sequence[ScanFile], workers: int) -> list[Chunk]:
     """Cut scans into chunks, in order; each holds neighbours of one sequence.
 
-    `scans`: in the order in which they are to be begun; `workers`: number of chunks that are worked
-    on side by side.
-
-    Each is of at most `MAX_CHUNK_SCANS` scans, and at least
-    `MIN_CHUNKS_PER_WORKER` for each worker if there are so many scans. Those of a sequence differ
-    by one scan at most.
+    They have at most `MAX_CHUNK_SCANS` scans, and those of a sequence differ by one at most; each
+    worker has at least `MIN_CHUNKS_PER_WORKER` if there are so many scans.
     """
     size = max(1, min(MAX_CHUNK_SCANS, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
     cut: list[Chunk] = []
