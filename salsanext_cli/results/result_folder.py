@@ -236,13 +236,15 @@ class ResultFolder(StageRecords):
 
     def provenance(self, selection: ScanSelection) -> dict[str, Any]:
         """Return, as plain data, what was chosen and which stage and weights predicted it."""
-        stage, estimated = self.owner("predictions"), self.settings("uncertainty") or {}
+        stage = self.owner("predictions")
+        softmax: Mapping[str, Any] = self.settings("predict") or {}
+        estimated: Mapping[str, Any] = self.settings("uncertainty") or {}
         made_by = {name for name in (stage, "uncertainty" if estimated else None) if name}
         recorded = {
             "dataset": str(self.dataset.absolute()) if self.dataset else None,
             "predictions_of": stage,
             "weights": self.weights("predictions"),
-            "temperature": (self.settings("predict") or {}).get("temperature"),
+            "temperature": softmax.get("temperature"),
             "reject": self.rejected_above(),
             "uncertainty": {k: estimated[k] for k in UNCERTAINTY_SETTINGS if k in estimated}
             or None,

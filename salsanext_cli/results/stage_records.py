@@ -256,7 +256,8 @@ class StageRecords:
 
     def rejected_above(self) -> float | None:
         """Return the error above which points were left unlabelled; None if none."""
-        return (self.settings_of("predictions") or {}).get("reject")
+        settings = self.settings_of("predictions")
+        return None if settings is None else settings.get("reject")
 
 
 def as_json(settings: Any) -> Any:
