@@ -106,11 +106,8 @@ def run_over_scans(
                 if options.progress:
                     options.progress(len(tried), len(todo))
         if len(tried) < len(todo):
-            raise WorkersLost(
-                f"--backend {options.backend}",
-                "not every scan was worked on",
-                remedy="use fewer jobs",
-            )
+            found, remedy = "not every scan was worked on", "use fewer jobs"
+            raise WorkersLost(f"--backend {options.backend}", found, remedy=remedy)
     except WorkersLost as lost:
         for failure in failures:
             log.error("%s", failure.reason)

@@ -68,13 +68,13 @@ class Shard:
         names = [PREFIX + name for name in ("ID", "MIN", "COUNT")]
         if any(name not in environment for name in names):
             return None
-        number, least, count = (_number(name, environment[name]) for name in names)
-        step = _number(PREFIX + "STEP", environment.get(PREFIX + "STEP", "1"))
+        texts = (*map(environment.__getitem__, names), environment.get(PREFIX + "STEP", "1"))
+        number, least, count, step = (int(text) if text.isdecimal() else -1 for text in texts)
         index, rest = divmod(number - least, max(1, step))
-        if rest or not 0 <= index < count:
+        if rest or min(number, least) < 0 or not 0 <= index < count:
             raise UsageError(
-                f"{names[0]}={number}",
-                f"an array of {count} tasks from {least} in steps of {step}",
+                f"{names[0]}={texts[0]}",
+                f"an array of {texts[2]} tasks from {texts[1]} in steps of {texts[3]}",
                 "numbers without gaps",
                 "say which share with --shard i/n",
             )
@@ -91,12 +91,6 @@ class Shard:
         ordered = sorted(scans, key=lambda scan: (scan.sequence, scan.stem))
         start, stop = (len(ordered) * n // self.count for n in (self.number - 1, self.number))
         return ordered[start:stop]
-
-
-def _number(name: str, text: str) -> int:
-    if not re.fullmatch(r"\d{1,9}", text, re.ASCII):
-        raise UsageError(name, repr(text), "a whole number", "say which share with --shard i/n")
-    return int(text)
 
 
 def chunks(scans: Sequence[ScanFile], workers: int) -> list[Chunk]:

@@ -35,8 +35,7 @@ PLACES = (
 )
 """Folders below that stages write into."""
 RECORDS_LOCK_TIMEOUT_S = 1800.0
-"""Others hold the lock for a moment each, seconds if it is a million scans, and there may be a
-hundred of them."""
+"""There may be a hundred others, which hold the lock for seconds each if it is a million scans."""
 LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")
 States = dict[Path, set[tuple[int, int]]]
 """Sizes and times of modification that files were written with."""
@@ -63,8 +62,7 @@ class OwnedFolder:
     def open(self, *, shared: bool = False) -> Iterator[None]:
         """Keep other runs of the stage out of the folder while the body runs, unless it is shared.
 
-        Temporary files are removed: before, those of runs that were killed long ago; after, those
-        that killed workers of this run have left.
+        Temporary files of killed runs are removed before, those of killed workers afterwards.
         """
         mark = uuid4().hex
         # Runs of other threads of this process keep their temporary files.
@@ -124,9 +122,8 @@ class OwnedFolder:
     @contextmanager
     def writing(self, path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
         """Open a file of the folder as `atomic.writing` does, and list it."""
-        with writing(
-            path, durable=durable, before_rename=partial(self._list, path, durable=durable)
-        ) as file:
+        listed = partial(self._list, path, durable=durable)
+        with writing(path, durable=durable, before_rename=listed) as file:
             yield file
 
     def write(self, path: Path, content: bytes, *, durable: bool = False) -> None:

@@ -80,10 +80,7 @@ class ScanResults:
             return measured_ranges(scan.points)[0].astype(np.float32)
 
     def wrong(self, space: LabelSpace) -> Float:
-        """Return 1 where the label is wrong, 0 where right, NaN where truth does not count.
-
-        It is NaN too where the label was rejected.
-        """
+        """Return 1 where the label is wrong, 0 where right, NaN where either does not count."""
         if self.label is None or self.truth is None:
             raise ValueError("a wrong label needs a label and a truth")
         truth = space.to_train(self.truth, strict=False)
@@ -99,10 +96,7 @@ class ScanResults:
         return 0 if self.rejected is None else int(self.rejected.sum())
 
     def rejecting(self, max_error: float, space: LabelSpace) -> "ScanResults":
-        """Return the same with the points unlabelled whose error is above a threshold.
-
-        A point without an error keeps its label; `predict` has left it unlabelled.
-        """
+        """Return the same with the points unlabelled whose error is above a threshold."""
         if self.label is None:
             return self
         above = self.uncertainty["error"] > max_error
@@ -151,11 +145,9 @@ class ResultFolder(StageRecords):
             found_scans = (self._of_sequence(name, known.get(name)) for name in sequences)
             scans = [scan for of_sequence in found_scans for scan in of_sequence]
         if gone := sorted(wanted - {(scan.sequence, scan.stem) for scan in scans}):
-            log.warning(
-                "%s with results not found any more and left out: %s",
-                counted(len(gone), "scan"),
-                first_few(["/".join(key) for key in gone]),
-            )
+            names = first_few(["/".join(key) for key in gone])
+            what = "with results not found any more and left out"
+            log.warning("%s %s: %s", counted(len(gone), "scan"), what, names)
         return scans
 
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
@@ -168,10 +160,10 @@ class ResultFolder(StageRecords):
             own = root / "sequences" / sequence / SCAN_FOLDER
             # Not all of a data set once for each of its sequences.
             return find_scans(own) if is_folder(own) else find_scans(root, [sequence])
-        looked_in = str(self.dataset or folder or root.absolute())
+        looked_in = shortened(str(self.dataset or folder or root.absolute()), MAX_PATH_CHARACTERS)
         raise NoInputError(
             self.root / "sequences" / sequence,
-            f"its scans are not in {shortened(looked_in, MAX_PATH_CHARACTERS)}",
+            f"its scans are not in {looked_in}",
             "the folder that they came from",
             "give with --dataset the folder that holds sequences/",
         )
@@ -196,8 +188,7 @@ class ResultFolder(StageRecords):
     ) -> tuple[list[ScanFile], LabelSpace]:
         """Choose among the scans, and return the classes in which their labels are compared.
 
-        `space`: of the labels; otherwise that of the scans' data set, else the one recorded here;
-        `classes`: into whose classes those of labels and predictions are merged.
+        `space`, `classes`: as for `compared_space`.
         """
         scans = self.scans()
         space = self.compared_space(scans, space, classes, own_ids=True)
@@ -219,7 +210,7 @@ class ResultFolder(StageRecords):
     ) -> ChosenResults:
         """Choose among the scans of which any stage left results; log how many lack them.
 
-        A limit is of scans with results; `space`, `classes`: as for `predicted`.
+        A limit is of scans with results; `space`, `classes`: as for `compared_space`.
         """
         recorded = self.scans()
         given, space = space, self.compared_space(recorded, space, classes, own_ids=True)
@@ -266,8 +257,7 @@ class ResultFolder(StageRecords):
         """
         scan = read_scan(file.path, sensor)
         count = len(scan)
-        path, *kinds = (output_path(self.root, file.sequence, f, file.stem) for f in FOLDERS)
-        label = _labels(path, count)
+        label = _labels(self._path(file, "label"), count)
         if label is not None and classes is not None:
             label = classes.to_raw(classes.to_train(label, strict=False))
         truth = _labels(file.label_path, count) if truth_in else None
@@ -275,11 +265,8 @@ class ResultFolder(StageRecords):
             own, space = truth_in
             train = own.to_train(truth, strict=False, source=file.label_path)
             truth = truth if own.learning_map == space.learning_map else space.to_raw(train)
-        uncertainty = {
-            kind: read_kind(path, kind, count)
-            for kind, path in zip(UNCERTAINTY, kinds, strict=True)
-            if present(path)
-        }
+        paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
+        uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
         rejected = self.rejected(uncertainty["error"]) if "error" in uncertainty else None
         return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
 
@@ -309,7 +296,6 @@ class ResultFolder(StageRecords):
         """Return the error that says what is missing for a column, and where it would be."""
         if column in ("truth", "wrong") and not present(file.label_path):
             return NoInputError(file.path, "has no labels", str(file.label_path))
-        path = output_path(self.root, file.sequence, FOLDER_OF_COLUMN[column], file.stem)
         stage = "uncertainty" if column in UNCERTAINTY else "predict"
         remedy = f"run `salsanext {stage} SCANS {self.root}` first"
         if column == "error":
@@ -317,7 +303,10 @@ class ResultFolder(StageRecords):
                 f"run `salsanext predict SCANS {self.root} --error`, with weights that know it: "
                 "the default ones, or what `salsanext tune error` writes"
             )
-        return NoInputError(file.path, f"no {column} known", str(path), remedy)
+        return NoInputError(file.path, f"no {column} known", str(self._path(file, column)), remedy)
+
+    def _path(self, file: ScanFile, column: str) -> Path:
+        return output_path(self.root, file.sequence, FOLDER_OF_COLUMN[column], file.stem)
 
     def meant_uncertainty(self, scans: Sequence[ScanFile]) -> str:
         """Return what "uncertainty" means: the error where all scans have it, else entropy."""
@@ -325,19 +314,14 @@ class ResultFolder(StageRecords):
 
 
 def read_kind(path: Path, kind: str, count: int | None) -> Float:
-    """Read one kind of uncertainty of a scan's points, as `read_uncertainty` does.
-
-    "error" is a probability.
-    """
+    """Read one kind of uncertainty of a scan's points, as `read_uncertainty`."""
     return read_uncertainty(path, count, 1.0 if kind == "error" else math.inf)
 
 
 def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
     """Return every scalar known about the points, by the name that its property gets."""
-    columns: dict[str, npt.NDArray[Any]] = {
-        "intensity": cloud.scan.intensity,
-        "range": cloud.range,
-    }
+    columns: dict[str, npt.NDArray[Any]]
+    columns = {"intensity": cloud.scan.intensity, "range": cloud.range}
     if cloud.label is not None:
         columns["label"] = cloud.label.astype(np.uint16)
     if cloud.truth is not None:
@@ -349,9 +333,8 @@ def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArr
 
 def _holds_scans(dataset: Path) -> bool:
     """Say whether it is a folder of scans or a recording, not a data set."""
-    if recording_of(dataset.absolute()):
-        return True
-    return dataset.is_dir() and not (dataset / "sequences").is_dir()
+    is_data_set = (dataset / "sequences").is_dir()
+    return bool(recording_of(dataset.absolute())) or (dataset.is_dir() and not is_data_set)
 
 
 def _scans_named_themselves(source: ScanSource, known: Container[str]) -> list[ScanFile]:

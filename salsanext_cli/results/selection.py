@@ -48,10 +48,8 @@ class MissingResults:
         """Log how many of so many scans lack what they should have."""
         if self.scans:
             first = self.scans[0]
-            log.error(
-                "%d of %d scans have no %s and are left out, the first is %s/%s",
-                *(len(self.scans), count, what, first.sequence, first.stem),
-            )
+            message = "%d of %d scans have no %s and are left out, the first is %s/%s"
+            log.error(message, len(self.scans), count, what, first.sequence, first.stem)
 
 
 def scans_of(source: Path) -> list[ScanFile]:

@@ -132,12 +132,9 @@ class StageRecords:
 
         A stage that reads their results records it, so as not to keep what it made of older ones.
         """
-        settings = {stage: self.settings(stage) for stage in stages}
-        return {
-            stage: hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]
-            for stage, values in settings.items()
-            if values is not None
-        }
+        records = filter(None, map(self.record, stages))
+        texts = {each.stage: json.dumps(each.settings, sort_keys=True) for each in records}
+        return {s: hashlib.sha256(text.encode()).hexdigest()[:12] for s, text in texts.items()}
 
     def label_space(self, *folders: str) -> LabelSpace | None:
         """Return the classes of the first of the folders that a stage fills, else None.
@@ -235,19 +232,13 @@ class StageRecords:
         for folder in ("uncertainty/epistemic", ERROR):
             estimated, other = self.weights(folder), self.label_space(folder)
             if labels and estimated and labels != estimated:
-                raise OutputError(
-                    self.root,
-                    f"labels by the weights {labels[:12]}…, uncertainty by {estimated[:12]}…",
-                    "the same weights for both",
-                    f"{remedy} weights of the labels",
-                )
+                found = f"labels by the weights {labels[:12]}…, uncertainty by {estimated[:12]}…"
+                expected, remedy = "the same weights for both", f"{remedy} weights of the labels"
+                raise OutputError(self.root, found, expected, remedy)
             if labels and space and other and not space.fits(other):
-                raise OutputError(
-                    self.root,
-                    f"labels in the classes of {space.name}, uncertainty in those of {other.name}",
-                    "the same for both",
-                    f"{remedy} --classes of the labels",
-                )
+                classes = f"the classes of {space.name}, uncertainty in those of {other.name}"
+                remedy = f"{remedy} --classes of the labels"
+                raise OutputError(self.root, f"labels in {classes}", "the same for both", remedy)
 
     def rejected(self, error: Float) -> npt.NDArray[np.bool_]:
         """Say of points, by their error (N,), which were left unlabelled for it."""
@@ -261,8 +252,7 @@ class StageRecords:
 
 
 def as_json(settings: Any) -> Any:
-    """Return settings as they are read back: lists for tuples, strings for keys."""
-    # JSON has no number for an infinite cutoff.
+    """Return settings as they are read back: lists for tuples, strings for keys and infinity."""
     return json.loads(json.dumps(settings), parse_constant=str)
 
 
@@ -279,11 +269,7 @@ def require_same_settings(
 
 
 def _difference(key: str, before: Any, after: Any) -> str:
-    """Say how a setting differs.
-
-    Origins are named without their digests, label spaces by their classes, long lists by the
-    first value that differs, or their length.
-    """
+    """Say how a setting differs; of long lists, name the first value that does, or the length."""
     if key == "sensor.intensity_quantiles":
         was, now = _intensity(before), _intensity(after)
         now = "matched to other scans" if now == was else now
