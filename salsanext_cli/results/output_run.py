@@ -89,10 +89,11 @@ class OutputRun(OwnedFolder):
                     f"{folder}/ holds the results of `{other.stage}`",
                     remedy="use another output folder, or --overwrite to replace them",
                 )
-        # Nothing is removed before it is certain that the run may begin.
-        for replaced in others if same else [before, *others]:
-            if OwnedFolder(self.root, replaced.stage).is_shared():
-                found = f"another run of `{replaced.stage}` is at work in it"
+        # Nothing is removed before it is certain that the run may begin, but locks of killed runs.
+        for each in (before, *others):
+            is_shared = OwnedFolder(self.root, each.stage).is_shared()
+            if is_shared and not (same and each is before):
+                found = f"another run of `{each.stage}` is at work in it"
                 remedy = "wait until it has ended, or use another folder"
                 raise OutputError(self.root, found, remedy=remedy)
         kept = [] if same else self._remove_results(before.folders)
