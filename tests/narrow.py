@@ -12,9 +12,8 @@ from scans import write_weights
 from world import Kept, World
 
 from salsanext_cli.network import salsanext
-from salsanext_cli.network.designs import SALSANEXT
 from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.salsanext import SalsaNext
+from salsanext_cli.network.salsanext import SALSANEXT, SalsaNext
 
 NARROW = replace(SALSANEXT, widths=(8, 16, 32, 32, 32), decoder_widths=(32, 32, 16, 16))
 """Few channels: a network of full size would take most of the time of a test."""

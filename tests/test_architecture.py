@@ -184,7 +184,7 @@ FORBIDDEN = {
 def test_nothing_prints_exits_evaluates_or_unpickles():
     """Of two processes only the one that is to end does so at once."""
     found = where(lambda module: FORBIDDEN & set(called(tree_of(module))))
-    assert found == {"interruption.py": {"os._exit"}, "parallel/pools.py": {"os._exit"}}
+    assert found == {"interruption.py": {"os._exit"}, "parallel/worker.py": {"os._exit"}}
 
 
 def test_torch_loads_weights_only():

@@ -15,8 +15,7 @@ from salsanext_cli.errors import WeightsError
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.user_cache import check_once
 from salsanext_cli.geometry.network_input import ScanFit
-from salsanext_cli.network.card import WeightsCard, default_weights, read_card
-from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX
+from salsanext_cli.network.card import ONNX_SUFFIX, WeightsCard, default_weights, read_card
 from salsanext_cli.sensors.sensor import Sensor
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from salsanext_cli.measures.confusion import Confusion, Counts
 from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
-from salsanext_cli.results.scan_results import read_kind
+from salsanext_cli.results.result_folder import read_kind
 from salsanext_cli.sensors.sensor import Sensor
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)

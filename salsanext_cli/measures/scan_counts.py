@@ -34,8 +34,7 @@ from salsanext_cli.measures.histograms import (
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.scan_results import read_kind
+from salsanext_cli.results.result_folder import ResultFolder, read_kind
 from salsanext_cli.sensors.sensor import Sensor
 
 SOFTMAX = "probabilities"

@@ -99,11 +99,7 @@ class UnitChain(nn.Sequential):
 
 
 class ResidualBlock(nn.Module):
-    """shortcut(x) + stack(x), by default of dilated convolutions.
-
-    `inputs`, `outputs`: channels; `stack`: factory of the path beside the shortcut, from inputs and
-    outputs.
-    """
+    """shortcut(x) + stack(x), by default of dilated convolutions."""
 
     def __init__(self, inputs: int, outputs: int, stack: Stack = DilatedStack) -> None:
         super().__init__()
@@ -157,8 +153,7 @@ class UpBlock(nn.Module):
     """Upsample ×2, concatenate the skip connection, fuse; channel dropout around each.
 
     `upsampling`: (B, in, H, W) to (B, upsampled, 2H, 2W); `joined`, `outputs`: channels after the
-    concatenation, and of the block; `stack`: factory of the layers that fuse, from these two
-    numbers; `dropout`: rate.
+    concatenation, and of the block; `stack`: factory of the layers that fuse; `dropout`: rate.
     """
 
     def __init__(

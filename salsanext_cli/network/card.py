@@ -19,18 +19,25 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import UsageError, WeightsError, error_text, shortened
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, onnx_metadata
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.version import __version__
 
+KEY = "salsanext"
+"""The one key of the header: safetensors writes several in an order drawn anew each time."""
+FORMAT = "salsanext-2"
+TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
+"""Parts of a card that are mappings."""
+TEMPERATURES = (1e-3, 1e3)
+"""Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
+ONNX_SUFFIX = ".onnx"
 COUNT_DIGITS, HASH_DIGITS = 8, 16
 """Hexadecimal digits of a digest: by chance, two of 20 000 scans agree once in 10¹¹ cases."""
 DIGITS = COUNT_DIGITS + HASH_DIGITS
 
 
 def scan_digest(scan: Scan) -> str:
-    """Return the digest of a scan."""
+    """Return the digest of a scan: of the number of its points, then of their coordinates."""
     of_points = hashlib.sha256(np.ascontiguousarray(scan.points).data).hexdigest()
     return f"{len(scan):0{COUNT_DIGITS}x}{of_points[:HASH_DIGITS]}"
 
@@ -51,15 +58,6 @@ def parted(text: object) -> list[str]:
     if not isinstance(text, str) or not re.fullmatch(f"([0-9a-f]{{{DIGITS}}})*", text):
         raise ValueError("no digests of scans")
     return [text[i : i + DIGITS] for i in range(0, len(text), DIGITS)]
-
-
-KEY = "salsanext"
-"""The one key of the header: safetensors writes several in an order drawn anew each time."""
-FORMAT = "salsanext-2"
-TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
-"""Parts of a card that are mappings."""
-TEMPERATURES = (1e-3, 1e3)
-"""Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,9 +91,8 @@ class WeightsCard:
 
         Their scores are unknown, and a model of their errors was fitted to what they were.
         """
-        return replace(
-            self, scores={}, error=None, description=f"{self.description} {done}".lstrip()
-        )
+        description = f"{self.description} {done}".lstrip()
+        return replace(self, scores={}, error=None, description=description)
 
     def to_metadata(self) -> dict[str, str]:
         """Return what a safetensors header holds; equal cards give equal text."""
@@ -152,15 +149,16 @@ class WeightsCard:
 def _temperature(value: Any) -> float:
     lowest, highest = TEMPERATURES
     if type(value) not in (int, float) or not lowest <= value <= highest:
-        raise ValueError(
-            f"temperature {shortened(value)} is not between {lowest:g} and {highest:g}"
-        )
+        found = f"temperature {shortened(value)}"
+        raise ValueError(f"{found} is not between {lowest:g} and {highest:g}")
     return float(value)
 
 
 def read_card(path: Path) -> WeightsCard:
     """Read only the metadata of a weights file, or of an ONNX file of `export-onnx`."""
     if path.suffix == ONNX_SUFFIX:
+        from salsanext_cli.network.onnx_metadata import onnx_metadata
+
         return WeightsCard.from_metadata(onnx_metadata(path), path)
     try:
         with safetensors.safe_open(path, framework="np") as file:

@@ -37,10 +37,6 @@ class ChannelDropout(nn.Module):
         factors = draw(x.shape[1], self.rate)
         return x * factors.to(x.device, x.dtype)[:, :, None, None]
 
-    def extra_repr(self) -> str:
-        """Describe the layer in the network's printout."""
-        return f"rate={self.rate}"
-
 
 def dropouts(module: nn.Module) -> list[ChannelDropout]:
     """Return the dropout layers of a network that drop anything, in order of definition."""
@@ -50,9 +46,8 @@ def dropouts(module: nn.Module) -> list[ChannelDropout]:
 def require_dropout(module: nn.Module) -> float:
     """Return the dropout rate; `WeightsError` for a network that drops nothing."""
     if not (layers := dropouts(module)):
-        found = "a network without dropout"
-        remedy = "`salsanext tune dropout` finds one"
-        raise WeightsError("weights", found, "a dropout rate above 0", remedy)
+        expected, remedy = "a dropout rate above 0", "`salsanext tune dropout` finds one"
+        raise WeightsError("weights", "a network without dropout", expected, remedy)
     return layers[0].rate
 
 

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Model of a label's error: a small network from features of a point to a probability.
-
-It is stored as plain numbers in the card of a weights file.
-"""
+"""Model of a label's error: a small network, kept as plain numbers in the card of weights."""
 
 from __future__ import annotations
 
@@ -21,24 +18,19 @@ BLOCK = 256
 
 
 def last_values(rows: Float, layers: Sequence[tuple[Float, Float]]) -> Float:
-    """Return the value of the last layer for each row; no bit depends on the number of threads.
+    """Return the value of the last layer for rows (N, F), (N,) float32; NaN for rows with NaN.
 
-    `rows` (N, F) float32; `layers`: weights and biases; between two layers, negative values become
-    0. The first takes F values, the last returns one; this is not checked.
-
-    Returns (N,) float32, NaN for rows with NaN.
+    `layers` are those of an `ErrorModel`. No bit depends on the number of threads.
     """
     rows = argument(rows, np.float32)
-    given = tuple(
-        (argument(weight, np.float32), argument(bias, np.float32)) for weight, bias in layers
-    )
-    found = np.empty(len(rows), np.float32)
-    parallel_for_slices(lambda part: compute_rows(rows[part], given, found[part]), len(rows))
-    return found
+    given = tuple((argument(w, np.float32), argument(b, np.float32)) for w, b in layers)
+    values = np.empty(len(rows), np.float32)
+    parallel_for_slices(lambda part: compute_rows(rows[part], given, values[part]), len(rows))
+    return values
 
 
 @compiled
-def compute_rows(rows: Float, layers: tuple[tuple[Float, Float], ...], found: Float) -> None:
+def compute_rows(rows: Float, layers: tuple[tuple[Float, Float], ...], last: Float) -> None:
     """Write what `last_values` returns, block by block; a layer's values are (O, BLOCK)."""
     widest = rows.shape[1]
     for _, bias in layers:
@@ -63,7 +55,7 @@ def compute_rows(rows: Float, layers: tuple[tuple[Float, Float], ...], found: Fl
                         if values[i] < 0:
                             values[i] = 0
             before, after = after, before
-        found[start : start + count] = before[0, :count]
+        last[start : start + count] = before[0, :count]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,13 +80,7 @@ class ErrorModel:
                 raise ValueError("an error model holds values that are not finite")
 
     def probability(self, features: Float) -> Float:
-        """Return the probability of an error, (N,) float32 in 0…1, NaN for features with NaN.
-
-        `features` (N, F) float32.
-        """
-        # Imported here: to read a card takes no compiler.
-        from salsanext_cli.network.error_model import last_values
-
+        """Return the probability of an error, (N,) float32 in 0…1, of features (N, F), or NaN."""
         if features.shape[1:] != (len(self.features),):
             raise ValueError(f"features of {features.shape}, not of (N, {len(self.features)})")
         # Beyond, the exponential overflows.

@@ -9,7 +9,6 @@ from typing import BinaryIO
 from salsanext_cli.errors import FormatError, WeightsError
 from salsanext_cli.files.reading import present, reading, size_of
 
-ONNX_SUFFIX = ".onnx"
 OPSET = 17
 """The latest that TensorRT 8.6 reads; OpenVINO and ONNX Runtime read later ones too."""
 MAX_BYTES = 2 << 30

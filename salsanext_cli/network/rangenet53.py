@@ -4,7 +4,7 @@
 from torch import Tensor, nn
 
 from salsanext_cli.network.dropout import ChannelDropout
-from salsanext_cli.network.segmentation import SegmentationNetwork, require_classes
+from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import CHANNELS
 
 SLOPE, MOMENTUM = 0.1, 0.01
@@ -62,16 +62,14 @@ class UpStage(nn.Sequential):
 class RangeNet53(SegmentationNetwork):
     """A Darknet53 that keeps the height of the image; 50 377 364 parameters with 20 classes.
 
-    `class_count`: c, including the unlabelled class 0; `dropout`: rate of the channel dropout after
-    every stage and before the logits; `width`: channels of the stem; every stage has twice as many
-    as the one before.
+    `class_count` includes the unlabelled class 0; `dropout`: rate of the channel dropout after
+    every stage and before the logits; `width`: channels of the stem, doubled by every stage.
     """
 
     stride = (1, 2 ** len(DEPTHS))
 
     def __init__(self, class_count: int = 20, dropout: float = 0.01, width: int = 32) -> None:
-        super().__init__()
-        require_classes(class_count)
+        super().__init__(class_count)
         widths = [width * 2**level for level in range(len(DEPTHS))]
         self.stem = NormedUnit(len(CHANNELS), width, 3)
         self.stages = nn.ModuleList(map(Stage, widths, DEPTHS))

@@ -6,34 +6,32 @@ from functools import partial
 from typing import Any
 
 from salsanext_cli.errors import UsageError, error_text, shortened
-from salsanext_cli.network import designs
-from salsanext_cli.network.designs import Design
+from salsanext_cli.network import salsanext
 from salsanext_cli.network.rangenet53 import RangeNet53
-from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
 NUMBERS = frozenset({"class_count", "dropout"})
 """Numbers that a weights file may give of a network."""
 
 
-def _of(design: Design) -> Callable[..., SegmentationNetwork]:
-    return partial(SalsaNext, design=design)
+def _of(design: salsanext.Design) -> Callable[..., SegmentationNetwork]:
+    return partial(salsanext.SalsaNext, design=design)
 
 
 ARCHITECTURES: dict[str, Callable[..., SegmentationNetwork]] = {
-    "salsanext": _of(designs.SALSANEXT),
-    "salsanext-v1": _of(designs.V1_POOLING),
+    "salsanext": _of(salsanext.SALSANEXT),
+    "salsanext-v1": _of(salsanext.V1_POOLING),
     "rangenet53": RangeNet53,
-    "salsanet": _of(designs.SALSANET),
-    "salsanet-context": _of(designs.SALSANET_CONTEXT),
-    "salsanet-dropout": _of(designs.SALSANET_DROPOUT),
-    "salsanet-pooling": _of(designs.SALSANET_POOLING),
-    "salsanet-dilated": _of(designs.SALSANET_DILATED),
-    "salsanet-shuffle": _of(designs.SALSANEXT),
-    "salsanext-v1-layers": _of(designs.V1_LAYERS),
-    "salsanext-v1-context": _of(designs.V1_CONTEXT),
-    "salsanext-v1-dropout": _of(designs.V1_DROPOUT),
-    "salsanext-v1-pooling": _of(designs.V1_POOLING),
+    "salsanet": _of(salsanext.SALSANET),
+    "salsanet-context": _of(salsanext.SALSANET_CONTEXT),
+    "salsanet-dropout": _of(salsanext.SALSANET_DROPOUT),
+    "salsanet-pooling": _of(salsanext.SALSANET_POOLING),
+    "salsanet-dilated": _of(salsanext.SALSANET_DILATED),
+    "salsanet-shuffle": _of(salsanext.SALSANEXT),
+    "salsanext-v1-layers": _of(salsanext.V1_LAYERS),
+    "salsanext-v1-context": _of(salsanext.V1_CONTEXT),
+    "salsanext-v1-dropout": _of(salsanext.V1_DROPOUT),
+    "salsanext-v1-pooling": _of(salsanext.V1_POOLING),
 }
 """The last rung of either ladder changes only the loss: its network is that of the rung below."""
 
@@ -43,9 +41,8 @@ def build(architecture: Mapping[str, Any], source: object = "architecture") -> S
     numbers = dict(architecture)
     name = numbers.pop("name", None)
     if not isinstance(name, str) or name not in ARCHITECTURES:
-        raise UsageError(
-            source, f"architecture {shortened(name)}", f"one of {', '.join(ARCHITECTURES)}"
-        )
+        expected = f"one of {', '.join(ARCHITECTURES)}"
+        raise UsageError(source, f"architecture {shortened(name)}", expected)
     try:
         if unknown := sorted(numbers.keys() - NUMBERS):
             raise TypeError(f"no {', '.join(unknown)}")

@@ -23,6 +23,11 @@ class SegmentationNetwork(nn.Module):
     stride: tuple[int, int]  # (int, int): divisors of height and width at the coarsest level
     logits: nn.Conv2d  # The last layer
 
+    def __init__(self, class_count: int) -> None:
+        super().__init__()
+        if not 1 <= class_count <= MAX_CLASSES:
+            raise ValueError(f"1 to {MAX_CLASSES} classes, not {class_count}")
+
     @abstractmethod
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:
         """Compute everything before the first dropout: the same for every Monte-Carlo pass."""
@@ -52,9 +57,3 @@ class SegmentationNetwork(nn.Module):
         if padded_width != width:
             image = image[..., torch.arange(padded_width, device=image.device) % width]
         return F.pad(image, (0, 0, 0, -height % self.stride[0]))
-
-
-def require_classes(count: int) -> None:
-    """Raise `ValueError` unless labels of one byte can tell so many classes apart."""
-    if not 1 <= count <= MAX_CLASSES:
-        raise ValueError(f"1 to {MAX_CLASSES} classes, not {count}")

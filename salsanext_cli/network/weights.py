@@ -24,11 +24,10 @@ NORM_SUFFIXES = (".running_mean", ".running_var")
 
 
 def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool = False) -> None:
-    """Write a weights file, atomically.
+    """Write a weights file of the network that `card.architecture` names, atomically.
 
-    `path`: the `.safetensors` file; `module`: the network that `card.architecture` names; `card`:
-    metadata to write; `half`: store in float16, half the size; batch-norm statistics stay float32,
-    as does a tensor with a value beyond float16's range.
+    `half`: store in float16, half the size; batch-norm statistics stay float32, as does a tensor
+    with a value beyond float16's range.
     """
     tensors = {name: _stored(name, tensor, half) for name, tensor in module.state_dict().items()}
     write_bytes(path, safetensors.torch.save(tensors, card.to_metadata()), durable=True)
@@ -84,9 +83,8 @@ def load_tensors(module: nn.Module, tensors: Mapping[str, Tensor], source: objec
     if missing := sorted(wanted.keys() - tensors.keys()):
         raise WeightsError(source, f"lacks {len(missing)} tensors, such as {shortened(missing[0])}")
     if surplus := sorted(tensors.keys() - wanted.keys()):
-        raise WeightsError(
-            source, f"holds {len(surplus)} unknown tensors, such as {shortened(surplus[0])}"
-        )
+        found = f"holds {len(surplus)} unknown tensors, such as {shortened(surplus[0])}"
+        raise WeightsError(source, found)
     fitting = {name: _checked(name, t, wanted[name], source) for name, t in tensors.items()}
     module.load_state_dict(fitting, assign=True)
 
@@ -97,9 +95,9 @@ def _checked(name: str, tensor: Tensor, wanted: Tensor, source: object) -> Tenso
         raise WeightsError(source, f"{name} is {tuple(tensor.shape)}", str(tuple(wanted.shape)))
     if tensor.dtype not in DTYPES:
         raise WeightsError(source, f"{name} is of {tensor.dtype}", "float32 or float16")
-    found = tensor.to(wanted.dtype)
-    if not torch.isfinite(found).all():
-        raise WeightsError(source, f"{name} holds values that are not finite in {found.dtype}")
-    if name.endswith("running_var") and (found < 0).any():
+    converted = tensor.to(wanted.dtype)
+    if not torch.isfinite(converted).all():
+        raise WeightsError(source, f"{name} holds values that are not finite in {wanted.dtype}")
+    if name.endswith("running_var") and (converted < 0).any():
         raise WeightsError(source, f"{name} holds variances below 0")
-    return found
+    return converted

@@ -22,9 +22,9 @@ from typing import Any
 
 from salsanext_cli.errors import MissingDependency, UsageError
 from salsanext_cli.interruption import ARRIVED
-from salsanext_cli.parallel import ray_guard as ray_guard
+from salsanext_cli.parallel import ray_guard
 from salsanext_cli.parallel.options import RunOptions, cores
-from salsanext_cli.parallel.pools import CHUNKS_IN_FLIGHT, WorkerPool, signals_blocked
+from salsanext_cli.parallel.worker import CHUNKS_IN_FLIGHT, WorkerPool, signals_blocked
 
 CONNECT_TIMEOUT_S = 15
 """Time for a scheduler to answer, and for a first worker to come; Ray itself waits for minutes."""
@@ -40,9 +40,7 @@ def dask_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
         import distributed
         from distributed.scheduler import KilledWorker
     except ImportError as error:
-        raise MissingDependency(
-            "--backend dask", "Dask is not installed", remedy="pip install 'salsanext[dask]'"
-        ) from error
+        raise _not_installed("dask") from error
     here = min(max_workers, options.workers_here()) if options.scheduler is None else None
     with (
         _local_cluster(distributed, here)
@@ -118,9 +116,7 @@ def ray_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
     try:
         import ray
     except ImportError as error:
-        raise MissingDependency(
-            "--backend ray", "Ray is not installed", remedy="pip install 'salsanext[ray]'"
-        ) from error
+        raise _not_installed("ray") from error
     started = options.scheduler is None and not ray.is_initialized()
     here = min(max_workers, options.workers_here()) if started else None
     # Ray tells on stdout that a worker died.
@@ -207,14 +203,10 @@ def _guarded_folder() -> Iterator[str]:
     base.mkdir(parents=True, exist_ok=True)
     folder = os.path.realpath(tempfile.mkdtemp(prefix="ray-", dir=base))
     command = [sys.executable, "-I", "-S", ray_guard.__file__, str(os.getpid()), folder]
-    guard = subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    with guard:
+    none = subprocess.DEVNULL
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=none, stderr=none, start_new_session=True
+    ):
         yield folder
 
 
@@ -244,6 +236,12 @@ def _start_ray(
     except (OSError, ValueError, RuntimeError, OverflowError) as error:
         expected = "a Ray cluster, such as host:6379, ray://host:10001 or auto"
         raise UsageError(f"--scheduler {address}", _first_line(error), expected) from error
+
+
+def _not_installed(backend: str) -> MissingDependency:
+    remedy = f"pip install 'salsanext[{backend}]'"
+    found = f"{backend.capitalize()} is not installed"
+    return MissingDependency(f"--backend {backend}", found, remedy=remedy)
 
 
 def _first_line(error: Exception) -> str:

@@ -16,24 +16,24 @@ from uuid import uuid4
 from salsanext_cli.errors import WorkersLost, first_few
 from salsanext_cli.files.atomic import MARK
 from salsanext_cli.measures.scan_summary import RunSummary
-from salsanext_cli.parallel.clusters import dask_pool, ray_pool
 from salsanext_cli.parallel.options import CLUSTERS, Progress, RunOptions
-from salsanext_cli.parallel.pools import WorkerPool, local_pool, signals_blocked
 from salsanext_cli.parallel.shards import Chunk, chunks
-from salsanext_cli.parallel.tasks import Attempt, Task, opened
-from salsanext_cli.parallel.worker import WORKER, WorkerContext, attempt_chunk
+from salsanext_cli.parallel.worker import (
+    WORKER,
+    Attempt,
+    Task,
+    WorkerContext,
+    WorkerPool,
+    attempt_chunk,
+    local_pool,
+    opened,
+    signals_blocked,
+)
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.selection import MissingResults
 
 __all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
 
-POOLS: dict[str, Callable[[RunOptions, int], AbstractContextManager[WorkerPool]]] = {
-    "loky": local_pool,
-    "threading": local_pool,
-    "dask": dask_pool,
-    "ray": ray_pool,
-}
-"""Start workers, or connect to them, and end that afterwards; the number is of scans."""
 HARMLESS_WARNINGS = (
     # Who stops a run knows that it has been stopped.
     ".*tasks which were still being processed",
@@ -81,12 +81,11 @@ def run_over_scans(
     is_done: Callable[[ScanFile], bool] = lambda scan: False,
     on_result: Callable[[Any], object] = lambda result: None,
 ) -> Outcome:
-    """Run a task over scans.
+    """Run a task, which writes results and returns something small, over scans.
 
-    `task`: works on a scan, writes its results, returns something small; `scans`: scans to work on;
-    the same for every shard; `options`: workers, shard, errors, overwriting and progress;
-    `is_done`: tells of a scan if it has its results; then it is skipped, unless overwriting;
-    `on_result`: is given each result as it comes, in no particular order, in this process.
+    `scans`: the same for every shard; `is_done`: tells of a scan if it has its results; then it is
+    skipped, unless overwriting; `on_result`: is given what the task returns, in no particular
+    order, in this process.
     """
     start = time.monotonic()
     mine = options.shard.of(scans)
@@ -107,11 +106,8 @@ def run_over_scans(
                 if options.progress:
                     options.progress(len(tried), len(todo))
         if len(tried) < len(todo):
-            raise WorkersLost(
-                f"--backend {options.backend}",
-                "not every scan was worked on",
-                remedy="use fewer jobs",
-            )
+            found, remedy = "not every scan was worked on", "use fewer jobs"
+            raise WorkersLost(f"--backend {options.backend}", found, remedy=remedy)
     except WorkersLost as lost:
         for failure in failures:
             log.error("%s", failure.reason)
@@ -123,6 +119,15 @@ def run_over_scans(
     failures.sort(key=lambda failure: (failure.scan.sequence, failure.scan.stem))
     skipped, done = len(mine) - len(todo), len(todo) - len(failures)
     return Outcome(skipped, tuple(failures), done, seconds=time.monotonic() - start)
+
+
+def _pool(options: RunOptions, scans: int) -> AbstractContextManager[WorkerPool]:
+    """Start workers for so many scans, or connect to them, and end that afterwards."""
+    if options.backend not in CLUSTERS:
+        return local_pool(options, scans)
+    from salsanext_cli.parallel import clusters
+
+    return {"dask": clusters.dask_pool, "ray": clusters.ray_pool}[options.backend](options, scans)
 
 
 def _attempts(
@@ -138,7 +143,7 @@ def _attempts(
     with warnings.catch_warnings():
         for message in HARMLESS_WARNINGS:
             warnings.filterwarnings("ignore", message)
-        with POOLS[options.backend](options, len(scans)) as pool:
+        with _pool(options, len(scans)) as pool:
             context = WorkerContext(uuid4().hex, MARK.get(), stop, Path.cwd(), pool.threads)
             attempt = partial(attempt_chunk, context, task)
             try:

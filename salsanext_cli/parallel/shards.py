@@ -68,13 +68,13 @@ class Shard:
         names = [PREFIX + name for name in ("ID", "MIN", "COUNT")]
         if any(name not in environment for name in names):
             return None
-        number, least, count = (_number(name, environment) for name in names)
-        step = _number(PREFIX + "STEP", environment, "1")
+        texts = (*map(environment.__getitem__, names), environment.get(PREFIX + "STEP", "1"))
+        number, least, count, step = (int(text) if text.isdecimal() else -1 for text in texts)
         index, rest = divmod(number - least, max(1, step))
-        if rest or not 0 <= index < count:
+        if rest or min(number, least) < 0 or not 0 <= index < count:
             raise UsageError(
-                f"{names[0]}={number}",
-                f"an array of {count} tasks from {least} in steps of {step}",
+                f"{names[0]}={texts[0]}",
+                f"an array of {texts[2]} tasks from {texts[1]} in steps of {texts[3]}",
                 "numbers without gaps",
                 "say which share with --shard i/n",
             )
@@ -84,7 +84,7 @@ class Shard:
         """Return this shard's scans, neighbours of each other, in order of sequence and stem.
 
         All shards together have every scan once, and differ in size by one at most, if all are
-        given the same scans; neither the order nor what is done already plays a part.
+        given the same scans, in any order.
         """
         if self.count == 1:
             return list(scans)
@@ -93,22 +93,11 @@ class Shard:
         return ordered[start:stop]
 
 
-def _number(name: str, environment: Mapping[str, str], default: str = "") -> int:
-    text = environment.get(name, default)
-    if not re.fullmatch(r"\d{1,9}", text, re.ASCII):
-        raise UsageError(name, repr(text), "a whole number", "say which share with --shard i/n")
-    return int(text)
-
-
 def chunks(scans: Sequence[ScanFile], workers: int) -> list[Chunk]:
     """Cut scans into chunks, in order; each holds neighbours of one sequence.
 
-    `scans`: in the order in which they are to be begun; `workers`: number of chunks that are worked
-    on side by side.
-
-    Each is of at most `MAX_CHUNK_SCANS` scans, and at least
-    `MIN_CHUNKS_PER_WORKER` for each worker if there are so many scans. Those of a sequence differ
-    by one scan at most.
+    They have at most `MAX_CHUNK_SCANS` scans, and those of a sequence differ by one at most; each
+    worker has at least `MIN_CHUNKS_PER_WORKER` if there are so many scans.
     """
     size = max(1, min(MAX_CHUNK_SCANS, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
     cut: list[Chunk] = []

@@ -1,28 +1,133 @@
 # SPDX-License-Identifier: MIT
-"""Workers of a run: attempts at the scans of a chunk, and a GPU for each worker."""
+"""Workers of a run: threads and processes of this machine, what each does, and a GPU for each."""
 
 import getpass
 import hashlib
 import logging
 import os
+import signal
 import socket
 import tempfile
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache, partial
+from multiprocessing import resource_tracker
 from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
-from salsanext_cli.errors import OutputError
+from salsanext_cli.errors import OutputError, SalsanextError
 from salsanext_cli.files.atomic import MARK
-from salsanext_cli.parallel.options import use_threads
+from salsanext_cli.parallel.options import RunOptions, cores, threads_of_workers, use_threads
 from salsanext_cli.parallel.shards import Chunk
-from salsanext_cli.parallel.tasks import Attempt, AttemptFunction, Task, opened
+from salsanext_cli.results.layout import ScanFile
 
+CHUNKS_IN_FLIGHT = 2
+"""Chunks sent for each worker, so that the next one is there when one is done."""
+POLL_INTERVAL_S = 1.0
 THREAD_TIMEOUT_S = 10.0
 """Time for an idle thread of joblib's to end."""
 
+Attempt = tuple[ScanFile, Any, SalsanextError | None]
+"""A scan, its result, and the error if there is none."""
+AttemptFunction = Callable[[Iterable[ScanFile]], Iterator[Attempt]]
+"""Works on scans in turn; a scan that fails is an attempt with an error."""
+
 log = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class OpenableTask(Protocol):
+    """Task that is opened once per worker, since that is slow: it loads a network, say."""
+
+    def open(self) -> AttemptFunction:
+        """Load what all scans need, and return the function that works on them."""
+
+
+Task = Callable[[ScanFile], Any] | OpenableTask
+"""Plain function of one scan, or a task that is opened first; both can be pickled."""
+
+
+def opened(task: Task) -> AttemptFunction:
+    """Open a task, or make attempts of a plain function."""
+    return task.open() if isinstance(task, OpenableTask) else partial(one_by_one, task)
+
+
+def one_by_one(function: Callable[[ScanFile], Any], files: Iterable[ScanFile]) -> Iterator[Attempt]:
+    """Call a function with one scan after the other."""
+    for file in files:
+        try:
+            yield file, function(file), None
+        except SalsanextError as error:
+            yield file, None, error
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerPool:
+    """Workers that are ready."""
+
+    backend: dict[str, Any]  # Arguments of `joblib.parallel_config`
+    workers: int  # Number of chunks that are worked on side by side
+    in_flight: int  # Number of chunks that are sent before the first comes back
+    threads: int  # Threads that each worker may use
+    died: tuple[type[BaseException], ...]  # Raised by the backend when a worker died
+
+
+@contextmanager
+def local_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
+    """Give a pool of threads or processes, at most so many; joblib starts them when needed."""
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    workers = min(max_workers, options.workers_here())
+    threads = max(1, cores() // workers)
+    backend: dict[str, Any] = {"backend": options.backend, "n_jobs": workers}
+    died = (TerminatedWorkerError,)
+    pool = WorkerPool(backend, workers, CHUNKS_IN_FLIGHT * workers, threads, died)
+    if options.backend == "threading":
+        with threads_of_workers(threads):
+            yield pool
+    else:
+        backend |= {"initializer": end_with_parent, "initargs": (os.getpid(),)}
+        backend["inner_max_num_threads"] = threads
+        yield pool
+
+
+@contextmanager
+def signals_blocked(*signals: signal.Signals) -> Generator[None, None, None]:
+    """Start threads and processes that signals do not reach, since this thread ends them.
+
+    A process inherits the signals that the thread which starts it has blocked, so that holds too
+    for workers that joblib starts later, from a thread of its own.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from joblib.externals.loky.backend import resource_tracker as tracker_of_loky
+
+    # Starting these lets the signals through again, so they are started before.
+    tracker_of_loky.ensure_running()
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def end_with_parent(parent: int) -> None:
+    """Let this process end within seconds of its parent, a process id, even while it is idle.
+
+    A parent that is killed cannot end its workers.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(POLL_INTERVAL_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +145,11 @@ class Worker:
     """State of a process that works on chunks.
 
     `run`, `ended`: the run that it works for, empty where it works for none, and the last one that
-    it ended; `slot`: number of this process among the workers of its machine, once needed, and the
-    lock on it.
+    it ended.
     """
 
     def __init__(self) -> None:
         self.run = self.ended = ""
-        self.slot: tuple[int, object] | None = None
         self._attempts: AttemptFunction | None = None
         self._busy = 0
         self._threads: set[threading.Thread] = set()
@@ -56,8 +159,7 @@ class Worker:
     def serving(self, context: WorkerContext, task: Task) -> Iterator[AttemptFunction]:
         """Give the opened task of a run, in its folder.
 
-        The threads of a process share the folder and what is opened, so they serve one run at a
-        time.
+        The threads of a process share both, so they serve one run at a time.
         """
         with self._changed:
             self._changed.wait_for(lambda: self.run == context.run or not self._busy)
@@ -113,53 +215,50 @@ def attempt_chunk(context: WorkerContext, task: Task, scans: Chunk) -> list[Atte
     """Attempt the scans of a chunk, in a worker."""
     MARK.set(context.mark)
     use_threads(context.threads)
-    found: list[Attempt] = []
+    done: list[Attempt] = []
     with WORKER.serving(context, task) as attempts:
         for attempt in attempts(scans):
-            found.append(attempt)
+            done.append(attempt)
             if WORKER.ended == context.run or (context.stop and attempt[2]):
                 break
-    return found
+    return done
 
 
 def own_device(device: str, gpus: int) -> str:
     """Return the device for this process: in a worker, "auto" and "cuda" become a GPU of its own.
 
-    Workers beyond the number of GPUs share them evenly. A device that was named stays.
-
-    `device`: as `load_network` takes it; `gpus`: number of visible ones.
+    Workers beyond the number of visible GPUs share them evenly. A device that was named stays.
     """
     if not WORKER.run or device not in ("auto", "cuda") or gpus < 2:
         return device
-    if WORKER.slot is None:
-        try:
-            WORKER.slot = take_slot(_folder_of_slots())
-        except (OSError, NotImplementedError) as error:
-            log.warning("GPUs are shared by chance, since workers cannot be counted: %s", error)
-            WORKER.slot = (os.getpid(), None)
-    return f"cuda:{WORKER.slot[0] % gpus}"
+    return f"cuda:{_worker_number()[0] % gpus}"
 
 
-def take_slot(folder: Path) -> tuple[int, object]:
-    """Return the lowest number that no other process holds, from 0, and the lock on it.
+@cache
+def _worker_number() -> tuple[int, object]:
+    """Take the lowest number that no other worker of this machine holds, and the lock on it.
 
     The system releases the lock when the process ends, however that ends.
     """
     from filelock import FileLock, Timeout
 
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    number = 0
-    while True:
-        lock = FileLock(folder / str(number))
-        try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            number += 1
-        else:
-            return number, lock
+    try:
+        folder, number = _folder_of_numbers(), 0
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        while True:
+            lock = FileLock(folder / str(number))
+            try:
+                lock.acquire(timeout=0)
+            except Timeout:
+                number += 1
+            else:
+                return number, lock
+    except (OSError, NotImplementedError) as error:
+        log.warning("GPUs are shared by chance, since workers cannot be counted: %s", error)
+        return os.getpid(), None
 
 
-def _folder_of_slots() -> Path:
+def _folder_of_numbers() -> Path:
     """Return a folder of this user's; processes that see other GPUs are counted apart."""
     visible = os.environ.get("CUDA_VISIBLE_DEVICES", "")
     digest = hashlib.sha256(visible.encode()).hexdigest()[:12]

@@ -14,8 +14,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.report.colours import CLASS_COLOURS, COLOURS, value_range
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.scan_results import scalar_columns
+from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
 SCANS_FOR_SCALE = 20

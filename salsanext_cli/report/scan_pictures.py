@@ -22,7 +22,7 @@ from salsanext_cli.report.colours import (
 from salsanext_cli.report.panel import Strip, coloured_strip, draw_strips
 from salsanext_cli.report.scales import Scales
 from salsanext_cli.results.layout import UNCERTAINTY
-from salsanext_cli.results.scan_results import ScanResults, scalar_columns
+from salsanext_cli.results.result_folder import ScanResults, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
 WIDTH_PX, NARROW_PX = 2048, 1024

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Layout of scans, labels and results: the folders of SemanticKITTI, and plain ones."""
 
-import logging
 import os
 from collections.abc import Collection, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-from salsanext_cli.errors import NOTICE, NoInputError, OutputError, first_few
+from salsanext_cli.errors import NoInputError, OutputError, first_few
 from salsanext_cli.files.reading import is_folder, present, reason
 from salsanext_cli.formats import CLOUD_SUFFIXES, SCAN_SUFFIXES, TABLE_SUFFIXES, scan_suffix
 from salsanext_cli.formats.recordings import (
@@ -19,18 +19,12 @@ from salsanext_cli.formats.recordings import (
 )
 
 MAX_LINE_BYTES = 200
-COMPANIONS = (".label", ".toml", ".yaml", ".md")
-"""Suffixes of files that are known to lie beside scans."""
-
 OWN_TABLES = {
     "scores.txt": b"accuracy_mean:",
     "log.csv": b"epoch,learning_rate,",
     "picked.csv": b"rank,sequence,scan,",
 }
-"""Names of the tables that `eval`, `train` and `pick` write, and how the first line of each begins.
-
-Lines that are a comment do not count.
-"""
+"""Tables that `eval`, `train` and `pick` write, and how their first line but a comment begins."""
 LABELLING_STAGES = ("predict", "knn-refine", "uncertainty")
 """The stages whose results later ones read."""
 UNCERTAINTY = ("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information")
@@ -55,8 +49,6 @@ SUFFIX_OF_FOLDER = {
 """Folders of a sequence in an output folder, and the suffix of the files in each."""
 SCAN_FOLDER = "velodyne"
 
-log = logging.getLogger(__name__)
-
 
 def names_in(folder: Path) -> list[str]:
     """Return the names of everything in a folder but folders and what is hidden."""
@@ -65,72 +57,32 @@ def names_in(folder: Path) -> list[str]:
         return [e.name for e in entries if not e.name.startswith(".") and not is_folder(e)]
 
 
-def is_own_table(path: Path) -> bool:
-    """Return whether a file is a table that `eval`, `train` or `pick` has written."""
-    if (beginning := OWN_TABLES.get(path.name)) is None or not path.is_file():
+def _is_own_table(path: Path) -> bool:
+    """Say whether a file is a table that `eval`, `train` or `pick` has written."""
+    if path.name not in OWN_TABLES or not path.is_file():
         return False
-    try:
-        with path.open("rb") as file:
-            lines = (file.readline(MAX_LINE_BYTES) for _ in range(2))
-            line = next((line for line in lines if not line.startswith(b"#")), b"")
-    except OSError:
-        # Who reads it as a scan says why that fails.
-        return False
-    return line.startswith(beginning)
-
-
-def suffixes_of_scans(found: Collection[str]) -> tuple[str, ...]:
-    """Return the suffixes, of those that `scan_suffix` found in a folder, of the scans in it.
-
-    Tables are often something else: they count where there are no clouds, and of one kind only.
-    """
-    if any(suffix in CLOUD_SUFFIXES for suffix in found):
-        return CLOUD_SUFFIXES
-    return next(((suffix,) for suffix in TABLE_SUFFIXES if suffix in found), ())
-
-
-def require_known(path: Path) -> None:
-    """Raise `NoInputError` for a file that is there and of no format of scans."""
-    if present(path) and not scan_suffix(path.name):
-        raise NoInputError(
-            path,
-            f"a {path.suffix} file, which is not read" if path.suffix else "has no suffix",
-            f"one of {', '.join(SCAN_SUFFIXES)}",
-            "convert it to .ply or .las, with CloudCompare or PDAL for example",
-        )
-
-
-def log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[str]) -> None:
-    """Log how many files of folders are passed over, by suffix; in detail their names.
-
-    `source`: subject of the message; `folders`: folders of scans; `scans`: file names of the scans.
-    """
-    left = []
-    for folder in folders:
-        with os.scandir(folder) as entries:
-            # Of a million names nearly all are those of scans and their labels.
-            others = [e for e in entries if e.name not in scans and not e.name.startswith(".")]
-            others = [e for e in others if not e.name.lower().endswith(COMPANIONS)]
-            left += [folder / e.name for e in others if not is_folder(e)]
-    if left:
-        log.log(NOTICE, "%s: passed over %s", source, counted_by_suffix(left))
-    for suffix, paths in _by_suffix(left).items():
-        log.info("passed over, %s: %s", suffix, first_few(paths))
+    # Who reads it as a scan says why that fails.
+    with suppress(OSError), path.open("rb") as file:
+        lines = (file.readline(MAX_LINE_BYTES) for _ in range(2))
+        line = next((line for line in lines if not line.startswith(b"#")), b"")
+        return line.startswith(OWN_TABLES[path.name])
+    return False
 
 
 def counted_by_suffix(paths: Iterable[Path]) -> str:
     """Return the numbers of files by suffix, in words."""
-    return ", ".join(f"{len(group)} {suffix}" for suffix, group in _by_suffix(paths).items())
+    return ", ".join(f"{len(group)} {suffix}" for suffix, group in by_suffix(paths).items())
 
 
-def _by_suffix(paths: Iterable[Path]) -> dict[str, list[Path]]:
+def by_suffix(paths: Iterable[Path]) -> dict[str, list[Path]]:
+    """Return files by suffix, sorted."""
     groups: dict[str, list[Path]] = {}
     for path in sorted(paths, key=os.fspath):
         groups.setdefault(path.suffix.lower(), []).append(path)
     return {suffix or "without a suffix": groups[suffix] for suffix in sorted(groups)}
 
 
-def nothing_in(source: Path, others: list[Path]) -> NoInputError:
+def _nothing_in(source: Path, others: list[Path]) -> NoInputError:
     """Return the error of a source without scans, which says what else it holds."""
     expected = f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne"
     inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
@@ -164,20 +116,25 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
     """Find scans, sorted by sequence and stem.
 
     `source`: a scan, a folder of scans, a sequence folder (holding ``velodyne/``), a data set root
-    (holding ``sequences/``), or that ``sequences`` folder itself. Hidden files are left out. Files
-    of `TABLE_SUFFIXES` are scans only in a folder without others. A recording, or a topic in it;
-    `sequences`: names of the sequences wanted; "8" also means "08".
+    (holding ``sequences/``), that ``sequences`` folder itself, a recording, or a topic in one.
+    Hidden files are left out. `sequences`: names of those wanted; "8" also means "08".
     """
     try:
-        if not source.is_dir() and recording_of(_absolute(source)) is None:
-            require_known(source)
+        is_file = present(source) and not source.is_dir()
+        if is_file and not scan_suffix(source.name) and not recording_of(_absolute(source)):
+            raise NoInputError(
+                source,
+                f"a {source.suffix} file, which is not read" if source.suffix else "has no suffix",
+                f"one of {', '.join(SCAN_SUFFIXES)}",
+                "convert it to .ply or .las, with CloudCompare or PDAL for example",
+            )
         found = _scans_of(_absolute(source))
         scans = sorted(found, key=lambda scan: (scan.sequence, scan.stem, scan.path.name))
         others = names_in(source) if not scans and source.is_dir() else []
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
     if not scans:
-        raise nothing_in(source, [source / name for name in others])
+        raise _nothing_in(source, [source / name for name in others])
     if sequences is not None:
         scans = of_sequences(scans, sequences, source)
     _require_unique_stems(scans)
@@ -238,10 +195,13 @@ def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
 
 def _scans_in(folder: Path) -> Iterator[ScanFile]:
     names = names_in(folder) if folder.is_dir() else []
-    suffix_of = {name: scan_suffix(name) for name in names if not is_own_table(folder / name)}
-    suffixes, sequence = suffixes_of_scans({*suffix_of.values()}), _sequence_of(folder)
+    suffix_of = {name: scan_suffix(name) for name in names if not _is_own_table(folder / name)}
+    known, sequence = {*suffix_of.values()}, _sequence_of(folder)
+    # Tables are often something else: they count where there are no clouds, and of one kind only.
+    table = next((suffix for suffix in TABLE_SUFFIXES if suffix in known), "")
+    suffixes = (table,) if known.isdisjoint(CLOUD_SUFFIXES) else CLOUD_SUFFIXES
     for name, suffix in suffix_of.items():
-        if suffix in suffixes:
+        if suffix and suffix in suffixes:
             yield ScanFile(sequence, name[: -len(suffix)], folder / name)
 
 
@@ -262,11 +222,8 @@ def of_sequences(
             e for e in existing if _number(e) == _number(name) is not None
         }
         if not matches:
-            raise NoInputError(
-                source,
-                f"no scans of sequence {name}",
-                f"one of {', '.join(sorted(existing))}",
-            )
+            expected = f"one of {', '.join(sorted(existing))}"
+            raise NoInputError(source, f"no scans of sequence {name}", expected)
         chosen |= matches
     return [scan for scan in scans if scan.sequence in chosen]
 
@@ -288,11 +245,7 @@ def _require_unique_stems(scans: list[ScanFile]) -> None:
 
 
 def output_path(out: Path, sequence: str, folder: str, stem: str) -> Path:
-    """Return where a stage keeps the result of one scan.
-
-    `out`: the output folder; `sequence`, `stem`: of the scan; `folder`: a key of
-    `SUFFIX_OF_FOLDER`.
-    """
+    """Return where a stage keeps the result of a scan in a folder, a key of `SUFFIX_OF_FOLDER`."""
     for name in (sequence, stem):
         if name in ("", ".", "..") or "\0" in name or Path(name).name != name:
             raise OutputError(repr(name), "cannot name a file", "a plain name without slashes")
@@ -300,11 +253,7 @@ def output_path(out: Path, sequence: str, folder: str, stem: str) -> Path:
 
 
 def find_outputs(out: Path, folder: str) -> dict[tuple[str, str], Path]:
-    """Return the results in one folder of every sequence by sequence and stem, sorted.
-
-    `out`: the output folder; nothing is found where it does not exist; `folder`: a key of
-    `SUFFIX_OF_FOLDER`.
-    """
+    """Return the results in one folder of every sequence by sequence and stem, sorted."""
     if not present(out / "sequences"):
         return {}
     suffix = SUFFIX_OF_FOLDER[folder]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The run of a stage that gives each scan its results in an output folder, beside other stages."""
+"""The owner of an output folder, in which several stages leave results of the same scans."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,15 +17,13 @@ from salsanext_cli.formats.npy import encode_array
 from salsanext_cli.results.layout import ERROR, ScanFile, find_outputs, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.stage_records import (
+    MAX_PATH_CHARACTERS,
     ScanSource,
     StageRecord,
     StageRecords,
     as_json,
     require_same_settings,
 )
-
-MAX_PATH_CHARACTERS = 500
-"""Characters of a folder's name that an error shows."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +33,8 @@ class OutputRun(OwnedFolder):
     # Folders of results that a scan is given, keys of `SUFFIX_OF_FOLDER`
     folders: tuple[str, ...] = ()
     overwrite: bool = False  # Whether results that are there are made again
-    # Results that are there, but not as salsanext wrote them, of scans that lack a result or have
-    # one of other settings: they are never replaced
+    # Results that are not as salsanext wrote them, of scans that lack a result or have one of other
+    # settings: they are never replaced
     kept: frozenset[Path] = frozenset()
 
     def path(self, file: ScanFile, folder: str) -> Path:
@@ -56,10 +54,9 @@ class OutputRun(OwnedFolder):
         return not self.overwrite and self.is_there(file)
 
     def require_replaceable(self, file: ScanFile) -> None:
-        """Raise `OutputError` if a result of a scan is there that salsanext did not write so."""
-        for path in self.paths(file):
-            if path in self.kept:
-                raise not_own(path)
+        """Refuse to replace a result of a scan that is not as salsanext wrote it."""
+        for path in self.kept.intersection(self.paths(file)):
+            raise not_own(path)
 
     def write_result(self, file: ScanFile, folder: str, content: bytes) -> None:
         """Write a result of a scan whole or not at all, and list it."""
@@ -78,34 +75,34 @@ class OutputRun(OwnedFolder):
 
         Results of other settings or stages are removed if the run overwrites, else it is refused.
         """
-        records = StageRecords(self.root)
-        recorded = records.record(self.stage)
+        known = StageRecords(self.root).records()
+        recorded = known.pop(self.stage, None)
         before = recorded or StageRecord(self.stage, wanted.settings)
         same = before.settings == wanted.settings
-        owners = {folder: records.owner(folder) for folder in wanted.folders}
-        others = {f: other for f, other in owners.items() if other and other != self.stage}
+        others = [each for each in known.values() if {*each.folders} & {*wanted.folders}]
         if not self.overwrite:
             require_same_settings(self.record_path, before.settings, wanted.settings)
-            for folder, other in others.items():
+            for other in others:
+                folder = next(name for name in wanted.folders if name in other.folders)
                 raise OutputError(
-                    self.root / f"{other}.json",
-                    f"{folder}/ holds the results of `{other}`",
+                    self.root / f"{other.stage}.json",
+                    f"{folder}/ holds the results of `{other.stage}`",
                     remedy="use another output folder, or --overwrite to replace them",
                 )
-        # Nothing is removed before it is certain that the run may begin.
-        for stage in (self.stage, *sorted({*others.values()})):
-            if OwnedFolder(self.root, stage).is_shared() and not (same and stage == self.stage):
-                found = f"another run of `{stage}` is at work in it"
+        # Nothing is removed before it is certain that the run may begin, but locks of killed runs.
+        for each in (before, *others):
+            is_shared = OwnedFolder(self.root, each.stage).is_shared()
+            if is_shared and not (same and each is before):
+                found = f"another run of `{each.stage}` is at work in it"
                 remedy = "wait until it has ended, or use another folder"
                 raise OutputError(self.root, found, remedy=remedy)
         kept = [] if same else self._remove_results(before.folders)
-        for folder in wanted.folders:
-            if folder in others:
-                kept += self._take_over(folder, others[folder])
-            elif folder not in before.folders:
-                kept += self._remove_unrecorded(folder)
-        paths = frozenset(path.relative_to(self.root).as_posix() for path in kept)
-        merged = replace(wanted, kept=paths)
+        for other in others:
+            kept += self._take_over(other, wanted.folders)
+        taken = {folder for each in (before, *others) for folder in each.folders}
+        kept += self._remove_unrecorded(name for name in wanted.folders if name not in taken)
+        names = frozenset(path.relative_to(self.root).as_posix() for path in kept)
+        merged = replace(wanted, kept=names)
         if same:
             merged = _merged(before, merged)
         # The record comes last: without it, a run that was killed before begins anew.
@@ -113,30 +110,27 @@ class OutputRun(OwnedFolder):
             merged.write(self.root)
         return merged
 
-    def _take_over(self, folder: str, other: str) -> list[Path]:
-        """Remove the results of another stage from a folder, which is this stage's from now on.
+    def _take_over(self, other: StageRecord, folders: Collection[str]) -> list[Path]:
+        """Remove the results of another stage from folders, which are this stage's from now on.
 
         With its labels go the probabilities that these are wrong.
         """
-        record = StageRecords(self.root).record(other)
-        recorded = record.folders if record else ()
-        with_error = folder == "predictions" and ERROR in recorded
-        taken = [folder, ERROR] if with_error else [folder]
-        kept = self._remove_results(taken)
-        if record:
-            left = tuple(name for name in recorded if name not in taken)
-            replace(record, folders=left).write(self.root)
+        taken = {*folders, ERROR} if "predictions" in folders else {*folders}
+        kept = self._remove_results(name for name in other.folders if name in taken)
+        left = tuple(name for name in other.folders if name not in taken)
+        replace(other, folders=left).write(self.root)
         return kept
 
-    def _remove_unrecorded(self, folder: str) -> list[Path]:
+    def _remove_unrecorded(self, folders: Iterable[str]) -> list[Path]:
         """Refuse results that no stage recorded, or remove them: their settings are not known."""
-        if (found := find_outputs(self.root, folder)) and not self.overwrite:
+        found = [path for name in folders for path in find_outputs(self.root, name).values()]
+        if found and not self.overwrite:
             raise OutputError(
-                next(iter(found.values())),
+                found[0],
                 "is a result that no stage recorded",
                 remedy="use another output folder, or --overwrite to work beside it",
             )
-        return self._remove_results([folder])
+        return self.remove_own(found)
 
     def _remove_results(self, folders: Iterable[str]) -> list[Path]:
         """Remove results that are as salsanext wrote them; return the others."""
@@ -187,10 +181,10 @@ def output_run(
 ) -> Iterator[OutputRun]:
     """Record what a stage does in `OUT/<stage>.json`, or refuse to mix results.
 
-    While the body runs, other runs with the same settings may work beside it, and none with
-    others may remove its results. `settings` decide what the results are, JSON-able; `overwrite`:
-    whether others may replace those recorded, whose results are removed if they are unchanged
-    since; `record_scans`: not for a stage that works on what an earlier one recorded.
+    While the body runs, other runs with the same settings may work beside it, and none with others
+    may remove its results. `settings`, JSON-able, decide what the results are; `overwrite`: whether
+    they may replace others, whose results are removed if unchanged since; `record_scans`: not for a
+    stage that works on what an earlier one recorded.
     """
     # A contradiction of the scans themselves is an error before a folder is made.
     sources = _scan_sources(out, scans) if record_scans else {}

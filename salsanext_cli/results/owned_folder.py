@@ -35,8 +35,7 @@ PLACES = (
 )
 """Folders below that stages write into."""
 RECORDS_LOCK_TIMEOUT_S = 1800.0
-"""Others hold the lock for a moment each, seconds if it is a million scans, and there may be a
-hundred of them."""
+"""There may be a hundred others, which hold the lock for seconds each if it is a million scans."""
 LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")
 States = dict[Path, set[tuple[int, int]]]
 """Sizes and times of modification that files were written with."""
@@ -63,8 +62,7 @@ class OwnedFolder:
     def open(self, *, shared: bool = False) -> Iterator[None]:
         """Keep other runs of the stage out of the folder while the body runs, unless it is shared.
 
-        Temporary files are removed: before, those of runs that were killed long ago; after, those
-        that killed workers of this run have left.
+        Temporary files of killed runs are removed before, those of killed workers afterwards.
         """
         mark = uuid4().hex
         # Runs of other threads of this process keep their temporary files.
@@ -94,7 +92,7 @@ class OwnedFolder:
         return busy
 
     def locked_records(self) -> AbstractContextManager[None]:
-        """Let no other process read or write the records of the folder while the body does."""
+        """Keep other processes from the records of the folder while the body runs."""
         return locked(self.root / ".records.lock", RECORDS_LOCK_TIMEOUT_S)
 
     def _places(self) -> list[Path]:
@@ -124,9 +122,8 @@ class OwnedFolder:
     @contextmanager
     def writing(self, path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
         """Open a file of the folder as `atomic.writing` does, and list it."""
-        with writing(
-            path, durable=durable, before_rename=partial(self._list, path, durable=durable)
-        ) as file:
+        listed = partial(self._list, path, durable=durable)
+        with writing(path, durable=durable, before_rename=listed) as file:
             yield file
 
     def write(self, path: Path, content: bytes, *, durable: bool = False) -> None:
@@ -157,18 +154,18 @@ class OwnedFolder:
         """Return those of some files that are there and not as salsanext wrote them.
 
         They were changed since, are not listed, or are reached through a link below the folder. An
-        empty file, as a power cut leaves it, counts as one of ours. Who asks often gives the
-        `states` that he has read once.
+        empty file, as a power cut leaves it, counts as one of ours. `states`: read once by a caller
+        who asks often.
         """
         there = {path: path.lstat() for path in paths if os.path.lexists(path)}
         if states is None:
             states = self.states() if there else {}
-        return [
-            path
-            for path, status in there.items()
-            if self._behind_link(path)
-            or (status.st_size and (status.st_size, status.st_mtime_ns) not in states.get(path, ()))
-        ]
+
+        def is_own(path: Path, status: os.stat_result) -> bool:
+            listed = (status.st_size, status.st_mtime_ns) in states.get(path, ())
+            return (listed or status.st_size == 0) and not self._behind_link(path)
+
+        return [path for path, status in there.items() if not is_own(path, status)]
 
     def require_own(self, paths: Iterable[Path]) -> None:
         """Refuse to replace files that salsanext did not write, or that were changed since."""
@@ -212,13 +209,12 @@ class OwnedFolder:
 
     def findings(self) -> dict[str, list[Texts]]:
         """Return what runs of the stage found, by the name of the scan; empty if none is kept."""
-        known = read_json(self._findings_path)
-        scans = {} if known is None else known.get("scans")
-        return {
-            name: [tuple(texts) for texts in findings]
-            for name, findings in (scans.items() if isinstance(scans, dict) else ())
-            if _are_findings(findings)
-        }
+        scans = (read_json(self._findings_path) or {}).get("scans", {})
+        try:
+            return {name: [(c, m, r) for c, m, r in found] for name, found in scans.items()}
+        except (AttributeError, TypeError, ValueError) as error:
+            remedy = "delete it"
+            raise OutputError(self._findings_path, "damaged", remedy=remedy) from error
 
     def keep_findings(
         self, found: Mapping[str, list[Texts]], looked_at: Collection[str]
@@ -263,9 +259,3 @@ def not_own(path: Path) -> OutputError:
     found = "was changed, or not written by salsanext, and is kept"
     found = "is a link, and is kept" if path.is_symlink() else found
     return OutputError(path, found, remedy="move it, or use another output folder")
-
-
-def _are_findings(value: object) -> bool:
-    return isinstance(value, list) and all(
-        isinstance(texts, list) and [*map(type, texts)] == [str, str, str] for texts in value
-    )

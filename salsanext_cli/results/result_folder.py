@@ -2,9 +2,10 @@
 """The one reader of an output folder: its scans, their results, classes and provenance."""
 
 import logging
+import math
 import os
 from collections.abc import Container, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,23 +13,16 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
-from salsanext_cli.classes.merging import ClassMerging, contradiction
-from salsanext_cli.errors import (
-    LabelError,
-    NoInputError,
-    OutputError,
-    counted,
-    first_few,
-    shortened,
-)
+from salsanext_cli.errors import NoInputError, counted, first_few, shortened
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.npy import read_uncertainty
 from salsanext_cli.formats.recordings import recording_of
+from salsanext_cli.geometry.points import in_sensor_frame, measured_ranges
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.records import Float
+from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import (
-    ERROR,
     LABELLING_STAGES,
     SCAN_FOLDER,
     SUFFIX_OF_FOLDER,
@@ -40,27 +34,74 @@ from salsanext_cli.results.layout import (
     output_path,
     with_outputs,
 )
-from salsanext_cli.results.scan_results import ScanResults, read_kind
 from salsanext_cli.results.selection import (
     MissingResults,
     choose,
     data_set_of,
-    space_of,
     space_of_labels,
     with_splits,
 )
-from salsanext_cli.results.stage_records import ScanSource, StageRecords
+from salsanext_cli.results.stage_records import MAX_PATH_CHARACTERS, ScanSource, StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 
-FOLDERS = ("predictions", *(f"uncertainty/{kind}" for kind in UNCERTAINTY))
-"""Folders of what is known about the points of scans."""
+FOLDER_OF_COLUMN = {
+    **dict.fromkeys(("label", "wrong"), "predictions"),
+    **{kind: f"uncertainty/{kind}" for kind in UNCERTAINTY},
+}
+"""Folders of what is known about the points of scans, by column; others are in no folder."""
+FOLDERS = tuple(dict.fromkeys(FOLDER_OF_COLUMN.values()))
 UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
 """Settings of `uncertainty` that an evaluation records."""
 DATASET_VARIABLE = "SALSANEXT_DATASET"
-MAX_PATH_CHARACTERS = 500
-"""Characters of a folder's name that an error shows."""
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanResults:
+    """A scan and what is known about it."""
+
+    scan: Scan  # N points
+    # (N,) uint32 or None: raw ids, predicted and given, without instances
+    label: RawIds | None = None
+    truth: RawIds | None = None
+    # By kind; only kinds that were computed
+    uncertainty: dict[str, Float] = field(default_factory=dict)
+    # That the distances are measured from; otherwise it is the origin of the points
+    sensor: Sensor | None = None
+    # (N,) bool or None: points whose label was taken away
+    rejected: npt.NDArray[np.bool_] | None = None
+
+    @property
+    def range(self) -> Float:
+        """Distance of every point from the sensor, (N,) float32, metres."""
+        with np.errstate(over="ignore"):  # Those too far for float32 become infinite.
+            scan = in_sensor_frame(self.scan, self.sensor) if self.sensor else self.scan
+            return measured_ranges(scan.points)[0].astype(np.float32)
+
+    def wrong(self, space: LabelSpace) -> Float:
+        """Return 1 where the label is wrong, 0 where right, NaN where either does not count."""
+        if self.label is None or self.truth is None:
+            raise ValueError("a wrong label needs a label and a truth")
+        truth = space.to_train(self.truth, strict=False)
+        wrong = (truth != space.to_train(self.label, strict=False)).astype(np.float32)
+        counts = space.scored[truth]
+        if self.rejected is not None:
+            counts = counts & ~self.rejected
+        return np.where(counts, wrong, np.float32(np.nan))
+
+    @property
+    def rejected_points(self) -> int:
+        """Number of points whose label was taken away."""
+        return 0 if self.rejected is None else int(self.rejected.sum())
+
+    def rejecting(self, max_error: float, space: LabelSpace) -> "ScanResults":
+        """Return the same with the points unlabelled whose error is above a threshold."""
+        if self.label is None:
+            return self
+        above = self.uncertainty["error"] > max_error
+        unlabelled = space.to_raw(np.zeros(1, np.uint8)).astype(self.label.dtype)
+        return replace(self, label=np.where(above, unlabelled, self.label), rejected=above)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,11 +123,10 @@ class ResultFolder(StageRecords):
     dataset: Path | None = None  # Where scans and labels are, if not where the scans came from
 
     def scans(self, sequence: str | None = None) -> list[ScanFile]:
-        """Find the scans whose results lie here, of all sequences or one.
+        """Find the scans whose results lie here, of all sequences or one; log those that are gone.
 
-        If it is not recorded where scans came from, or they are gone, they are looked for in the
-        folder that the environment variable `DATASET_VARIABLE` names, else in the working folder.
-        Results whose scan is not there any more are logged.
+        Where it is not recorded where scans came from, or that place is gone, they are looked for
+        in the folder that `DATASET_VARIABLE` names, else in the working folder.
         """
         there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(self.root, folder)}
         wanted = {key for key in there if sequence in (None, key[0])}
@@ -99,30 +139,20 @@ class ResultFolder(StageRecords):
             # The scans themselves, or the recording, which may have another name by now.
             scans = [replace(each, sequence=sequences[0]) for each in find_scans(self.dataset)]
         else:
-            known = {
-                sequence: source
-                for record in self.records().values()
-                for sequence, source in record.scans.items()
-            }
-            scans = [
-                scan for name in sequences for scan in self._of_sequence(name, known.get(name))
-            ]
+            known: dict[str, ScanSource] = {}
+            for record in self.records().values():
+                known |= record.scans
+            found_scans = (self._of_sequence(name, known.get(name)) for name in sequences)
+            scans = [scan for of_sequence in found_scans for scan in of_sequence]
         if gone := sorted(wanted - {(scan.sequence, scan.stem) for scan in scans}):
-            log.warning(
-                "%s with results not found any more and left out: %s",
-                counted(len(gone), "scan"),
-                first_few(["/".join(key) for key in gone]),
-            )
+            names = first_few(["/".join(key) for key in gone])
+            what = "with results not found any more and left out"
+            log.warning("%s %s: %s", counted(len(gone), "scan"), what, names)
         return scans
 
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
         folder = Path(source.folder) if source else None
-        if (
-            self.dataset is None
-            and source
-            and folder
-            and (is_folder(folder) or recording_of(folder))
-        ):
+        if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
             scans = find_scans(folder)
             return scans + _scans_named_themselves(source, {scan.stem for scan in scans})
         root = self.dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
@@ -130,10 +160,10 @@ class ResultFolder(StageRecords):
             own = root / "sequences" / sequence / SCAN_FOLDER
             # Not all of a data set once for each of its sequences.
             return find_scans(own) if is_folder(own) else find_scans(root, [sequence])
-        looked_in = str(self.dataset or folder or root.absolute())
+        looked_in = shortened(str(self.dataset or folder or root.absolute()), MAX_PATH_CHARACTERS)
         raise NoInputError(
             self.root / "sequences" / sequence,
-            f"its scans are not in {shortened(looked_in, MAX_PATH_CHARACTERS)}",
+            f"its scans are not in {looked_in}",
             "the folder that they came from",
             "give with --dataset the folder that holds sequences/",
         )
@@ -158,8 +188,7 @@ class ResultFolder(StageRecords):
     ) -> tuple[list[ScanFile], LabelSpace]:
         """Choose among the scans, and return the classes in which their labels are compared.
 
-        `space`: of the labels; otherwise that of the scans' data set, else the one recorded here;
-        `classes`: into whose classes those of labels and predictions are merged.
+        `space`, `classes`: as for `compared_space`.
         """
         scans = self.scans()
         space = self.compared_space(scans, space, classes, own_ids=True)
@@ -181,7 +210,7 @@ class ResultFolder(StageRecords):
     ) -> ChosenResults:
         """Choose among the scans of which any stage left results; log how many lack them.
 
-        A limit is of scans with results; `space`, `classes`: as for `predicted`.
+        A limit is of scans with results; `space`, `classes`: as for `compared_space`.
         """
         recorded = self.scans()
         given, space = space, self.compared_space(recorded, space, classes, own_ids=True)
@@ -196,97 +225,23 @@ class ResultFolder(StageRecords):
         labels = space_of_labels(recorded, space, given)
         return ChosenResults(scans, space, labels, missing, recorded)
 
-    def compared_space(
-        self,
-        scans: list[ScanFile],
-        space: LabelSpace | None = None,
-        classes: LabelSpace | None = None,
-        *,
-        own_ids: bool = False,
-    ) -> LabelSpace:
-        """Return the classes in which predictions and labels are compared.
-
-        They are those of both, or those of the predictions where these are merged ones of the
-        labels', or those that both are to be merged into. The splits are those of the labels; there
-        may be none, as `selection.with_splits` mends. `space`, `classes`: as for `predicted`;
-        `own_ids`: whether labels may have raw ids of their own for classes of the same names.
-        """
-        recorded = self.label_space()
-        space = space or space_of(scans, recorded)
-        target = classes or recorded or space
-        named_alike = own_ids and space.names == target.names
-        if classes is not None:
-            for own in (recorded or space, *(() if named_alike else (space,))):
-                ClassMerging.needed(own, classes)
-        elif target.fits(space):
-            return space
-        elif not named_alike and contradiction(space, target):
-            differences = first_few(target.differences(space))
-            raise LabelError(
-                self.root,
-                f"predictions in the classes of {target.name} ({differences})",
-                f"those of {space.name}, as the labels",
-                "predict with weights for these classes, or merge both with --classes",
-            )
-        return replace(target, splits=space.splits or (classes or space).splits)
-
-    def merging_into(self, space: LabelSpace) -> ClassMerging | None:
-        """Return the merging of the classes of the probabilities into others, if needed.
-
-        Probabilities of unknown origin are those of the other classes.
-        """
-        own = self.label_space("probabilities")
-        return None if own is None or own.fits(space) else ClassMerging.between(own, space)
-
-    def require_same_weights(self) -> None:
-        """Refuse to show the uncertainty of one network, or in other classes, beside the labels."""
-        labels, space = self.weights("predictions"), self.label_space("predictions")
-        remedy = f"run `salsanext uncertainty SCANS {self.root} --overwrite` with the"
-        for folder in ("uncertainty/epistemic", ERROR):
-            estimated, other = self.weights(folder), self.label_space(folder)
-            if labels and estimated and labels != estimated:
-                raise OutputError(
-                    self.root,
-                    f"labels by the weights {labels[:12]}…, uncertainty by {estimated[:12]}…",
-                    "the same weights for both",
-                    f"{remedy} weights of the labels",
-                )
-            if labels and space and other and not space.fits(other):
-                raise OutputError(
-                    self.root,
-                    f"labels in the classes of {space.name}, uncertainty in those of {other.name}",
-                    "the same for both",
-                    f"{remedy} --classes of the labels",
-                )
-
     def provenance(self, selection: ScanSelection) -> dict[str, Any]:
         """Return, as plain data, what was chosen and which stage and weights predicted it."""
         stage = self.owner("predictions")
         softmax: Mapping[str, Any] = self.settings("predict") or {}
-        estimated = self.settings("uncertainty")
-        made_by = sorted({*([stage] if stage else []), *(["uncertainty"] if estimated else [])})
+        estimated: Mapping[str, Any] = self.settings("uncertainty") or {}
+        made_by = {name for name in (stage, "uncertainty" if estimated else None) if name}
         recorded = {
             "dataset": str(self.dataset.absolute()) if self.dataset else None,
             "predictions_of": stage,
             "weights": self.weights("predictions"),
             "temperature": softmax.get("temperature"),
-            "reject": self._rejected_above(),
+            "reject": self.rejected_above(),
             "uncertainty": {k: estimated[k] for k in UNCERTAINTY_SETTINGS if k in estimated}
-            if estimated
-            else None,
-            "origins": self.origins(made_by),
+            or None,
+            "origins": self.origins(sorted(made_by)),
         }
         return asdict(selection) | recorded
-
-    def _rejected_above(self) -> float | None:
-        """Return the error above which points were left unlabelled; None if none."""
-        settings = self.settings_of("predictions")
-        return None if settings is None else settings.get("reject")
-
-    def rejected(self, error: Float) -> npt.NDArray[np.bool_]:
-        """Say of points, by their error (N,), which were left unlabelled for it."""
-        above = self._rejected_above()
-        return np.zeros(len(error), bool) if above is None else error > above
 
     def read(
         self,
@@ -302,8 +257,7 @@ class ResultFolder(StageRecords):
         """
         scan = read_scan(file.path, sensor)
         count = len(scan)
-        path, *kinds = (output_path(self.root, file.sequence, f, file.stem) for f in FOLDERS)
-        label = _labels(path, count)
+        label = _labels(self._path(file, "label"), count)
         if label is not None and classes is not None:
             label = classes.to_raw(classes.to_train(label, strict=False))
         truth = _labels(file.label_path, count) if truth_in else None
@@ -311,11 +265,8 @@ class ResultFolder(StageRecords):
             own, space = truth_in
             train = own.to_train(truth, strict=False, source=file.label_path)
             truth = truth if own.learning_map == space.learning_map else space.to_raw(train)
-        uncertainty = {
-            kind: read_kind(path, kind, count)
-            for kind, path in zip(UNCERTAINTY, kinds, strict=True)
-            if present(path)
-        }
+        paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
+        uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
         rejected = self.rejected(uncertainty["error"]) if "error" in uncertainty else None
         return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
 
@@ -332,42 +283,58 @@ class ResultFolder(StageRecords):
         known = list(scans)
         if column in ("truth", "wrong"):
             known = [scan for scan in known if present(scan.label_path)]
-        if column in ("label", "wrong"):
-            known = with_outputs(known, self.root, "predictions")
-        if column in UNCERTAINTY:
-            known = with_outputs(known, self.root, f"uncertainty/{column}")
-        return known
+        if column not in FOLDER_OF_COLUMN:
+            return known
+        return with_outputs(known, self.root, FOLDER_OF_COLUMN[column])
 
     def require_column(self, column: str, scans: Sequence[ScanFile]) -> None:
         """Refuse a column that is known of none of the scans, with `missing_column`."""
-        if column not in ("intensity", "range") and not self.with_column(column, scans):
+        if not self.with_column(column, scans):
             raise self.missing_column(column, scans[0])
 
     def missing_column(self, column: str, file: ScanFile) -> NoInputError:
         """Return the error that says what is missing for a column, and where it would be."""
         if column in ("truth", "wrong") and not present(file.label_path):
             return NoInputError(file.path, "has no labels", str(file.label_path))
-        folder = f"uncertainty/{column}" if column in UNCERTAINTY else "predictions"
         stage = "uncertainty" if column in UNCERTAINTY else "predict"
-        path = output_path(self.root, file.sequence, folder, file.stem)
         remedy = f"run `salsanext {stage} SCANS {self.root}` first"
         if column == "error":
             remedy = (
                 f"run `salsanext predict SCANS {self.root} --error`, with weights that know it: "
                 "the default ones, or what `salsanext tune error` writes"
             )
-        return NoInputError(file.path, f"no {column} known", str(path), remedy)
+        return NoInputError(file.path, f"no {column} known", str(self._path(file, column)), remedy)
+
+    def _path(self, file: ScanFile, column: str) -> Path:
+        return output_path(self.root, file.sequence, FOLDER_OF_COLUMN[column], file.stem)
 
     def meant_uncertainty(self, scans: Sequence[ScanFile]) -> str:
         """Return what "uncertainty" means: the error where all scans have it, else entropy."""
         return "error" if len(self.with_column("error", scans)) == len(scans) else "entropy"
 
 
+def read_kind(path: Path, kind: str, count: int | None) -> Float:
+    """Read one kind of uncertainty of a scan's points, as `read_uncertainty`."""
+    return read_uncertainty(path, count, 1.0 if kind == "error" else math.inf)
+
+
+def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
+    """Return every scalar known about the points, by the name that its property gets."""
+    columns: dict[str, npt.NDArray[Any]]
+    columns = {"intensity": cloud.scan.intensity, "range": cloud.range}
+    if cloud.label is not None:
+        columns["label"] = cloud.label.astype(np.uint16)
+    if cloud.truth is not None:
+        columns["truth"] = cloud.truth.astype(np.uint16)
+        if cloud.label is not None:
+            columns["wrong"] = cloud.wrong(space)
+    return columns | cloud.uncertainty
+
+
 def _holds_scans(dataset: Path) -> bool:
     """Say whether it is a folder of scans or a recording, not a data set."""
-    if recording_of(dataset.absolute()):
-        return True
-    return dataset.is_dir() and not (dataset / "sequences").is_dir()
+    is_data_set = (dataset / "sequences").is_dir()
+    return bool(recording_of(dataset.absolute())) or (dataset.is_dir() and not is_data_set)
 
 
 def _scans_named_themselves(source: ScanSource, known: Container[str]) -> list[ScanFile]:

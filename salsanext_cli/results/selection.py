@@ -2,7 +2,8 @@
 """Selection of the scans that a stage works on, and their label space."""
 
 import logging
-from collections.abc import Sequence
+import os
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -12,20 +13,23 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, is_merged
-from salsanext_cli.errors import NoInputError, UsageError
+from salsanext_cli.errors import NOTICE, NoInputError, UsageError, first_few
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import (
     SCAN_FOLDER,
     ScanFile,
+    by_suffix,
+    counted_by_suffix,
     find_scans,
-    log_passed_over,
     of_sequences,
 )
 
 LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
 """Names, in the root of a data set, of the file that describes its label space."""
+COMPANIONS = (".label", ".toml", ".yaml", ".md")
+"""Suffixes of files that are known to lie beside scans."""
 
 log = logging.getLogger(__name__)
 Item = TypeVar("Item")
@@ -44,10 +48,8 @@ class MissingResults:
         """Log how many of so many scans lack what they should have."""
         if self.scans:
             first = self.scans[0]
-            log.error(
-                "%d of %d scans have no %s and are left out, the first is %s/%s",
-                *(len(self.scans), count, what, first.sequence, first.stem),
-            )
+            message = "%d of %d scans have no %s and are left out, the first is %s/%s"
+            log.error(message, len(self.scans), count, what, first.sequence, first.stem)
 
 
 def scans_of(source: Path) -> list[ScanFile]:
@@ -55,8 +57,23 @@ def scans_of(source: Path) -> list[ScanFile]:
     scans = find_scans(source)
     if is_folder(source) and recording_of(scans[0].path) is None:
         folders = {path.parent for path in {scan.sequence: scan.path for scan in scans}.values()}
-        log_passed_over(source, sorted(folders), {scan.path.name for scan in scans})
+        _log_passed_over(source, sorted(folders), {scan.path.name for scan in scans})
     return scans
+
+
+def _log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[str]) -> None:
+    """Log how many files beside scans of some names are passed over; in detail their names."""
+    left = []
+    for folder in folders:
+        with os.scandir(folder) as entries:
+            # Of a million names nearly all are those of scans and their labels.
+            others = [e for e in entries if e.name not in scans and not e.name.startswith(".")]
+            others = [e for e in others if not e.name.lower().endswith(COMPANIONS)]
+            left += [folder / e.name for e in others if not is_folder(e)]
+    if left:
+        log.log(NOTICE, "%s: passed over %s", source, counted_by_suffix(left))
+    for suffix, paths in by_suffix(left).items():
+        log.info("passed over, %s: %s", suffix, first_few(paths))
 
 
 def select_scans(
@@ -64,8 +81,7 @@ def select_scans(
 ) -> list[ScanFile]:
     """Find the scans of a source and choose among them.
 
-    `source`: what `layout.find_scans` takes; `selection`: split, sequences and limit; `space`:
-    whose splits count if the source does not bring its own label space.
+    `space`: whose splits count if the source does not bring its own label space.
     """
     scans = scans_of(source)
     return choose(scans, selection, space_of(scans, space), source)
@@ -122,10 +138,7 @@ def data_set_label_space(root: Path) -> LabelSpace | None:
 
 
 def with_splits(space: LabelSpace, root: Path | None = None) -> LabelSpace:
-    """Return a label space that has splits: its own, else the data set's, else SemanticKITTI's.
-
-    The data set describes them in its root, which is read only if it is needed.
-    """
+    """Return a label space that has splits: its own, else the data set's, else SemanticKITTI's."""
     if space.splits:
         return space
     own = data_set_label_space(root) if root else None
@@ -133,10 +146,7 @@ def with_splits(space: LabelSpace, root: Path | None = None) -> LabelSpace:
 
 
 def with_splits_and_alternatives(space: LabelSpace, root: Path) -> LabelSpace:
-    """Return a label space with what it leaves to the one that a data set describes in its root.
-
-    These are the splits, if it has none, and the alternatives of classes that it merges.
-    """
+    """Return a label space as `with_splits`, and with the data set's alternatives of classes."""
     try:
         own = data_set_label_space(root)
     except UsageError as error:
@@ -146,7 +156,7 @@ def with_splits_and_alternatives(space: LabelSpace, root: Path) -> LabelSpace:
         return space
     if own is not None and is_merged(space, own):
         space = ClassMerging.between(own, space).space
-    return replace(space, splits=space.splits or (own or space).splits or label_space().splits)
+    return with_splits(space, root)
 
 
 @cache
@@ -161,8 +171,7 @@ def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> L
     unless the fallback, that of the weights say, has other classes.
     """
     root = data_set_of(scans[0]) if scans else None
-    own = data_set_label_space(root) if root else None
-    if own is not None:
+    if root and (own := data_set_label_space(root)):
         return own
     usual = label_space()
     return usual if fallback is None or fallback.fits(usual) else fallback
@@ -186,8 +195,7 @@ def space_of_labels(
 ) -> LabelSpace:
     """Return the meaning of the raw ids of labels that are compared in the classes of a space.
 
-    Labels may have their own for classes of the same names; `labels` is their label space, if it is
-    not that of the scans' data set.
+    `labels`: their own label space, with the same names, if it is not that of the scans' data set.
     """
     own = labels or space_of(scans, space)
     return own if own.names == space.names else space

@@ -4,19 +4,27 @@
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import OutputError, first_few, shortened
+from salsanext_cli.classes.merging import ClassMerging, contradiction
+from salsanext_cli.errors import LabelError, OutputError, first_few, shortened
 from salsanext_cli.files.json_files import RecordedSettings, read_json, write_json
 from salsanext_cli.network.card import parted
-from salsanext_cli.results.layout import COLOURINGS, SUFFIX_OF_FOLDER
+from salsanext_cli.records import Float
+from salsanext_cli.results.layout import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
+from salsanext_cli.results.selection import space_of
 from salsanext_cli.sensors.sensor import Sensor, sensor
 from salsanext_cli.version import __version__
 
 SHOWN_CHARACTERS_OF_VALUE = 40
+MAX_PATH_CHARACTERS = 500
+"""Characters of a folder's name that an error shows."""
 RESULT_STAGES = (
     *("project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"),
     *(f"export-ply-{colour}" for colour in COLOURINGS),
@@ -29,6 +37,16 @@ class ScanSource:
 
     folder: str  # Where they lie, absolute
     stems: frozenset[str]  # Those that the stage was asked for in any of its runs, done or failed
+
+    @classmethod
+    def from_dict(cls, entry: Mapping[str, Any]) -> "ScanSource":
+        """Read the entry of a sequence; anything amiss raises a `TypeError` or the like."""
+        folder, stems = entry["folder"], entry["asked_for"]
+        if not isinstance(stems, list) or "\0" in folder:
+            raise TypeError
+        if not all(isinstance(text, str) for text in (folder, *stems)):
+            raise TypeError
+        return cls(folder, frozenset(stems))
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,22 +71,11 @@ class StageRecord:
         }
         written = {"stage": self.stage, "version": __version__, "settings": self.settings}
         record = written | {"writes": list(self.folders), "scans": scans}
-        if self.kept:
-            record["kept"] = sorted(self.kept)
-        return record
+        return record | ({"kept": sorted(self.kept)} if self.kept else {})
 
     def write(self, out: Path) -> None:
         """Write the record into an output folder, durably."""
         write_json(out / f"{self.stage}.json", self.to_dict())
-
-
-def _scan_source(entry: dict[str, Any]) -> ScanSource:
-    folder, stems = entry["folder"], entry["asked_for"]
-    if not isinstance(folder, str) or "\0" in folder or not isinstance(stems, list):
-        raise TypeError
-    if not all(isinstance(stem, str) for stem in stems):
-        raise TypeError
-    return ScanSource(folder, frozenset(stems))
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,10 +94,9 @@ class StageRecords:
             settings, folders = content["settings"], tuple(content["writes"])
             if not isinstance(settings, dict) or not all(f in SUFFIX_OF_FOLDER for f in folders):
                 raise TypeError
-            scans = {name: _scan_source(each) for name, each in content.get("scans", {}).items()}
-            paths = (self.root.joinpath(name) for name in content.get("kept", ()))
-            kept = frozenset(path.relative_to(self.root).as_posix() for path in paths)
-            return StageRecord(stage, settings, folders, scans, kept)
+            sources = content.get("scans", {}).items()
+            scans = {name: ScanSource.from_dict(source) for name, source in sources}
+            return StageRecord(stage, settings, folders, scans, frozenset(content.get("kept", ())))
         except (TypeError, KeyError, AttributeError) as error:
             remedy = "delete it or use another folder"
             raise OutputError(path, f"not what `{stage}` writes", remedy=remedy) from error
@@ -111,33 +117,88 @@ class StageRecords:
         records = self.records()
         return next((stage for stage, record in records.items() if folder in record.folders), None)
 
-    def settings_of(self, folder: str) -> RecordedSettings | None:
-        """Return the settings behind a folder of results, None if no stage recorded them."""
-        stage = self.owner(folder)
-        return self.settings(stage) if stage else None
+    def settings_of(self, *folders: str) -> RecordedSettings | None:
+        """Return the settings behind the first of some folders of results that a stage recorded."""
+        stages = map(self.owner, folders)
+        return next((self.settings(stage) for stage in stages if stage), None)
+
+    def settings_with(self, weights: str | None) -> RecordedSettings | None:
+        """Return the settings of labels or uncertainties made with these weights, if any."""
+        made = map(self.settings, ("predict", "uncertainty"))
+        return next((s for s in made if s is not None and s.get("weights") == weights), None)
 
     def origins(self, stages: Iterable[str]) -> dict[str, str]:
         """Return a digest of the settings of each of the stages that ran here.
 
         A stage that reads their results records it, so as not to keep what it made of older ones.
         """
-        settings = {stage: self.settings(stage) for stage in stages}
-        return {
-            stage: hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]
-            for stage, values in settings.items()
-            if values is not None
-        }
+        records = filter(None, map(self.record, stages))
+        texts = {each.stage: json.dumps(each.settings, sort_keys=True) for each in records}
+        return {s: hashlib.sha256(text.encode()).hexdigest()[:12] for s, text in texts.items()}
 
     def label_space(self, *folders: str) -> LabelSpace | None:
         """Return the classes of the first of the folders that a stage fills, else None.
 
         It is of the predictions by default.
         """
-        of_folders = map(self.settings_of, folders or ("predictions", "pixel_labels"))
-        settings = next((each for each in of_folders if each), None)
-        if settings is None:
+        settings = self.settings_of(*(folders or ("predictions", "pixel_labels")))
+        if not settings:
             return None
         return LabelSpace.from_dict(settings.table("label_space"), settings.path)
+
+    def compared_space(
+        self,
+        scans: Sequence[ScanFile],
+        space: LabelSpace | None = None,
+        classes: LabelSpace | None = None,
+        *,
+        own_ids: bool = False,
+    ) -> LabelSpace:
+        """Return the classes in which predictions and labels are compared.
+
+        They are those of both, or those of the predictions where these are merged ones of the
+        labels', or those that both are to be merged into. The splits are those of the labels; there
+        may be none, as `selection.with_splits` mends. `space`: of the labels, else that of the
+        scans' data set, else the recorded one; `classes`: into whose classes both are merged;
+        `own_ids`: whether labels may have raw ids of their own for classes of the same names.
+        """
+        recorded = self.label_space()
+        space = space or space_of(scans, recorded)
+        target = classes or recorded or space
+        named_alike = own_ids and space.names == target.names
+        if classes is not None:
+            for own in (recorded or space, *(() if named_alike else (space,))):
+                ClassMerging.needed(own, classes)
+        elif target.fits(space):
+            return space
+        elif not named_alike and contradiction(space, target):
+            differences = first_few(target.differences(space))
+            raise LabelError(
+                self.root,
+                f"predictions in the classes of {target.name} ({differences})",
+                f"those of {space.name}, as the labels",
+                "predict with weights for these classes, or merge both with --classes",
+            )
+        return replace(target, splits=space.splits or (classes or space).splits)
+
+    def merging_into(self, space: LabelSpace) -> ClassMerging | None:
+        """Return the merging of the classes of the probabilities into others, if needed.
+
+        Probabilities of unknown origin are those of the other classes.
+        """
+        own = self.label_space("probabilities")
+        return None if own is None or own.fits(space) else ClassMerging.between(own, space)
+
+    def known_sensor(self) -> Sensor | None:
+        """Return the sensor that results were made through, if one is recorded."""
+        folders = ("pixel_labels", "predictions", "uncertainty/epistemic", "range")
+        if (settings := self.settings_of(*folders)) is None:
+            return None
+        return Sensor.from_dict(settings.table("sensor"), settings.path)
+
+    def sensor(self) -> Sensor:
+        """Return the sensor that labels were made through; else the HDL-64."""
+        return self.known_sensor() or sensor("hdl64")
 
     def weights(self, folder: str) -> str | None:
         """Return the SHA-256 of the weights behind a folder of results, if one is recorded.
@@ -164,29 +225,34 @@ class StageRecords:
             return self._settings_of_network("pixel_labels")
         return settings
 
-    def sensor(self) -> Sensor:
-        """Return the sensor that labels were made through; else the HDL-64."""
-        return self.known_sensor() or sensor("hdl64")
+    def require_same_weights(self) -> None:
+        """Refuse to show the uncertainty of one network, or in other classes, beside the labels."""
+        labels, space = self.weights("predictions"), self.label_space("predictions")
+        remedy = f"run `salsanext uncertainty SCANS {self.root} --overwrite` with the"
+        for folder in ("uncertainty/epistemic", ERROR):
+            estimated, other = self.weights(folder), self.label_space(folder)
+            if labels and estimated and labels != estimated:
+                found = f"labels by the weights {labels[:12]}…, uncertainty by {estimated[:12]}…"
+                expected, remedy = "the same weights for both", f"{remedy} weights of the labels"
+                raise OutputError(self.root, found, expected, remedy)
+            if labels and space and other and not space.fits(other):
+                classes = f"the classes of {space.name}, uncertainty in those of {other.name}"
+                remedy = f"{remedy} --classes of the labels"
+                raise OutputError(self.root, f"labels in {classes}", "the same for both", remedy)
 
-    def known_sensor(self) -> Sensor | None:
-        """Return the sensor that results were made through, if one is recorded."""
-        for folder in ("pixel_labels", "predictions", "uncertainty/epistemic", "range"):
-            if (settings := self.settings_of(folder)) is not None:
-                return Sensor.from_dict(settings.table("sensor"), settings.path)
-        return None
+    def rejected(self, error: Float) -> npt.NDArray[np.bool_]:
+        """Say of points, by their error (N,), which were left unlabelled for it."""
+        above = self.rejected_above()
+        return np.zeros(len(error), bool) if above is None else error > above
 
-    def settings_with(self, weights: str | None) -> RecordedSettings | None:
-        """Return the settings of labels or uncertainties made with these weights, if any."""
-        for stage in ("predict", "uncertainty"):
-            settings = self.settings(stage)
-            if settings is not None and settings.get("weights") == weights:
-                return settings
-        return None
+    def rejected_above(self) -> float | None:
+        """Return the error above which points were left unlabelled; None if none."""
+        settings = self.settings_of("predictions")
+        return None if settings is None else settings.get("reject")
 
 
 def as_json(settings: Any) -> Any:
-    """Return settings as they are read back: lists for tuples, strings for keys."""
-    # JSON has no number for an infinite cutoff.
+    """Return settings as they are read back: lists for tuples, strings for keys and infinity."""
     return json.loads(json.dumps(settings), parse_constant=str)
 
 
@@ -195,25 +261,15 @@ def require_same_settings(
 ) -> None:
     """Refuse to mix or to replace what was made with other settings, and say which."""
     if recorded != settings:
-        found = f"made with other settings: {_differences(recorded, settings)}"
+        before, after = _flat(recorded), _flat(settings)
+        changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
+        differences = first_few([_difference(k, before.get(k), after.get(k)) for k in changed])
         remedy = "use another output folder, or --overwrite to replace all its results"
-        raise OutputError(path, found, remedy=remedy)
-
-
-def _differences(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
-    """Name what differs, key by key, and how."""
-    before, after = _flat(recorded), _flat(settings)
-    changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
-    shown = [_difference(key, before.get(key), after.get(key)) for key in changed]
-    return first_few(shown)
+        raise OutputError(path, f"made with other settings: {differences}", remedy=remedy)
 
 
 def _difference(key: str, before: Any, after: Any) -> str:
-    """Say how a setting differs.
-
-    Origins are named without their digests, label spaces by their classes, long lists by the
-    first value that differs, or their length.
-    """
+    """Say how a setting differs; of long lists, name the first value that does, or the length."""
     if key == "sensor.intensity_quantiles":
         was, now = _intensity(before), _intensity(after)
         now = "matched to other scans" if now == was else now
@@ -225,9 +281,8 @@ def _difference(key: str, before: Any, after: Any) -> str:
         return f"{key} ({first_few(old.differences(new))})"
     lists = isinstance(before, list) and isinstance(after, list) and len(before) == len(after)
     if lists and len(json.dumps(before)) > SHOWN_CHARACTERS_OF_VALUE:
-        pairs = enumerate(zip(before, after, strict=True))
-        place, (before, after) = next(pair for pair in pairs if pair[1][0] != pair[1][1])
-        key = f"{key}[{place}]"
+        place = next(i for i, value in enumerate(before) if value != after[i])
+        key, before, after = f"{key}[{place}]", before[place], after[place]
     return f"{key} was {_as_shown(before)} and is {_as_shown(after)}"
 
 

@@ -20,8 +20,8 @@ from salsanext_cli.files.optional_packages import import_extra, import_nncf
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX, OPSET
+from salsanext_cli.network.card import ONNX_SUFFIX, WeightsCard
+from salsanext_cli.network.onnx_metadata import OPSET
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float

@@ -20,8 +20,7 @@ from salsanext_cli.report.colours import PointColours
 from salsanext_cli.report.scales import common_scales, require_colouring
 from salsanext_cli.results.layout import LABELLING_STAGES, UNCERTAINTY, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.scan_results import scalar_columns
+from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.stages.uncertainty import estimate_missing

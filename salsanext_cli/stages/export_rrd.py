@@ -20,8 +20,7 @@ from salsanext_cli.report.rerun_recording import Columns, LogScan, import_rerun,
 from salsanext_cli.report.scales import common_scales
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.scan_results import scalar_columns
+from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
 FOLDER = "rrd"

@@ -25,8 +25,7 @@ from salsanext_cli.results.layout import (
     find_outputs,
 )
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.result_folder import FOLDERS, ChosenResults, ResultFolder
-from salsanext_cli.results.scan_results import scalar_columns
+from salsanext_cli.results.result_folder import FOLDERS, ChosenResults, ResultFolder, scalar_columns
 from salsanext_cli.results.selection import MissingResults, choose, scans_of, space_of_labels
 from salsanext_cli.sensors.sensor import Sensor, sensor
 

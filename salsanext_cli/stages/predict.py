@@ -29,9 +29,9 @@ from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.geometry.points import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large
+from salsanext_cli.parallel.network_task import NetworkTask, Steps, named_if_too_large
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.parallel.tasks import Attempt, Steps
+from salsanext_cli.parallel.worker import Attempt
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ERROR, ScanFile, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run

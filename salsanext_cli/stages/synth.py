@@ -25,8 +25,8 @@ from salsanext_cli.files.reading import filled
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.formats.labels import encode_labels, read_labels
 from salsanext_cli.parallel.options import worker_count
-from salsanext_cli.parallel.pools import end_with_parent, signals_blocked
 from salsanext_cli.parallel.run import Progress
+from salsanext_cli.parallel.worker import end_with_parent, signals_blocked
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import as_json, require_same_settings
 from salsanext_cli.synthesis.drive import record

@@ -17,9 +17,8 @@ from salsanext_cli.fitting.recorded_network import network_of_labels, require_ne
 from salsanext_cli.geometry.points import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.parallel.network_task import NetworkTask
+from salsanext_cli.parallel.network_task import NetworkTask, Steps
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.parallel.tasks import Steps
 from salsanext_cli.results.layout import ERROR, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder

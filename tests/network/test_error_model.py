@@ -3,40 +3,59 @@
 
 import json
 import math
+from itertools import pairwise
 
+import numba
 import numpy as np
 import pytest
 
 from salsanext_cli import label_space, sensor
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.network.card import KEY, WeightsCard
-from salsanext_cli.network.error_model import ErrorModel
+from salsanext_cli.network.error_model import ErrorModel, last_values
 
 
-def model(seed: int = 0) -> ErrorModel:
-    random = np.random.default_rng(seed)
-    sizes = ((3, 4), (4, 2), (2, 1))
-    layers = [
+def layers(*sizes: int):
+    random = np.random.default_rng(len(sizes))
+    return [
         (random.normal(size=size).astype("f4"), random.normal(size=size[1]).astype("f4"))
-        for size in sizes
+        for size in pairwise(sizes)
     ]
-    return ErrorModel(("a", "b", "c"), layers, {"auroc": 0.9})
 
 
-def test_a_probability_is_that_of_a_slow_loop() -> None:
+def model() -> ErrorModel:
+    return ErrorModel(("a", "b", "c"), layers(3, 4, 2, 1), {"auroc": 0.9})
+
+
+def by_products(rows, given):
+    for place, (weight, bias) in enumerate(given):
+        rows = rows.astype("f8") @ weight + bias
+        if place < len(given) - 1:
+            rows = np.where(rows < 0, 0, rows)
+    return rows[:, 0]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("sizes", [(9, 16, 16, 1), (3, 1), (40, 5, 1), (2, 30, 1)])
+@pytest.mark.parametrize("count", [0, 1, 255, 257, 1300])
+def test_any_sizes_on_any_number_of_threads(count, sizes, threads, monkeypatch):
+    monkeypatch.setattr("salsanext_cli.compiled.kernels.MIN_SLICE_ITEMS", 100)
+    rows = np.random.default_rng(count).normal(size=(count, sizes[0])).astype("f4")
+    rows[count // 2 : count // 2 + 1, -1] = np.nan
+    given = layers(*sizes)
+    monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", 1)
+    expected = last_values(rows, given)
+    np.testing.assert_allclose(expected, by_products(rows, given), rtol=1e-4, atol=1e-5)
+    assert np.isnan(expected).sum() == min(count, 1)
+    monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
+    for form in (rows, rows.astype("f8"), np.asfortranarray(rows), np.repeat(rows, 2, 0)[::2]):
+        np.testing.assert_array_equal(last_values(form, given), expected)
+
+
+def test_a_probability_is_the_logistic_function_of_the_last_value() -> None:
     found, features = model(), np.random.default_rng(1).normal(size=(7, 3)).astype("f4")
-    features[3, 1] = np.nan
-    for row, probability in zip(features, found.probability(features), strict=True):
-        values = row.tolist()
-        for place, (weight, bias) in enumerate(found.layers):
-            values = [
-                sum(v * w for v, w in zip(values, weight[:, j].tolist(), strict=True)) + bias[j]
-                for j in range(len(bias))
-            ]
-            if place < 2:
-                values = [v if math.isnan(v) else max(v, 0) for v in values]
-        assert probability == pytest.approx(1 / (1 + math.exp(-values[0])), abs=1e-6, nan_ok=True)
-    assert np.isnan(found.probability(features)[3])
+    expected = 1 / (1 + np.exp(-by_products(features, found.layers)))
+    np.testing.assert_allclose(found.probability(features), expected, atol=1e-6)
 
 
 def test_certain_values_stay_between_0_and_1() -> None:

@@ -9,8 +9,7 @@ from works import Write, run, scans_of
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
-from salsanext_cli.parallel.tasks import one_by_one
-from salsanext_cli.parallel.worker import WORKER
+from salsanext_cli.parallel.worker import WORKER, one_by_one
 
 LOCAL = pytest.mark.parametrize(
     "options", [{}, {"jobs": 2}, {"jobs": 2, "backend": "threading"}], ids=["1", "2", "threads"]

@@ -15,7 +15,7 @@ from pathlib import Path
 from salsanext_cli.parallel import worker
 from salsanext_cli.parallel.worker import WORKER
 WORKER.run = "a run"
-worker._folder_of_slots = lambda: Path(sys.argv[1])
+worker._folder_of_numbers = lambda: Path(sys.argv[1])
 print(worker.own_device("cuda", 2), worker.own_device("auto", 2), flush=True)
 sys.stdin.read()
 """
@@ -24,7 +24,7 @@ sys.stdin.read()
 def test_worker_processes_take_a_gpu_each_and_a_killed_one_leaves_it(tmp_path):
     def started():
         return subprocess.Popen(
-            [sys.executable, "-c", ASK, str(tmp_path / "slots")],
+            [sys.executable, "-c", ASK, str(tmp_path / "numbers")],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

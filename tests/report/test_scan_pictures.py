@@ -18,7 +18,7 @@ from salsanext_cli.report.scan_pictures import (
     picture_of_results,
     scan_picture,
 )
-from salsanext_cli.results.scan_results import ScanResults
+from salsanext_cli.results.result_folder import ScanResults
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)
 SPACE = label_space()

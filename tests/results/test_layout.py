@@ -102,9 +102,10 @@ def test_missing_sequence_names_those_that_exist(dataset: Path, name: str) -> No
         find_scans(dataset, ["08", name])
 
 
-def test_exact_name_wins_over_number(tmp_path: Path) -> None:
+def test_exact_name_wins_over_number_and_text_beside_sequences_is_no_scan(tmp_path: Path) -> None:
+    make(tmp_path, "readme.txt")
     for sequence in ("8", "08"):
-        make(tmp_path / "sequences" / sequence / "velodyne", "0.bin")
+        make(tmp_path / sequence / "velodyne", "0.bin")
     assert [scan.sequence for scan in find_scans(tmp_path, ["8"])] == ["8"]
     assert [scan.sequence for scan in find_scans(tmp_path, ["008"])] == ["08", "8"]
 
@@ -162,12 +163,6 @@ def test_our_tables_are_no_scans_which_is_said_but_others_of_their_names_are(
     assert caplog.messages == [f"{tmp_path}: passed over 1 {suffix}"]
 
 
-def test_text_beside_sequences_is_no_scan(tmp_path: Path) -> None:
-    make(tmp_path / "08" / "velodyne", "0.bin")
-    make(tmp_path, "readme.txt")
-    assert [scan.sequence for scan in find_scans(tmp_path)] == ["08"]
-
-
 def test_what_is_passed_over_is_said_once(tmp_path: Path, caplog) -> None:
     make(tmp_path, "a.bin", "b.bin", "a.label", "notes.txt", "x.JPG", "y.jpg", "README", ".z.jpg")
     make(tmp_path / "labels", "a.label")
@@ -194,6 +189,7 @@ def test_two_scans_of_one_stem_are_both_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("folder", SUFFIX_OF_FOLDER)
 def test_outputs_are_found_where_they_are_put(tmp_path: Path, folder: str) -> None:
+    assert find_outputs(tmp_path, folder) == {}
     names = [("08", "b.c"), ("08", "a"), ("00 ä", "a")]
     for sequence, stem in names:
         path = output_path(tmp_path, sequence, folder, stem)
@@ -203,12 +199,6 @@ def test_outputs_are_found_where_they_are_put(tmp_path: Path, folder: str) -> No
     for (sequence, stem), path in outputs.items():
         assert path == output_path(tmp_path, sequence, folder, stem)
         assert path.is_file()
-
-
-def test_no_outputs(tmp_path: Path) -> None:
-    assert find_outputs(tmp_path / "missing", "predictions") == {}
-    make(tmp_path / "sequences" / "08")
-    assert find_outputs(tmp_path, "predictions") == {}
 
 
 NAMES = st.sampled_from(["a", "", ".", "..", "../x", "/etc", "a/b", "a/../b", "a/", "x\0y"])

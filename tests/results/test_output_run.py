@@ -52,10 +52,9 @@ def test_what_is_recorded(tmp_path: Path) -> None:
         "writes": ["predictions"],
         "scans": {"08": {"folder": str(scans[0].path.parent), "asked_for": ["a", "b"]}},
     }
-    assert StageRecords(tmp_path / "out").settings("predict") == SETTINGS
-    assert StageRecords(tmp_path / "out").settings("project") is None
-    assert StageRecords(tmp_path / "out").owner("predictions") == "predict"
-    assert StageRecords(tmp_path / "out").owner("range") is None
+    records = StageRecords(tmp_path / "out")
+    assert (records.settings("predict"), records.settings("project")) == (SETTINGS, None)
+    assert (records.owner("predictions"), records.owner("range")) == ("predict", None)
 
 
 def test_the_same_settings_may_go_on_and_write_more(tmp_path: Path) -> None:
@@ -75,10 +74,7 @@ def test_the_same_settings_may_go_on_and_write_more(tmp_path: Path) -> None:
     ("other", "named"),
     [
         ({"weights": "abc", "knn": {"k": 7}}, r"settings: knn\.k was 5 and is 7 · "),
-        (
-            {"weights": "abc", "knn": {"k": 5}, "label_space": 7},
-            "label_space was not set and is 7 · ",
-        ),
+        (SETTINGS | {"label_space": 7}, "label_space was not set and is 7 · "),
         ({"weights": "abc", "seed": 3}, r"knn\.k was 5 and is not set, seed was not set and is 3"),
     ],
 )
@@ -186,14 +182,10 @@ def test_an_infinite_setting_is_recorded_as_json_can(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "content",
     [
-        *(b"{", b"[]", b"\xff\xfe", b"null", b"{}", b'{"settings": {}}', b'{"writes": []}'),
-        b'{"settings": {}, "writes": 3}',
+        *(b"{", b"[]", b"\xff\xfe", b"{}", b'{"settings": {}}', b'{"settings": {}, "writes": 3}'),
         b'{"settings": {}, "writes": ["elsewhere"]}',
-        b'{"settings": {}, "writes": [[]]}',
-        b'{"settings": {}, "writes": [], "scans": 3}',
         b'{"settings": {}, "writes": [], "scans": {"08": {"folder": 3, "asked_for": []}}}',
         b'{"settings": {}, "writes": [], "scans": {"08": {"folder": "a", "asked_for": "all"}}}',
-        b'{"settings": {}, "writes": [], "scans": {"08": {"folder": "a", "asked_for": [3]}}}',
     ],
 )
 def test_damaged_records_are_named(tmp_path: Path, content: bytes) -> None:
@@ -212,16 +204,12 @@ def test_an_output_folder_that_cannot_be_made(tmp_path: Path) -> None:
 
 
 def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
-    assert (StageRecords(tmp_path).label_space(), StageRecords(tmp_path).sensor()) == (
-        None,
-        sensor("hdl64"),
-    )
-    space, hdl32 = label_space(), sensor("hdl32")
+    records, space, hdl32 = StageRecords(tmp_path), label_space(), sensor("hdl32")
+    assert (records.label_space(), records.sensor()) == (None, sensor("hdl64"))
     predict(tmp_path, {"label_space": space.to_dict(), "sensor": hdl32.to_dict()})
-    found = StageRecords(tmp_path).label_space()
+    found = records.label_space()
     assert found is not None
-    assert found.to_dict() == space.to_dict()
-    assert StageRecords(tmp_path).sensor() == hdl32
+    assert (found.to_dict(), records.sensor()) == (space.to_dict(), hdl32)
 
 
 def test_another_source_of_the_same_name_is_refused_before_anything_is_removed(tmp_path) -> None:

@@ -49,21 +49,16 @@ def test_files_of_others_are_kept(written: OwnedFolder) -> None:
     ]
 
 
-def test_nothing_is_removed_through_a_link(written: OwnedFolder, tmp_path: Path) -> None:
-    path = written.root / "sequences/00/a.bin"
+def test_nothing_is_removed_through_a_link_below_a_folder_that_may_be_one(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "out").symlink_to(tmp_path / "disk")
+    written, path = OwnedFolder(tmp_path / "out"), tmp_path / "out/sequences/00/a.bin"
     written.write(path, b"scan")
+    assert written.others([path]) == []
     path.parent.rename(tmp_path / "elsewhere")
     path.parent.symlink_to(tmp_path / "elsewhere")
     assert written.remove_own([path]) == [path]
     assert path.read_bytes() == b"scan"
-
-
-def test_the_folder_itself_may_be_a_link(tmp_path: Path) -> None:
-    (tmp_path / "disk").mkdir()
-    (tmp_path / "out").symlink_to(tmp_path / "disk")
-    written = OwnedFolder(tmp_path / "out")
-    written.write(tmp_path / "out/a", b"a")
-    assert written.others([tmp_path / "out/a"]) == []
 
 
 def test_an_empty_file_is_nobodys_loss(written: OwnedFolder) -> None:

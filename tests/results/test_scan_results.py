@@ -7,8 +7,7 @@ from salsanext_cli import Scan, label_space
 from salsanext_cli.errors import FormatError, LabelError
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_bin, write_labels
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.scan_results import ScanResults, scalar_columns
+from salsanext_cli.results.result_folder import ResultFolder, ScanResults, scalar_columns
 
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR = 10, 40, 252

@@ -60,27 +60,19 @@ def test_a_data_set_may_bring_its_own_splits(world, name):
 OWN, SAME_IDS = {"odd": ["00"], "valid": ["00", "08"]}, label_space("coarse").to_dict()
 
 
-@pytest.mark.parametrize("file", ["none", "labels.yaml"])
+@pytest.mark.parametrize("own", [None, {}, OWN])
 @pytest.mark.parametrize("given", [{}, {"valid": ["00"]}])
-def test_splits_are_those_given_else_of_the_data_set_else_semantic_kittis(world, file, given):
-    if file != "none":
-        (world.data / file).write_text(yaml.safe_dump(label_space().to_dict() | {"split": OWN}))
+def test_splits_are_those_given_else_of_the_data_set_else_semantic_kittis(world, own, given):
+    if own is not None:
+        text = yaml.safe_dump(label_space().to_dict() | {"split": own})
+        (world.data / "labels.yaml").write_text(text)
     space = LabelSpace.from_dict(SAME_IDS | {"split": given})
     for found in (with_splits(space, world.data), with_splits_and_alternatives(space, world.data)):
-        usual = {"none": ("08",), "labels.yaml": ("00", "08")}[file]
+        usual = ("00", "08") if own else ("08",)
         assert found.splits["valid"] == (("00",) if given else usual)
         assert found.fits(space)
     chosen = choose(find_scans(world.data), ScanSelection(split="valid"), space, world.data)
     assert {scan.sequence for scan in chosen} == {*found.splits["valid"]}
-
-
-def test_a_data_set_without_splits_has_semantic_kittis(world):
-    (world.data / "labels.yaml").write_text(
-        yaml.safe_dump({k: v for k, v in label_space().to_dict().items() if k != "split"})
-    )
-    assert names(select_scans(world.data, ScanSelection(split="valid"))) == [
-        *("08/000000", "08/000001")
-    ]
 
 
 def test_a_broken_label_space_is_read_only_where_it_is_needed(world, caplog):

@@ -16,7 +16,7 @@ from salsanext_cli.records import Float
 from salsanext_cli.report.colours import value_range
 from salsanext_cli.report.page.shown_scans import DOUBT, ShownScan
 from salsanext_cli.report.scan_pictures import UNITS
-from salsanext_cli.results.scan_results import ScanResults
+from salsanext_cli.results.result_folder import ScanResults
 from salsanext_cli.sensors.sensor import Sensor
 
 MAX_POINTS = 200_000

@@ -17,8 +17,7 @@ from salsanext_cli.measures.histograms import lack_of_confidence
 from salsanext_cli.measures.scan_counts import SOFTMAX, read_softmax
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, output_path
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.scan_results import ScanResults
+from salsanext_cli.results.result_folder import ResultFolder, ScanResults
 from salsanext_cli.sensors.sensor import Sensor
 
 DOUBT = "doubt"
