@@ -2,7 +2,7 @@
 """Files that labelling tools have written, and the scans that they belong to."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from salsanext_cli.errors import LabelError, NoInputError, first_few
@@ -15,10 +15,7 @@ EDITED_SUFFIXES = (*READERS, ".label", ".npy")
 
 
 def find_edited(source: Path) -> list[Path]:
-    """Return a file with labels, or those in a folder and below it, absolute and sorted.
-
-    What is hidden is left out.
-    """
+    """Return a file with labels, or those in a folder and below it that are not hidden, sorted."""
     expected = f"labels: {', '.join(EDITED_SUFFIXES)} files"
     if not present(source):
         raise NoInputError(source, "no such file or folder", expected)
@@ -50,36 +47,29 @@ def _files_below(folder: Path) -> list[Path]:
 class ScanNames:
     """Scans of a data set by their stems, for `scan_of_edited`."""
 
-    def __init__(self, scans: Iterable[ScanFile]) -> None:
+    def __init__(self, scans: Sequence[ScanFile]) -> None:
+        self.scans = scans
+        self.sequences = {scan.sequence for scan in scans}
         self.of_stem: dict[str, list[ScanFile]] = {}
         for scan in scans:
             self.of_stem.setdefault(scan.stem, []).append(scan)
-        self.sequences = {scan.sequence for group in self.of_stem.values() for scan in group}
-
-    def only(self) -> ScanFile | None:
-        """Return the scan of a data set of one."""
-        groups = [*self.of_stem.values()]
-        return groups[0][0] if len(groups) == len(groups[0]) == 1 else None
 
     def within(self, sequence: str | None, stems: Iterable[str]) -> list[ScanFile]:
         """Return the scans of some stems, in one sequence if it is named."""
-        found = [scan for stem in stems for scan in self.of_stem.get(stem, ())]
-        found = [scan for scan in found if sequence in (None, scan.sequence)]
-        return sorted(found, key=lambda scan: (scan.sequence, scan.stem))
+        scans = [scan for stem in stems for scan in self.of_stem.get(stem, ())]
+        fitting = [scan for scan in scans if sequence in (None, scan.sequence)]
+        return sorted(fitting, key=lambda scan: (scan.sequence, scan.stem))
 
 
 def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
-    """Return the scan that an edited file belongs to.
+    """Return the scan that an edited file belongs to; `source` is the file or folder named for it.
 
     It is the only scan there is, if a single file was named; or the only one of that stem, or else
     whose stem is a whole word of the file's name, as in ``000010 - Cloud.ply``. If a folder tells
     the sequence, only its scans count; so it is if the name has that of a sequence as a word.
-
-    `path`: the file, absolute; `source`: the file or folder that was named; `names`: all scans of
-    the data set, of which there is one at least.
     """
-    if not is_folder(source) and (only := names.only()):
-        return only
+    if not is_folder(source) and len(names.scans) == 1:
+        return names.scans[0]
     sequence = _sequence_of(path, source, names.sequences)
     fitting = names.within(sequence, [path.stem]) or names.within(sequence, _words(path.stem))
     if len(fitting) > 1:
@@ -97,11 +87,7 @@ def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
 
 
 def _sequence_of(path: Path, source: Path, sequences: set[str]) -> str | None:
-    """Return the sequence that the folders of a file tell, None if they do not.
-
-    It is the name of a folder in ``sequences``, or of one in the folder named or that folder
-    itself, if the data set has a sequence of that name.
-    """
+    """Return the sequence that a folder named, or below it or `sequences`, tells, None if none."""
     top = source.absolute()
     for folder in path.parents:
         if folder.parent.name == "sequences":

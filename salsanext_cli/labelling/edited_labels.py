@@ -83,36 +83,24 @@ class FileLabels:
 def read_file_labels(
     path: Path, points: Float, meanings: LabelIds, scalar: str | None = None
 ) -> FileLabels:
-    """Read the labels that a tool wrote for a scan, or for a part of it.
-
-    `path`: a cloud with a label scalar, whose points are matched by their coordinates; or a
-    `.label` or `.npy` file with a label for each point of the scan, in its order; `points` (N, 3)
-    float32, of the scan, metres; `meanings`: raw ids of the tool's ids; `scalar`: as
-    `read_labelled_cloud` takes it.
-    """
-    if path.suffix.lower() in READERS:
-        cloud = read_labelled_cloud(path, scalar)
-        _require_known(path, cloud, meanings)
-        found = transfer_labels(points, cloud.points, meanings.to_raw(cloud.ids))
-        _require_same_scan(path, found)
-    else:
-        cloud = _of_all_points(path, points)
-        _require_known(path, cloud, meanings)
-        everywhere = np.ones(len(points), bool)
-        raw = meanings.to_raw(cloud.ids)
-        nothing = np.empty(0)
-        found = LabelTransfer(raw, everywhere, ~everywhere, everywhere, nothing, len(points))
-    return FileLabels(found, cloud.scalar)
+    """Read the labels that a tool wrote for points (N, 3), matched by place or by order."""
+    has_points = path.suffix.lower() in READERS
+    cloud = read_labelled_cloud(path, scalar) if has_points else _of_all_points(path, points)
+    if unknown := meanings.unknown(cloud.ids):
+        raise UnknownIds(path, Counter(unknown), meanings)
+    raw, every = meanings.to_raw(cloud.ids), np.ones(len(points), bool)
+    if not has_points:
+        transfer = LabelTransfer(raw, every, ~every, every, np.empty(0), len(points))
+        return FileLabels(transfer, cloud.scalar)
+    transfer = transfer_labels(points, cloud.points, raw)
+    _require_same_scan(path, transfer)
+    return FileLabels(transfer, cloud.scalar)
 
 
 def edited_labels(
     parts: Mapping[Path, FileLabels], space: LabelSpace, unlabelled: int
 ) -> EditedLabels:
-    """Return the labels that some files hold of a scan, as `merged_transfers` merges them.
-
-    `parts`: files, one at least; `space`: classes of the labels; `unlabelled`: raw id of points
-    without a label.
-    """
+    """Return the labels that files hold of a scan; points without one get the unlabelled raw id."""
     found = merged_transfers([part.found for part in parts.values()], unlabelled)
     alone = np.any([part.found.ambiguous for part in parts.values()], axis=0)
     scalar = ", ".join(sorted({part.scalar for part in parts.values()}))
@@ -144,11 +132,6 @@ def _of_all_points(path: Path, points: Float) -> LabelledCloud:
     else:
         values = read_labels(path, len(points))
     return LabelledCloud(points, whole_numbers(values, path, "label"), LABELS_ONLY)
-
-
-def _require_known(path: Path, cloud: LabelledCloud, meanings: LabelIds) -> None:
-    if unknown := meanings.unknown(cloud.ids):
-        raise UnknownIds(path, Counter(unknown), meanings)
 
 
 def _require_same_scan(path: Path, found: LabelTransfer) -> None:

@@ -33,8 +33,8 @@ from salsanext_cli.labelling.edited_labels import (
     edited_labels,
     read_file_labels,
 )
-from salsanext_cli.labelling.label_import import LabelImport
 from salsanext_cli.labelling.label_records import (
+    LabelImport,
     LabelRecords,
     first_guesses,
     labels_root,

@@ -18,8 +18,14 @@ from salsanext_cli.errors import NOTICE, NoInputError, counted
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.labelling.label_records import name_of
-from salsanext_cli.labelling.picked_data_set import SHEET, TABLE, PickedDataSet
-from salsanext_cli.labelling.picked_scans import STAGE, PickedScan, PickRecord
+from salsanext_cli.labelling.picked_data_set import (
+    SHEET,
+    STAGE,
+    TABLE,
+    PickedDataSet,
+    PickedScan,
+    PickRecord,
+)
 from salsanext_cli.labelling.scan_choice import choose_scans, require_choice
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import ScanSelection
