@@ -129,15 +129,10 @@ class PickedDataSet(OwnedFolder):
             content = encode_bin(read_scan(file.path, replace(sensor, intensity_scale=1.0)))
         self.write_missing(self.paths(file.sequence, file.stem).points, content)
 
-    def write_guesses(self, labels: Mapping[ScanFile, bytes]) -> None:
+    def write_guesses(self, record: PickRecord, labels: Mapping[ScanFile, bytes]) -> None:
         """Write the labels of scans that the network guessed, and record that they are guesses."""
         paths = {file: self.paths(file.sequence, file.stem).labels for file in labels}
         missing = {file: content for file, content in labels.items() if not filled(paths[file])}
-        if not missing:
-            return
-        if (record := self._record()) is None:
-            remedy = "run again"
-            raise OutputError(self.record_path, "was removed during the run", remedy=remedy)
         digests = {name_of(file): hashlib.sha256(missing[file]).hexdigest() for file in missing}
         guesses = dict(sorted({**record.guesses, **digests}.items()))
         # Recorded first: in a run that is cut off nothing passes for labels of a person.

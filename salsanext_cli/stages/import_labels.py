@@ -26,12 +26,14 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.label_scalars import LabelIds
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.formats.recordings import recording_of
-from salsanext_cli.labelling.edited_files import ScanNames, find_edited, scan_of_edited
-from salsanext_cli.labelling.edited_labels import (
+from salsanext_cli.labelling.edited_files import (
     FileLabels,
+    ScanNames,
     UnknownIds,
     edited_labels,
+    find_edited,
     read_file_labels,
+    scan_of_edited,
 )
 from salsanext_cli.labelling.label_records import (
     LabelImport,

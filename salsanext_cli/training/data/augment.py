@@ -125,7 +125,7 @@ def mix(even: LabelledScan, odd: LabelledScan, board: Checkerboard) -> LabelledS
 def paste(
     onto: LabelledScan, pasted: LabelledScan, angles: npt.NDArray[np.float64]
 ) -> LabelledScan:
-    """Return a scan and, for each angle (radians), far points of another turned about z by it."""
+    """Return a scan with points of another beside it, turned about z by each angle (radians)."""
     points = pasted[0].points
     with np.errstate(invalid="ignore", over="ignore"):
         clear = np.hypot(points[:, 0], points[:, 1]) > CLEAR_RADIUS_M

@@ -60,7 +60,7 @@ class Source:
         return self.fitted.get(file.sequence, self.sensor)
 
     def read(self, file: ScanFile, sets: ClassSets) -> LabelledScan:
-        """Read a scan without the vehicle, as its sensor and training see it, and its targets."""
+        """Read a scan, but the vehicle's points, in the sensor's frame, and its targets, (N,)."""
         own = self.sensor_of(file)
         scan, targets = read_labelled(file, self.space, own, sets)
         scan = in_sensor_frame(scan, own)
