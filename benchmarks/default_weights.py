@@ -35,9 +35,13 @@ from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.augment import rotate
 from salsanext_cli.training.data.class_counts import class_shares
 from salsanext_cli.training.data.sources import labelled_split
-from salsanext_cli.training.tuning.error import FOLDS, cross_validated
-from salsanext_cli.training.tuning.judged_points import JudgedPoints, judged_points
-from salsanext_cli.training.tuning.labelled_images import VALIDATION, labelled_scans
+from salsanext_cli.training.tuning.error import (
+    FOLDS,
+    JudgedPoints,
+    cross_validated,
+    judged_points,
+)
+from salsanext_cli.training.tuning.scans import VALIDATION, labelled_scans
 
 HELD_OUT = 10
 """Scans of PandaSet that every validation scores, and that the temperature is fitted on too."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Share of holes in the range images of sensors: the table of `salsanext_cli.training.data.noise`.
+"""Share of holes in the range images of sensors: `HOLE_SHARES` of `training.data.other_sensors`.
 
 A hole is an empty pixel with measured ones to its left and right, few pixels apart. Each scan is
 seen as the default weights see it, in 64 x 512 pixels of the view that is fitted to its sensor; no
@@ -24,7 +24,7 @@ from salsanext_cli.records import Float
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.sensors.sensor import Sensor
-from salsanext_cli.training.data.noise import HOLE_SHARES, hole_cells
+from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 
 KINDS, BINS = HOLE_SHARES.shape
 TITLES = ("all", *(f"bin {k + 1}" for k in range(BINS)), "go on")

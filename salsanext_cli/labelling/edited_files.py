@@ -1,24 +1,49 @@
 # SPDX-License-Identifier: MIT
-"""Files that labelling tools have written, and the scans that they belong to."""
+"""Files that labelling tools have written: the scans that they belong to, and their labels."""
 
-import os
-from collections.abc import Iterable
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 
-from salsanext_cli.errors import LabelError, NoInputError, first_few
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.errors import LabelError, NoInputError, counted, first_few
 from salsanext_cli.files.reading import is_folder, present
-from salsanext_cli.formats.label_scalars import READERS
+from salsanext_cli.formats.label_scalars import (
+    READERS,
+    LabelIds,
+    LabelledCloud,
+    read_labelled_cloud,
+    whole_numbers,
+)
+from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.npy import read_integers
+from salsanext_cli.geometry.label_transfer import (
+    TOLERANCE_M,
+    LabelTransfer,
+    merged_transfers,
+    transfer_labels,
+)
+from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, counted_by_suffix
 
 EDITED_SUFFIXES = (*READERS, ".label", ".npy")
 """Suffixes of files with labels, upper or lower case."""
+MAX_UNMATCHED = 0.01
+"""Largest share of the points of a cloud that may be none of the scan's."""
+ROUNDED_M = 0.05
+"""Distance up to which coordinates were probably rounded; other scans are farther away."""
+LABELS_ONLY = "labels"
+"""Stands for the scalar of files that hold nothing else."""
 
 
 def find_edited(source: Path) -> list[Path]:
-    """Return a file with labels, or those in a folder and below it, absolute and sorted.
-
-    What is hidden is left out.
-    """
+    """Return a file with labels, or those in a folder and below it that are not hidden, sorted."""
     expected = f"labels: {', '.join(EDITED_SUFFIXES)} files"
     if not present(source):
         raise NoInputError(source, "no such file or folder", expected)
@@ -27,7 +52,9 @@ def find_edited(source: Path) -> list[Path]:
             found = f"a {source.suffix} file" if source.suffix else "has no suffix"
             raise NoInputError(source, found, expected, "save it as .ply, in CloudCompare too")
         return [source.absolute()]
-    files = sorted(_files_below(source.absolute()))
+    top = source.absolute()
+    below = (path for path in top.rglob("*") if not path.is_dir())
+    files = sorted(p for p in below if not any(n[0] == "." for n in p.relative_to(top).parts))
     edited = [path for path in files if _is_edited(path)]
     if not edited:
         others = f", but {counted_by_suffix(files)}" if files else ""
@@ -39,47 +66,32 @@ def _is_edited(path: Path) -> bool:
     return path.suffix.lower() in EDITED_SUFFIXES
 
 
-def _files_below(folder: Path) -> list[Path]:
-    found = []
-    for place, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        found += [Path(place, name) for name in names if not name.startswith(".")]
-    return found
-
-
 class ScanNames:
     """Scans of a data set by their stems, for `scan_of_edited`."""
 
-    def __init__(self, scans: Iterable[ScanFile]) -> None:
+    def __init__(self, scans: Sequence[ScanFile]) -> None:
+        self.scans = scans
+        self.sequences = {scan.sequence for scan in scans}
         self.of_stem: dict[str, list[ScanFile]] = {}
         for scan in scans:
             self.of_stem.setdefault(scan.stem, []).append(scan)
-        self.sequences = {scan.sequence for group in self.of_stem.values() for scan in group}
-
-    def only(self) -> ScanFile | None:
-        """Return the scan of a data set of one."""
-        groups = [*self.of_stem.values()]
-        return groups[0][0] if len(groups) == len(groups[0]) == 1 else None
 
     def within(self, sequence: str | None, stems: Iterable[str]) -> list[ScanFile]:
         """Return the scans of some stems, in one sequence if it is named."""
-        found = [scan for stem in stems for scan in self.of_stem.get(stem, ())]
-        found = [scan for scan in found if sequence in (None, scan.sequence)]
-        return sorted(found, key=lambda scan: (scan.sequence, scan.stem))
+        scans = [scan for stem in stems for scan in self.of_stem.get(stem, ())]
+        fitting = [scan for scan in scans if sequence in (None, scan.sequence)]
+        return sorted(fitting, key=lambda scan: (scan.sequence, scan.stem))
 
 
 def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
-    """Return the scan that an edited file belongs to.
+    """Return the scan that an edited file belongs to; `source` is the file or folder named for it.
 
     It is the only scan there is, if a single file was named; or the only one of that stem, or else
     whose stem is a whole word of the file's name, as in ``000010 - Cloud.ply``. If a folder tells
     the sequence, only its scans count; so it is if the name has that of a sequence as a word.
-
-    `path`: the file, absolute; `source`: the file or folder that was named; `names`: all scans of
-    the data set, of which there is one at least.
     """
-    if not is_folder(source) and (only := names.only()):
-        return only
+    if not is_folder(source) and len(names.scans) == 1:
+        return names.scans[0]
     sequence = _sequence_of(path, source, names.sequences)
     fitting = names.within(sequence, [path.stem]) or names.within(sequence, _words(path.stem))
     if len(fitting) > 1:
@@ -97,11 +109,7 @@ def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
 
 
 def _sequence_of(path: Path, source: Path, sequences: set[str]) -> str | None:
-    """Return the sequence that the folders of a file tell, None if they do not.
-
-    It is the name of a folder in ``sequences``, or of one in the folder named or that folder
-    itself, if the data set has a sequence of that name.
-    """
+    """Return the sequence that a folder above a file names, None if none does."""
     top = source.absolute()
     for folder in path.parents:
         if folder.parent.name == "sequences":
@@ -117,3 +125,117 @@ def _words(text: str) -> set[str]:
     starts = [i for i in borders if not text[:i][-1:].isalnum()]
     ends = [i for i in borders if not text[i:][:1].isalnum()]
     return {text[start:end] for start in starts for end in ends if start < end}
+
+
+class UnknownIds(LabelError):  # noqa: N818 - the name says what is wrong
+    """Ids of a file that mean nothing; `points` has their numbers of points."""
+
+    def __init__(self, subject: object, points: Counter[int], meanings: LabelIds) -> None:
+        listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(points.items()))
+        super().__init__(
+            subject,
+            f"unknown label ids {listed}",
+            meanings.described(),
+            "map a tool's own ids with --map",
+        )
+        self.points = points
+
+
+@dataclass(frozen=True, slots=True)
+class EditedLabels:
+    """Labels of the points of a scan."""
+
+    raw: RawIds  # (N,) uint32: raw ids, with instances; the unlabelled one where there is no label
+    labelled: int  # Number of points of a class that counts
+    unlabelled: int  # Number of points that were left unlabelled, or given another ignored class
+    # Number of points with several labels, and of those that the files lack; together the four
+    # numbers are N
+    ambiguous: int
+    missing: int
+    unmatched: int  # Number of points of the files that are none of the scan's
+    contradicted: int  # Number of ambiguous points that each file has one label of
+    scalar: str  # Scalar that held the labels, or several
+
+    def numbers(self) -> dict[str, int | str]:
+        """Return all but the labels, as records and JSON have it."""
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "raw"}
+
+
+@dataclass(frozen=True, slots=True)
+class FileLabels:
+    """Labels of the points of a scan in one file, and the name of the scalar that holds them."""
+
+    found: LabelTransfer
+    scalar: str
+
+
+def read_file_labels(
+    path: Path, points: Float, meanings: LabelIds, scalar: str | None = None
+) -> FileLabels:
+    """Read the labels that a tool wrote for points (N, 3), matched by place or by order."""
+    has_points = path.suffix.lower() in READERS
+    cloud = read_labelled_cloud(path, scalar) if has_points else _of_all_points(path, points)
+    if unknown := meanings.unknown(cloud.ids):
+        raise UnknownIds(path, Counter(unknown), meanings)
+    raw, every = meanings.to_raw(cloud.ids), np.ones(len(points), bool)
+    if not has_points:
+        transfer = LabelTransfer(raw, every, ~every, every, np.empty(0), len(points))
+        return FileLabels(transfer, cloud.scalar)
+    transfer = transfer_labels(points, cloud.points, raw)
+    _require_same_scan(path, transfer)
+    return FileLabels(transfer, cloud.scalar)
+
+
+def edited_labels(
+    parts: Mapping[Path, FileLabels], space: LabelSpace, unlabelled: int
+) -> EditedLabels:
+    """Return the labels that files hold of a scan; points without one get the unlabelled raw id."""
+    found = merged_transfers([part.found for part in parts.values()], unlabelled)
+    alone = np.any([part.found.ambiguous for part in parts.values()], axis=0)
+    scalar = ", ".join(sorted({part.scalar for part in parts.values()}))
+    raw = found.filled(unlabelled)
+    labelled = int(space.scored[space.to_train(raw, strict=False)].sum())
+    if not labelled:
+        text = f"{scalar}: none of the {counted(len(raw), 'point')} has a class that counts"
+        remedy = "label some, or name the scalar with --scalar"
+        raise LabelError(first_few([*parts]), text, "at least one", remedy)
+    return EditedLabels(
+        raw,
+        labelled,
+        int(found.known.sum()) - labelled,
+        int(found.ambiguous.sum()),
+        int(found.missing.sum()),
+        len(found.unmatched),
+        int((found.ambiguous & ~alone).sum()),
+        scalar,
+    )
+
+
+def _of_all_points(path: Path, points: Float) -> LabelledCloud:
+    """Read a file of labels only, one for each point in order."""
+    if path.suffix.lower() == ".npy":
+        values: npt.NDArray[np.integer] = read_integers(path)
+        if len(values) != len(points):
+            found, expected = counted(len(values), "label"), f"{len(points):,}, one per point"
+            raise LabelError(path, found, f"{expected} of the scan", "use those of this scan")
+    else:
+        values = read_labels(path, len(points))
+    return LabelledCloud(points, whole_numbers(values, path, "label"), LABELS_ONLY)
+
+
+def _require_same_scan(path: Path, found: LabelTransfer) -> None:
+    """Refuse a cloud of which too many points are none of the scan's."""
+    count = len(found.unmatched)
+    if count <= MAX_UNMATCHED * found.cloud_points:
+        return
+    distance = float(np.median(found.unmatched))
+    cause = "it is of another scan, or its coordinates were shifted, turned or scaled"
+    if distance < ROUNDED_M:
+        cause = "its coordinates were rounded or moved: save it with more digits"
+    raise LabelError(
+        path,
+        f"{count:,} of its {found.cloud_points:,} points are none of the scan's, but "
+        f"{distance:.3g} m from the nearest (median)",
+        f"all within {1000 * TOLERANCE_M:g} mm of one",
+        cause,
+    )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Record of imported labels, and the label files that still hold the first guess of a network.
+"""Imports of labels, their record, and label files that still hold the first guess of a network.
 
 ``ROOT/pick.json`` has the SHA-256 of each label file that `pick` wrote, and
 ``ROOT/import-labels.json`` that of each imported one, by sequence/scan. A label file is a first
@@ -9,11 +9,16 @@ guess while it is as `pick` wrote it and was not imported; copies of a data set 
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.errors import LabelError, counted
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import LabelError, SalsanextError, counted
 from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile
@@ -25,6 +30,49 @@ PICKED, GUESSES = "pick.json", "guesses"
 """Record of `pick`, and its key for the digests."""
 STAGE = "import-labels"
 IMPORTED = f"{STAGE}.json"
+LARGEST_CLASSES = 5
+"""Classes that the result of an import names."""
+
+
+@dataclass(slots=True)
+class LabelImport:
+    """Result of an import of labels."""
+
+    space: LabelSpace  # Classes of the labels
+    class_points: npt.NDArray[np.int64]  # (C,) int64: number of imported points by train id
+    # Of each imported scan: `scan` as sequence/stem, its `files`, `scalar`, number of `points`,
+    # `labelled`, `unlabelled`, `ambiguous`, `missing` and `unmatched`, as `EditedLabels` has them
+    scans: list[dict[str, Any]] = field(default_factory=list)
+    # What was not imported: `files`, `reason` and `code` of the error
+    failures: list[dict[str, Any]] = field(default_factory=list)
+    # Files that hold the first guess of `pick`, all of it; they are not imported
+    unedited: list[str] = field(default_factory=list)
+    kept: int = 0  # Number of scans of the data set that keep the labels they have, or have none
+    # Scans of the data set whose label file is still the first guess, as sequence/stem
+    first_guesses: list[str] = field(default_factory=list)
+
+    def largest_classes(self) -> dict[str, float]:
+        """Return the share of the labelled points, 0…1, of the largest classes, by name."""
+        points = np.where(self.space.scored, self.class_points, 0)
+        largest = np.argsort(-points, kind="stable")[:LARGEST_CLASSES]
+        return {self.space.names[i]: float(points[i] / points.sum()) for i in largest if points[i]}
+
+    def fail(self, files: Iterable[Path], error: SalsanextError) -> None:
+        """Note files that are not imported."""
+        named = {"files": [str(path) for path in files]}
+        self.failures.append(named | {"reason": str(error), "code": error.code})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            "stage": STAGE,
+            "scans": self.scans,
+            "failures": self.failures,
+            "unedited": self.unedited,
+            "kept": self.kept,
+            "first_guesses": self.first_guesses,
+            "largest_classes": self.largest_classes(),
+        }
 
 
 def labels_root(scan: ScanFile) -> Path:
@@ -39,10 +87,7 @@ def name_of(scan: ScanFile) -> str:
 
 
 class LabelRecords:
-    """Records of the labels of a data set.
-
-    `root`: what `labels_root` returns.
-    """
+    """Records of the labels of a data set, in its `labels_root`."""
 
     def __init__(self, root: Path) -> None:
         self.owned = OwnedFolder(root, STAGE)
@@ -52,7 +97,7 @@ class LabelRecords:
         return _table(self.owned.root / PICKED, GUESSES)
 
     @cached_property
-    def _imported(self) -> dict[str, Any]:
+    def _imported(self) -> dict[str, dict[str, Any]]:
         return _table(self.owned.record_path, "scans")
 
     @cached_property
@@ -68,8 +113,7 @@ class LabelRecords:
         if name_of(scan) not in self._guesses or not present(scan.label_path):
             return False
         digest = digest_of_file(scan.label_path)
-        earlier = self._imported.get(name_of(scan))
-        confirmed = isinstance(earlier, Mapping) and earlier.get("sha256") == digest
+        confirmed = self._imported.get(name_of(scan), {}).get("sha256") == digest
         return self.is_guess(scan, digest) and not confirmed
 
     def is_replaceable(self, scan: ScanFile, edited: Iterable[Path], contradicted: int = 0) -> bool:
@@ -79,13 +123,10 @@ class LabelRecords:
         not among theirs, which may hold other points, nor from files that contradicted each other
         in fewer points.
         """
-        path, earlier = scan.label_path, self._imported.get(name_of(scan))
-        about = earlier if isinstance(earlier, Mapping) else {"files": []}
-        files, before = about.get("files"), about.get("contradicted")
-        known = files if isinstance(files, list) else ["?"]
-        imported = Counter(Path(str(file)).name for file in known)
+        path, earlier = scan.label_path, self._imported.get(name_of(scan), {})
+        imported = Counter(Path(file).name for file in earlier.get("files", ()))
         lost = imported - Counter(file.name for file in edited)
-        more = imported and contradicted > (before if isinstance(before, int) else 0)
+        more = imported and contradicted > earlier.get("contradicted", 0)
         if (lost or more) and present(path):
             return False
         changed = self.owned.others([path], self._states)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Data set of picked scans: its files, and what a user changed in it."""
+"""Data set of picked scans: its record, its files, and what a user changed in it."""
 
 import hashlib
 import logging
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,12 +17,13 @@ from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.labelling.label_records import IMPORTED, digest_of_file, name_of
-from salsanext_cli.labelling.picked_scans import STAGE, PickedScan, PickRecord
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.stage_records import require_same_settings
 from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.version import __version__
 
+STAGE = "pick"
 LABEL_SPACE, TABLE, SHEET = "labels.yaml", "picked.csv", "picked.png"
 POSES, CALIBRATION = "poses.txt", "calib.txt"
 COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
@@ -31,14 +32,60 @@ COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
 log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True)
+class PickedScan:
+    """A picked scan, as record, table and JSON have it."""
+
+    rank: int  # From 1, the scan most worth labelling
+    sequence: str  # Its sequence and its name without suffix
+    scan: str
+    uncertainty: float  # Mean mutual information of its pixels, nats
+    # Distance to the nearest scan picked before, 1 being that of two scans of the source (root mean
+    # square); None for the first
+    distance: float | None
+    nearest: str | None  # That scan, as sequence/scan
+    reason: str  # In words
+
+    @property
+    def name(self) -> str:
+        """Sequence and scan."""
+        return f"{self.sequence}/{self.scan}"
+
+
+@dataclass(frozen=True, slots=True)
+class PickRecord:
+    """Record of a run of `pick`."""
+
+    # Resolved settings that decide what is picked, as JSON gives them back
+    settings: dict[str, Any]
+    picked: list[PickedScan]  # In the order of their rank
+    # `scan`, `reason` and `code` of each scan that could not be looked at
+    failures: list[dict[str, str]]
+    warnings: list[dict[str, Any]]  # Reasons to doubt scans, as `RunSummary.warnings` lists them
+    # SHA-256 of the guessed labels that were written, by name of the scan
+    guesses: dict[str, str] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content of the record's file."""
+        return {"stage": STAGE, "version": __version__, **asdict(self)}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], path: Path) -> "PickRecord":
+        """Read what `to_dict` returned from a file; `OutputError` if it is something else."""
+        try:
+            picked = [PickedScan(**row) for row in data["picked"]]
+            settings, guesses = dict(data["settings"]), dict(data["guesses"])
+            return cls(settings, picked, data["failures"], data["warnings"], guesses)
+        except (TypeError, KeyError, ValueError) as error:
+            remedy = "delete it or use another folder"
+            raise OutputError(path, f"not what `{STAGE}` writes", remedy=remedy) from error
+
+
 def pose_lines(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> bytes:
-    """Return the lines of some scans of a sequence, in their order.
+    """Return the lines of the wanted ones of all scans of a sequence, sorted stems.
 
     A file with a line for each scan that is there is in the order of their names; in another one,
     as KITTI's of a whole drive, a scan's name is the number of its line, from 0.
-
-    `path`: the file; `scans`: names of all scans of the sequence that are there, sorted, without
-    suffix; `wanted`: those of some of them.
     """
     with reading(path) as file:
         lines = [line.strip() for line in file.read().splitlines() if line.strip()]
@@ -74,10 +121,7 @@ class PickedDataSet(OwnedFolder):
         return ScanPaths(folder / SCAN_FOLDER / f"{stem}.bin", labels, cloud)
 
     def write_points(self, file: ScanFile, sensor: Sensor) -> None:
-        """Write a scan as `.bin`: a file that is one byte by byte, of others what they hold.
-
-        Their intensity is that of the file; bytes are divided by 255.
-        """
+        """Write a scan as `.bin`, byte by byte if it is one, with the intensity of its file."""
         if scan_suffix(file.path.name) == ".bin" and sensor.columns in COPIED_COLUMNS:
             with reading(file.path) as source:
                 content = source.read()
@@ -85,20 +129,13 @@ class PickedDataSet(OwnedFolder):
             content = encode_bin(read_scan(file.path, replace(sensor, intensity_scale=1.0)))
         self.write_missing(self.paths(file.sequence, file.stem).points, content)
 
-    def write_guesses(self, labels: Mapping[ScanFile, bytes]) -> None:
-        """Write the labels of scans that the network guessed, and record that they are guesses.
-
-        It is recorded first: in a run that is cut off nothing passes for labels of a person.
-        """
+    def write_guesses(self, record: PickRecord, labels: Mapping[ScanFile, bytes]) -> None:
+        """Write the labels of scans that the network guessed, and record that they are guesses."""
         paths = {file: self.paths(file.sequence, file.stem).labels for file in labels}
         missing = {file: content for file, content in labels.items() if not filled(paths[file])}
-        if not missing:
-            return
-        if (record := self._record()) is None:
-            remedy = "run again"
-            raise OutputError(self.record_path, "was removed during the run", remedy=remedy)
         digests = {name_of(file): hashlib.sha256(missing[file]).hexdigest() for file in missing}
         guesses = dict(sorted({**record.guesses, **digests}.items()))
+        # Recorded first: in a run that is cut off nothing passes for labels of a person.
         self.begin(replace(record, guesses=guesses).to_dict())
         for file, content in missing.items():
             self.write_missing(paths[file], content)
@@ -135,9 +172,7 @@ class PickedDataSet(OwnedFolder):
 
     def is_complete(self, record: PickRecord) -> bool:
         """Say whether all files are there, but for poses and calibration, which may be unknown."""
-        files = [self.root / name for name in (LABEL_SPACE, TABLE, SHEET)]
-        files += [path for each in record.picked for path in self.paths(each.sequence, each.scan)]
-        return all(map(filled, files))
+        return all(map(filled, self._certain_files(record)))
 
     def require_apart(self, scans: Iterable[ScanFile]) -> None:
         """Raise `UsageError` if the folder holds the scans to choose from."""
@@ -168,11 +203,14 @@ class PickedDataSet(OwnedFolder):
         found = self.recorded()
         return None if found is None else PickRecord.from_dict(found, self.record_path)
 
-    def _files(self, record: PickRecord) -> list[Path]:
+    def _certain_files(self, record: PickRecord) -> list[Path]:
         files = [self.root / name for name in (LABEL_SPACE, TABLE, SHEET)]
-        files += [path for each in record.picked for path in self.paths(each.sequence, each.scan)]
+        return files + [p for each in record.picked for p in self.paths(each.sequence, each.scan)]
+
+    def _files(self, record: PickRecord) -> list[Path]:
         folders = sorted({self.root / "sequences" / each.sequence for each in record.picked})
-        return files + [folder / name for folder in folders for name in (POSES, CALIBRATION)]
+        uncertain = [folder / name for folder in folders for name in (POSES, CALIBRATION)]
+        return self._certain_files(record) + uncertain
 
     def _require_unchanged(self, record: PickRecord) -> None:
         """Refuse to replace files that are not as `pick` wrote them, and imported labels."""

@@ -44,19 +44,15 @@ def choose_scans(
     seed: int = 0,
     labelled: Sequence[int] = (),
 ) -> list[Choice]:
-    """Choose the scans most worth labelling, the most valuable first.
+    """Choose the scans most worth labelling, the most valuable first; all if there are no more.
 
     "diverse" begins with the most typical scan and then takes the one farthest from all chosen.
     "uncertainty" takes the most uncertain, and "both" the one with the highest product of
     uncertainty and distance; both leave out scans nearly equal to a chosen one. "random" draws.
-    A scan equal to a chosen one comes after all others. The order of the scans matters where
-    nothing else tells them apart, and in "random".
+    A scan equal to a chosen one comes after all others.
 
-    `features` (S, F), description of each scan; features are given equal weight by their standard
-    deviation; `uncertainty` (S,), not negative; `count`: number of scans to choose, at least 1; all
-    S if there are no more; `strategy` {"both", "uncertainty", "diverse", "random"}; `seed`: of
-    "random", not negative; `labelled`: positions of scans that count as chosen before all others,
-    and are not among those returned.
+    `features` (S, F) of each scan weigh equally, by their standard deviation; `uncertainty` (S,)
+    is not negative; `labelled` scans count as chosen before all others, and are not returned.
     """
     require_choice(count, strategy, seed)
     weights = np.asarray(uncertainty, np.float64)
@@ -89,10 +85,7 @@ def require_choice(count: int, strategy: str, seed: int) -> None:
 
 
 def standardised(features: npt.ArrayLike) -> Double:
-    """Return features of mean 0 and equal deviations, (S, ≤ F).
-
-    The root mean square distance between two scans is 1, unless all are equal.
-    """
+    """Return features (S, ≤ F) of mean 0 and equal deviations; the RMS distance of scans is 1."""
     values = np.asarray(features, np.float64)
     centred = values - values.mean(axis=0)
     deviation = np.sqrt((centred**2).sum(axis=0) / max(1, len(values) - 1))

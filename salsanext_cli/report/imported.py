@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from salsanext_cli.errors import counted, first_few
-from salsanext_cli.labelling.label_import import LabelImport
+from salsanext_cli.labelling.label_records import LabelImport
 from salsanext_cli.report.tables import number_table
 
 COUNTS = ("points", "labelled", "unlabelled", "ambiguous", "missing")

@@ -26,15 +26,22 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.label_scalars import LabelIds
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.formats.recordings import recording_of
-from salsanext_cli.labelling.edited_files import ScanNames, find_edited, scan_of_edited
-from salsanext_cli.labelling.edited_labels import (
+from salsanext_cli.labelling.edited_files import (
     FileLabels,
+    ScanNames,
     UnknownIds,
     edited_labels,
+    find_edited,
     read_file_labels,
+    scan_of_edited,
 )
-from salsanext_cli.labelling.label_import import LabelImport
-from salsanext_cli.labelling.label_records import LabelRecords, first_guesses, labels_root, name_of
+from salsanext_cli.labelling.label_records import (
+    LabelImport,
+    LabelRecords,
+    first_guesses,
+    labels_root,
+    name_of,
+)
 from salsanext_cli.parallel.options import Progress
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space, space_of

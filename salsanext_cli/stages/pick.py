@@ -18,8 +18,14 @@ from salsanext_cli.errors import NOTICE, NoInputError, counted
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.labelling.label_records import name_of
-from salsanext_cli.labelling.picked_data_set import SHEET, TABLE, PickedDataSet
-from salsanext_cli.labelling.picked_scans import STAGE, PickedScan, PickRecord
+from salsanext_cli.labelling.picked_data_set import (
+    SHEET,
+    STAGE,
+    TABLE,
+    PickedDataSet,
+    PickedScan,
+    PickRecord,
+)
 from salsanext_cli.labelling.scan_choice import choose_scans, require_choice
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import ScanSelection
@@ -198,7 +204,7 @@ def _written(
 
     picked = [files[each.name] for each in record.picked if each.name in files]
     outcome = run_over_scans(task, picked, options, on_result=keep)
-    data_set.write_guesses({guess.file: guess.labels for guess in guesses.values()})
+    data_set.write_guesses(record, {guess.file: guess.labels for guess in guesses.values()})
     written = [each for each in record.picked if each.name in guesses]
     data_set.write_label_space(space, record.picked)
     data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))

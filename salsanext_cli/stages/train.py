@@ -30,7 +30,6 @@ from salsanext_cli.training.data.sources import (
     scans_to_train_on,
     training_sources,
 )
-from salsanext_cli.training.data.targets import class_sets
 from salsanext_cli.training.distributed import group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.initial_network import initial_network
@@ -46,8 +45,8 @@ from salsanext_cli.training.run_folder import (
     begin,
     recorded_precision,
     require_free,
+    training_settings,
 )
-from salsanext_cli.training.settings import training_settings
 from salsanext_cli.training.setup import Setup, require_pixels
 
 SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0
@@ -153,7 +152,6 @@ def train(
             ),
             sources=sources,
             counts=counts,
-            sets=class_sets(source.space for source in sources),
             settings=settings,
             place=place,
             group=group,
@@ -161,7 +159,6 @@ def train(
             overwrite=overwrite,
             draw=draw_sample,
             report=progress,
-            held=held,
         )
         outlook = None if validation else setup.cross_validated()
         setup = setup if validation else setup.after(outlook)

@@ -18,9 +18,8 @@ from salsanext_cli.results.selection import select_evenly
 from salsanext_cli.training.tuning.batchnorm import fit_batchnorm, require_batchnorm
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout, require_dropout_search
 from salsanext_cli.training.tuning.error import fit_error_model
-from salsanext_cli.training.tuning.labelled_images import VALIDATION, labelled_scans
+from salsanext_cli.training.tuning.scans import VALIDATION, Tuned, TuningScans, labelled_scans
 from salsanext_cli.training.tuning.temperature import fit_temperature
-from salsanext_cli.training.tuning.tuning import Tuned, TuningScans
 
 FITS: dict[str, Callable[..., Tuned]] = {
     "temperature": fit_temperature,

@@ -13,44 +13,30 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import safetensors
 import safetensors.torch
 import torch
 from torch import Tensor
 
-from salsanext_cli.errors import FormatError, TrainingError, error_text, shortened
-from salsanext_cli.files.reading import reading
+from salsanext_cli.errors import TrainingError, error_text
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row
 
 KEY = "salsanext-checkpoint"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""
-MAX_HEADER_BYTES = 16 << 20
-"""Bound of the header: many times the size of thousands of epochs, a twentieth of their memory."""
 OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
 """Names of the tensors that torch's optimisers keep for each parameter."""
-DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.int64: "I64"}
-"""Types of a checkpoint's tensors, as safetensors names them."""
-DAMAGE = (
-    *(FormatError, safetensors.SafetensorError, OSError, ArithmeticError, LookupError, TypeError),
-    *(ValueError, RecursionError, RuntimeError),
-)
-"""Errors that reading a damaged checkpoint may end in."""
 
 
 @dataclass(slots=True)
 class TrainingState:
-    """Progress of a training: finished epochs, best validation mIoU (-1 before the first), log.
+    """Progress of a training."""
 
-    `losses` and `seconds` are of the steps that are done of the current epoch.
-    """
-
-    epoch: int = 0
-    best: float = -1.0
+    epoch: int = 0  # Number of finished epochs
+    best: float = -1.0  # Best validation mIoU; -1 before the first
     rows: list[Row] = field(default_factory=list)
-    losses: list[float] = field(default_factory=list)
-    seconds: float = 0.0
+    losses: list[float] = field(default_factory=list)  # Of the steps done of the current epoch
+    seconds: float = 0.0  # That they took
 
 
 def save_checkpoint(path: Path, learner: Learner, state: TrainingState) -> None:
@@ -69,24 +55,22 @@ def save_checkpoint(path: Path, learner: Learner, state: TrainingState) -> None:
 
 
 def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
-    """Restore a saved state; no more is read than the learner has room for.
-
-    A file that is damaged or of another network or optimiser raises `TrainingError`.
-    """
+    """Restore a saved state; `TrainingError` if damaged or of another network or optimiser."""
     try:
-        tensors, values = _read(path, learner)
+        with safetensors.safe_open(path, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in list(file.keys())}
+            values = json.loads((file.metadata() or {})[KEY])
         if values.pop("sha256") != _checksum(values, tensors):
             raise ValueError("the checksum is wrong")
+        _require_fitting(tensors, learner)
         state = TrainingState(**values["progress"], losses=tensors.pop("losses").tolist())
-        _require_numbers(state, learner.recipe.epochs)
-        scaler = values["scaler"]
-        if {k: type(v) for k, v in scaler.items()} != {
-            k: type(v) for k, v in learner.scaler.state_dict().items()
-        }:
+        if state.epoch > learner.recipe.epochs:
+            raise ValueError(f"epoch {state.epoch} of {learner.recipe.epochs}")
+        if values["scaler"].keys() != learner.scaler.state_dict().keys():
             raise TypeError("a scaler of another precision")
-        learner.scaler.load_state_dict(scaler)
+        learner.scaler.load_state_dict(values["scaler"])
         _restore(learner, tensors)
-    except DAMAGE as error:
+    except Exception as error:  # a damaged file may lead to any
         raise TrainingError(
             path,
             f"cannot be resumed from: {error_text(error)}",
@@ -104,35 +88,8 @@ def _networks(learner: Learner) -> dict[str, Tensor]:
     return named
 
 
-def _read(path: Path, learner: Learner) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Return tensors and values of a file that holds what the learner needs, and no more."""
-    with reading(path) as file:
-        length = int.from_bytes(file.read(8), "little")
-    if length > MAX_HEADER_BYTES:
-        raise ValueError(f"a header of {length} bytes")
-    with safetensors.safe_open(path, framework="pt") as file:
-        names = set(file.keys())
-        wanted = _networks(learner)
-        for name, parameter in learner.module.named_parameters():
-            state = {f"optimiser.{name}.{k}": k for k in OPTIMISER_STATE[learner.recipe.optimiser]}
-            if names & state.keys():
-                step = torch.zeros(())
-                wanted |= {key: step if k == "step" else parameter for key, k in state.items()}
-        if unlike := names ^ {*wanted, "losses"}:
-            raise ValueError(f"{min(unlike)} is of another network or optimiser, or is missing")
-        for name, tensor in wanted.items():
-            slot = file.get_slice(name)
-            if slot.get_dtype() != DTYPES[tensor.dtype] or slot.get_shape() != [*tensor.shape]:
-                raise ValueError(f"{name} is of another type or shape")
-        losses = file.get_slice("losses")
-        if losses.get_dtype() != "F64" or len(losses.get_shape()) != 1:
-            raise ValueError("losses is of another type or shape")
-        values = json.loads((file.metadata() or {})[KEY])
-        return {name: file.get_tensor(name) for name in names}, values
-
-
 def _checksum(values: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
-    """Return the SHA-256 of values and tensors."""
+    """Return the SHA-256 of values and tensors, but for the types and shapes of these."""
     digest = hashlib.sha256(json.dumps(values).encode())
     for name, tensor in sorted(tensors.items()):
         digest.update(name.encode())
@@ -140,17 +97,21 @@ def _checksum(values: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
     return digest.hexdigest()
 
 
-def _require_numbers(state: TrainingState, epochs: int) -> None:
-    """Raise `TypeError` unless a state is of plain numbers."""
-    if type(state.epoch) is not int or not 0 <= state.epoch <= epochs:
-        raise TypeError(f"epoch {shortened(state.epoch)} of {epochs}")
-    numbers = [state.best, state.seconds]
-    for row in state.rows:
-        numbers += [row["epoch"], row["loss"], *row.values()]
-    if any(type(number) not in (int, float) for number in numbers):
-        raise TypeError("a log that is not of numbers")
-    # An integer may be too large for a float.
-    sum(map(float, numbers))
+def _require_fitting(tensors: Mapping[str, Tensor], learner: Learner) -> None:
+    """Raise `ValueError` unless tensors are those of the learner, in type and shape too."""
+    wanted = {"losses": torch.empty(tensors["losses"].numel(), dtype=torch.float64)}
+    wanted |= _networks(learner)
+    for name, parameter in learner.module.named_parameters():
+        keys = {f"optimiser.{name}.{key}": key for key in OPTIMISER_STATE[learner.recipe.optimiser]}
+        # Parameters have none before the first step, or if they are never used.
+        if tensors.keys() & keys.keys():
+            step = torch.zeros(())
+            wanted |= {key: step if k == "step" else parameter for key, k in keys.items()}
+    if unlike := tensors.keys() ^ wanted.keys():
+        raise ValueError(f"{min(unlike)} is of another network or optimiser, or is missing")
+    for name, tensor in wanted.items():
+        if tensors[name].dtype != tensor.dtype or tensors[name].shape != tensor.shape:
+            raise ValueError(f"{name} is of another type or shape")
 
 
 @torch.no_grad()

@@ -14,39 +14,35 @@ from salsanext_cli.training.log import Row
 def folds(files: Sequence[ScanFile], count: int) -> list[list[ScanFile]]:
     """Divide scans, in order of sequences, into at most `count` folds, each to be left out once.
 
-    Scans of one place are much alike, so that a fold takes whole sequences, the longest first, each
-    to the fold with the fewest scans so far. The scans of a single sequence are divided into
-    neighbours.
+    Scans of one place are much alike: a fold takes whole sequences, or neighbours of a single one.
     """
     sequences = [list(members) for _, members in groupby(files, lambda file: file.sequence)]
     if len(sequences) == 1:
         parts = np.array_split(np.arange(len(files)), min(count, len(files)))
         return [[files[i] for i in part] for part in parts]
-    found: list[list[ScanFile]] = [[] for _ in range(min(count, len(sequences)))]
+    divided: list[list[ScanFile]] = [[] for _ in range(min(count, len(sequences)))]
     for sequence in sorted(sequences, key=len, reverse=True):
-        min(found, key=len).extend(sequence)
-    return [sorted(fold, key=files.index) for fold in found]
+        min(divided, key=len).extend(sequence)
+    return [sorted(fold, key=files.index) for fold in divided]
 
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
     """Scores on scans left out, which tell what to expect of new ones.
 
-    `epochs` is the number of epochs with the highest mean IoU over the folds. `miou` and `accuracy`
-    are means over the folds, each after the number of epochs that the others would choose, so that
-    no scan chooses its own; the spreads are standard deviations with one degree of freedom less,
-    None of a single fold. The temperature is the geometric mean of the folds'. With `one_drive` all
-    scans are of one sequence, so that other places may be harder.
+    The scores are means over the folds, each after the number of epochs that the others would
+    choose, so that no scan chooses its own; the spreads are standard deviations with one degree of
+    freedom less, None of a single fold.
     """
 
-    epochs: int
+    epochs: int  # Number of epochs with the highest mean IoU over the folds
     miou: float
     miou_spread: float | None
     accuracy: float
     accuracy_spread: float | None
-    temperature: float
+    temperature: float  # Geometric mean of the folds'
     folds: int
-    one_drive: bool = False
+    one_drive: bool = False  # All scans are of one sequence, so that other places may be harder
 
     def scores(self) -> dict[str, float]:
         """Return what the card of weights tells."""
@@ -56,10 +52,7 @@ class Expectation:
 
 
 def expectation(logs: Sequence[Sequence[Row]], *, one_drive: bool = False) -> Expectation | None:
-    """Choose the number of epochs by the logs of the folds, None if no fold could be scored.
-
-    Folds whose scans have no class that counts do not count; of equal means the fewest epochs win.
-    """
+    """Choose the number of epochs by the logs of the folds, None if no fold could be scored."""
     validated = [
         {int(row["epoch"]): row for row in rows if row.get("miou", np.nan) == row.get("miou")}
         for rows in logs
@@ -74,16 +67,14 @@ def expectation(logs: Sequence[Sequence[Row]], *, one_drive: bool = False) -> Ex
         for rows in scored
     ]
     values = np.array([(row["miou"], row["accuracy"]) for row in own])
-    spread = values.std(axis=0, ddof=1).tolist() if len(own) > 1 else (None, None)
-    (miou, accuracy), temperatures = values.mean(axis=0), [r[epochs]["temperature"] for r in scored]
+    miou, accuracy = values.mean(axis=0).tolist()
+    spreads = values.std(axis=0, ddof=1).tolist() if len(own) > 1 else (None, None)
+    temperature = float(np.exp(np.mean([np.log(rows[epochs]["temperature"]) for rows in scored])))
     return Expectation(
-        *(epochs, float(miou), spread[0], float(accuracy), spread[1]),
-        temperature=float(np.exp(np.log(temperatures).mean())),
-        folds=len(scored),
-        one_drive=one_drive,
+        epochs, miou, spreads[0], accuracy, spreads[1], temperature, len(scored), one_drive
     )
 
 
 def _best(epochs: Sequence[int], folds: Sequence[dict[int, Row]]) -> int:
-    """Return the number of epochs with the highest mean IoU."""
+    """Return the number of epochs with the highest mean IoU, the fewest of equal ones."""
     return max(epochs, key=lambda epoch: np.mean([rows[epoch]["miou"] for rows in folds]))

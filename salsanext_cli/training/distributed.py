@@ -31,10 +31,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ProcessGroup:
-    """Place of this process among the workers; in a group of one, collectives do nothing.
-
-    The worker of rank 0 is the main one, which alone writes and reports.
-    """
+    """Place of this process among the workers; in a group of one, collectives do nothing."""
 
     rank: int = 0
     size: int = 1
@@ -103,10 +100,7 @@ def group_of_environment() -> ProcessGroup:
 
 @contextmanager
 def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
-    """Join the group of this process, and choose its device, while the body runs.
-
-    Each worker of a machine takes a GPU of its own.
-    """
+    """Join the group of this process, and choose its device, a GPU of its own if there is one."""
     group, place = group_of_environment(), torch.device(choose_device(device))
     if group.size == 1:
         yield group, place
@@ -131,13 +125,11 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
 
 
 def data_parallel(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.Module:
-    """Return what to call in training: the module, or a wrapper that sums its gradients.
-
-    On GPUs batch norm has the statistics of the whole batch; torch has none for CPUs.
-    """
+    """Return what to call in training: the module, or a wrapper that sums its gradients."""
     if group.size == 1:
         return module
     if device.type == "cuda":
+        # Statistics of the whole batch, which torch has for GPUs only.
         module = nn.SyncBatchNorm.convert_sync_batchnorm(module)  # type: ignore[no-untyped-call]
         return DistributedDataParallel(module, [device])
     if group.is_main and any(isinstance(layer, nn.BatchNorm2d) for layer in module.modules()):

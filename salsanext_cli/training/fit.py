@@ -24,7 +24,7 @@ from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, sa
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.learner import Learner, learning_rate
-from salsanext_cli.training.log import EpochWriter, Row, draw_curve, write_log
+from salsanext_cli.training.log import EpochWriter, Row, draw_curve, tensorboard_in, write_log
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
 from salsanext_cli.training.validation import validate
 
@@ -36,19 +36,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class StepReport:
-    """Progress of a training after a step, counted from 1 as epochs are.
-
-    `row` is the finished line of the log after the last step of an epoch; `fold` the number of the
-    fold of a cross-validation, from 1, and 0 for the training itself.
-    """
+    """Progress of a training after a step, counted from 1 as epochs are."""
 
     epoch: int
     epochs: int
     step: int
     steps: int
     loss: float
-    row: Row | None = None
-    fold: int = 0
+    row: Row | None = None  # Finished line of the log, after the last step of an epoch
+    fold: int = 0  # Number of the fold of a cross-validation, from 1; 0 for the training itself
 
 
 @dataclass(slots=True, eq=False)
@@ -56,8 +52,7 @@ class Training:
     """Training in a run folder: its learner, samples, validation scans and outputs.
 
     Without validation scans the last weights are the best; scores and temperature of a validation
-    take the place of those of the card. `draw` draws a network's predictions into an open file and
-    returns the picture (H, W, 3); the main worker alone calls `report`, after every step.
+    take the place of those of the card.
     """
 
     run: Path
@@ -66,9 +61,9 @@ class Training:
     validation: Source
     card: WeightsCard
     workers: int
+    # Draws a network's predictions into an open file and returns the picture, (H, W, 3)
     draw: Callable[[BinaryIO, Network], npt.NDArray[np.uint8]]
-    write_epoch: EpochWriter
-    report: Callable[[StepReport], object]
+    report: Callable[[StepReport], object]  # Called after every step, by the main worker alone
 
     def fit(self) -> TrainingState:
         """Train from the last checkpoint, if there is one, to the end."""
@@ -76,9 +71,6 @@ class Training:
         state = TrainingState()
         if checkpoint.exists():
             state = load_checkpoint(checkpoint, self.learner)
-        if len(state.losses) >= steps:
-            found = f"{len(state.losses)} steps of an epoch of {steps}"
-            raise TrainingError(checkpoint, found, "a checkpoint of this training")
         first, group = state.epoch * steps + len(state.losses), self.learner.group
         if (of_main := group.on_main(lambda: first)) != first:
             found = f"the first worker goes on after step {of_main}, this one after step {first}"
@@ -87,12 +79,14 @@ class Training:
             log.info("resuming after step %d", first)
         pinned = self.learner.device.type == "cuda"
         stream = batches(self.samples, first, self.workers, pinned=pinned, group=group)
-        while state.epoch < self.learner.recipe.epochs:
-            self._epoch(state, stream)
+        with tensorboard_in(self.run, wanted=group.is_main) as write_epoch:
+            while state.epoch < self.learner.recipe.epochs:
+                self._epoch(state, stream)
+                self._end_epoch(state, write_epoch)
         return group.on_main(lambda: state)
 
     def _epoch(self, state: TrainingState, stream: Iterator[Batch]) -> None:
-        """Take the steps of an epoch that are left, and end it."""
+        """Take the steps of an epoch that are left, and report all but the last."""
         saved = time.monotonic()
         start = saved - state.seconds
         end = (state.epoch + 1) * self.samples.plan.steps_per_epoch
@@ -107,24 +101,28 @@ class Training:
                 save_checkpoint(self.run / CHECKPOINT, self.learner, state)
                 saved = now
             self._report(state, step, state.losses[-1])
-        self._end_epoch(state, step)
 
-    def _end_epoch(self, state: TrainingState, step: int) -> None:
-        recipe = self.learner.recipe
-        loss, losses, seconds = state.losses[-1], state.losses, state.seconds
+    def _end_epoch(self, state: TrainingState, write_epoch: EpochWriter) -> None:
+        """Validate, write and report an epoch whose steps are done."""
+        recipe, steps = self.learner.recipe, self.samples.plan.steps_per_epoch
+        losses, seconds, group = state.losses, state.seconds, self.learner.group
         state.epoch, state.losses, state.seconds = state.epoch + 1, [], 0.0
+        step = state.epoch * steps - 1
         row: Row = {
             "epoch": state.epoch,
-            "learning_rate": learning_rate(recipe, step, self.samples.plan.steps_per_epoch),
+            "learning_rate": learning_rate(recipe, step, steps),
             "loss": float(np.mean(losses)),
             "seconds": seconds,
         }
         due = state.epoch == recipe.epochs or state.epoch % recipe.validate_every == 0
         if due and self.validation.files:
-            row |= self._scores()
-        if self.learner.group.is_main:
-            self._write(state, row)
-        self._report(state, step, loss, row)
+            # On CPUs the workers' statistics of batch norm differ; kept are those of the main one.
+            group.broadcast(self.learner.average.buffers())
+            network = self._network()
+            row |= validate(network, self.validation, group).row(network)
+        if group.is_main:
+            self._write(state, row, write_epoch)
+        self._report(state, step, losses[-1], row)
 
     def _step(self, batch: Batch, step: int) -> float:
         images, truth, indices = batch
@@ -142,31 +140,26 @@ class Training:
         alone = indices[self.learner.non_finite_samples(images, truth)]
         group, device = self.learner.group, self.learner.device
         found, every = (torch.cat(group.gather(i.to(device))) for i in (alone, indices))
-        paths = (
-            str(self.samples.scan_at(int(i))[1].path) for i in (found if len(found) else every)
-        )
+        scans = found if len(found) else every
+        paths = ", ".join(str(self.samples.scan_at(int(i))[1].path) for i in scans)
         raise TrainingError(
             f"step {step + 1}",
-            f"the loss or its gradient is not finite with {', '.join(paths)}",
+            f"the loss or its gradient is not finite with {paths}",
             "finite ones",
             "look at these scans, lower learning_rate or set clip_gradient",
         )
 
-    def _write(self, state: TrainingState, row: Row) -> None:
+    def _write(self, state: TrainingState, row: Row, write_epoch: EpochWriter) -> None:
         """Write weights, log, curve, pictures and, last, the checkpoint."""
         state.rows.append(row)
-        measured = {
-            key: value
-            for key, value in row.items()
-            if ("iou" in key or key == "accuracy") and value == value
-        }
+        scored = {key: row[key] for key in row if "iou" in key or key == "accuracy"}
+        measured = {key: value for key, value in scored.items() if value == value}
         network, written = self._network(), OwnedFolder(self.run)
         scores = {**self.card.scores, **measured, "epoch": state.epoch}
         temperature = row.get("temperature", self.card.temperature)
         card = replace(self.card, scores=scores, temperature=temperature)
-        tensors = {
-            name: t.cpu().contiguous() for name, t in network.engine.module.state_dict().items()
-        }
+        state_dict = self.learner.average.state_dict()
+        tensors = {name: tensor.cpu().contiguous() for name, tensor in state_dict.items()}
         weights = safetensors.torch.save(tensors, card.to_metadata())
         written.write(self.run / LAST, weights, durable=True)
         last_of_all = not self.validation.files and state.epoch == self.learner.recipe.epochs
@@ -177,24 +170,12 @@ class Training:
         draw_curve(self.run / CURVE, state.rows)
         with written.writing(sample_path(self.run, state.epoch)) as file:
             picture = self.draw(file, network)
-        self.write_epoch(row, picture)
+        write_epoch(row, picture)
         save_checkpoint(self.run / CHECKPOINT, self.learner, state)
 
     def _network(self) -> Network:
         module = self.learner.average.eval()
         return network_of_module(module, self.card, str(self.learner.device))
-
-    def _scores(self) -> Row:
-        """Score the validation scans, each by one worker."""
-        group = self.learner.group
-        # On CPUs the workers' statistics of batch norm differ; kept are those of the main one.
-        group.broadcast(self.learner.average.buffers())
-        network = self._network()
-        return (
-            validate(network, self.validation, group)
-            .across(group, self.learner.device)
-            .row(network)
-        )
 
     def _report(self, state: TrainingState, step: int, loss: float, row: Row | None = None) -> None:
         if self.learner.group.is_main:

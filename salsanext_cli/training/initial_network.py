@@ -30,10 +30,8 @@ def initial_network(
 ) -> tuple[SegmentationNetwork, WeightsCard]:
     """Return the network before training, and its card: architecture, classes, sensor, scans.
 
-    Without weights it is random. Where the weights are of other classes, outputs of classes of the
-    same name keep their weights, and the others are random. The sensor is `own`, else that of the
-    weights, else `DEFAULT_SENSOR`; intensity and gaps that it does not know are those of the
-    weights.
+    Without weights it is random; where they are of other classes, so are the outputs of classes
+    without one of the same name. The sensor is `own`, else that of the weights, else the default.
     """
     architecture = {
         "name": recipe.architecture,

@@ -28,11 +28,7 @@ ONE_CYCLE_START, ONE_CYCLE_END = 1 / 25, 1 / 250_000
 
 
 def choose_precision(name: str, device: torch.device) -> str:
-    """Return the number type behind a recipe's `precision` on a device.
-
-    "auto" is bfloat16 on a CPU that multiplies it and on a GPU, float16 on a GPU too old for that,
-    and float32 on other CPUs.
-    """
+    """Return the number type behind a recipe's `precision`: of "auto", the fastest of a device."""
     if name != "auto":
         return name
     if device.type != "cuda":
@@ -69,8 +65,7 @@ class Learner:
     """Everything that changes during training: network, running average, optimiser, scaler.
 
     `average` is validated and kept: the running average of the weights of `module`, or the module
-    itself. `forward` is the module, wrapped if several workers train it. The scaler keeps small
-    gradients of float16 from vanishing, and does nothing in other types.
+    itself. `forward` is the module, wrapped if several workers train it.
     """
 
     def __init__(
@@ -91,21 +86,19 @@ class Learner:
             keep_ends_in_float32(module)
         self.recipe, self.module, self.device, self.group = recipe, module, device, group
         self.average = copy.deepcopy(module).eval() if recipe.average else module
-        self.loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing, sets).to(
-            device
-        )
+        loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing, sets)
+        self.loss = loss.to(device)
         self.forward = data_parallel(module, device, group)
         self.optimiser = build_optimiser(module, recipe)
         self.autocast = torch.autocast(device.type, dtype, enabled=dtype is not torch.float32)
         self.scaler = torch.amp.GradScaler(device.type, enabled=dtype is torch.float16)
 
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> float:
-        """Learn from images (B, 5, H, W) and truth (B, H, W) uint8, and return the loss.
+        """Learn from a worker's images (B, 5, H, W) and truth (B, H, W) uint8; return all's loss.
 
-        It is NaN if it or its gradient is not finite; then no weight has changed. (Gradients that
-        overflow in float16 are no mistake: the scaler leaves the step out.) With several workers
-        the images are this one's share of the batch, and the loss is that of all. The number of the
-        step in the whole training, from 0, decides learning rate and dropout.
+        It is NaN, and no weight has changed, if it or its gradient is not finite, unless the
+        gradient overflows in float16: the scaler leaves such steps out. The number of the step in
+        the whole training, from 0, decides learning rate and dropout.
         """
         self.optimiser.zero_grad()
         loss = float(self._gradient(images, truth, step))
@@ -115,14 +108,14 @@ class Learner:
         """Add up the gradient of a batch, part by part, and return its loss."""
         truth = truth.to(self.device, non_blocking=True)
         parts = self._parts(images.shape[3])
-        total = None
-        if parts * self.group.size > 1:
-            total = self.group.sum(self.loss.weight_of(truth))
+        several = parts * self.group.size > 1
+        total = self.group.sum(self.loss.weight_of(truth)) if several else None
         losses = []
         self.module.train()
-        # Seeding every step makes it a function of its number, so that training can be resumed.
+        # Seeded, every step is a function of its number, so that training can be resumed.
         with torch.random.fork_rng([self.device] if self.device.type == "cuda" else []):
-            torch.manual_seed(self._seed(step))
+            source = np.random.SeedSequence((self.recipe.seed, DROPOUT, step, self.group.rank))
+            torch.manual_seed(int(source.generate_state(1)[0]))
             pairs = zip(images.tensor_split(parts), truth.tensor_split(parts), strict=True)
             for part, (some, labels) in enumerate(pairs, 1):
                 some = some.to(self.device, memory_format=self.layout, non_blocking=True)
@@ -138,21 +131,13 @@ class Learner:
                 losses.append(loss.detach())
         return self.group.sum(torch.stack(losses).sum())
 
-    def _seed(self, step: int) -> int:
-        """Return the seed of dropout, unlike for every training, step and worker."""
-        source = np.random.SeedSequence((self.recipe.seed, DROPOUT, step, self.group.rank))
-        return int(source.generate_state(1)[0])
-
     def _parts(self, width: int) -> int:
-        """Return the number of parts that every worker computes its images in.
-
-        Full circles after windows are cut into more, so that a part holds no more columns than one
-        of windows does, or a single circle.
-        """
+        """Return the number of parts that every worker computes its images in."""
         recipe = self.recipe
         fewest, most = recipe.batch // self.group.size, -(-recipe.batch // self.group.size)
         parts = min(recipe.accumulate, fewest)
         if 0 < recipe.crop_width < width:
+            # Full circles are cut into more: a part holds no more columns than one of windows.
             images = max(1, -(-most // parts) * recipe.crop_width // width)
             parts = min(-(-most // images), fewest)
         return parts
@@ -174,12 +159,9 @@ class Learner:
 
     @torch.no_grad()
     def non_finite_samples(self, images: Tensor, truth: Tensor) -> list[int]:
-        """Return the indices in a batch of images whose loss, each alone, is not finite.
-
-        Each is normalised by its own statistics: the running ones may be non-finite by now. The
-        module does not change.
-        """
+        """Return the indices in a batch of images whose loss, each alone, is not finite."""
         probe = copy.deepcopy(self.module).eval()
+        # By an image's own statistics: the running ones may be non-finite by now.
         for norm in probe.modules():
             if isinstance(norm, nn.modules.batchnorm._BatchNorm):
                 norm.running_mean = norm.running_var = None
@@ -203,12 +185,7 @@ def build_optimiser(module: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
 
 
 def learning_rate(recipe: Recipe, step: int, steps_per_epoch: int) -> float:
-    """Return the learning rate of a step, counted from 0 over the whole training.
-
-    ``decay`` rises linearly to the peak over the warm-up and is then multiplied by `decay` at
-    every further epoch. ``one-cycle`` rises in half a cosine from 1/25 of the peak over the
-    warm-up and falls in half a cosine to 1/250 000 of it at the last step.
-    """
+    """Return the learning rate of a step, counted from 0 over the whole training."""
     peak, warm_up = recipe.learning_rate, round(recipe.warm_up * steps_per_epoch)
     if recipe.schedule == "decay":
         if step < warm_up:
@@ -226,10 +203,8 @@ def _half_cosine(start: float, end: float, progress: float) -> float:
 
 @torch.no_grad()
 def update_average(average: nn.Module, module: nn.Module, decay: float, step: int) -> None:
-    """Move the running average of the weights towards a module, batch norm's statistics too.
-
-    The first steps move it farther, so that the random weights of the start are soon forgotten.
-    """
+    """Move the running average of the weights towards a module, batch norm's statistics too."""
+    # The first steps move it farther, so that the random weights of the start are soon forgotten.
     decay = min(decay, (1 + step) / (10 + step))
     for kept, new in zip(average.state_dict().values(), module.state_dict().values(), strict=True):
         if kept.is_floating_point():

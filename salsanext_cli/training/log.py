@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.training.run_folder import EVENTS
 
 Row = dict[str, float]
 """One epoch: epoch, learning_rate, loss, seconds; where validated, also what `Validation` says."""
@@ -61,12 +62,8 @@ def draw_curve(path: Path, rows: Sequence[Row]) -> None:
 
 
 @contextmanager
-def tensorboard_in(run: Path, folder: str, *, wanted: bool = True) -> Iterator[EpochWriter]:
-    """Yield the writer of epochs for TensorBoard; without TensorBoard it writes nothing.
-
-    Figures become scalars, those of classes below ``iou/``, and the picture an image, in a folder
-    of the run that gets a file every time that training begins or is resumed.
-    """
+def tensorboard_in(run: Path, *, wanted: bool = True) -> Iterator[EpochWriter]:
+    """Yield the writer of epochs for TensorBoard; without TensorBoard it writes nothing."""
     if not wanted or find_spec("tensorboard") is None:
         if wanted:
             log.info("TensorBoard is not installed, so nothing is written for it")
@@ -74,8 +71,9 @@ def tensorboard_in(run: Path, folder: str, *, wanted: bool = True) -> Iterator[E
         return
     from torch.utils.tensorboard import SummaryWriter  # an optional dependency
 
-    before, written = {*(run / folder).glob("events.*")}, OwnedFolder(run)
-    with SummaryWriter(str(run / folder)) as writer:
+    folder, owned = run / EVENTS, OwnedFolder(run)
+    before = {*folder.glob("events.*")}
+    with SummaryWriter(str(folder)) as writer:
 
         def write(row: Row, picture: npt.NDArray[np.uint8]) -> None:
             epoch = int(row["epoch"])
@@ -84,7 +82,7 @@ def tensorboard_in(run: Path, folder: str, *, wanted: bool = True) -> Iterator[E
                     writer.add_scalar(key.replace("iou_", "iou/", 1), value, epoch)
             writer.add_image("sample", picture, epoch, dataformats="HWC")
             writer.flush()
-            for path in {*(run / folder).glob("events.*")} - before:
-                written.add(path)
+            for path in {*folder.glob("events.*")} - before:
+                owned.add(path)
 
         yield write

@@ -24,14 +24,13 @@ def weighted_cross_entropy(
     """Return the mean of -log p(truth), each pixel weighing what its true class does, 0-d.
 
     Of log-probabilities (P, T) of `class_count` classes and, behind them, of sets of classes; truth
-    (P,) int64; weights (T,). `total_weight` is that of all pixels of the mean, if these are only
-    some of them. Smoothed by ε, a share of the truth is spread evenly over the K classes with a
-    weight::
+    (P,) int64; weights (T,). `total_weight` is that of all pixels, if these are only some. Smoothed
+    by ε, with K classes that have a weight, −log p(truth) becomes::
 
         (1 − ε) (−log p(truth)) + ε/K Σ_k (−log p(k))
 
-    The weight of a pixel stays that of its true class. `F.cross_entropy` weighs the terms of the
-    sum by their own classes instead, so that a common class is spread mostly over the rarest.
+    `F.cross_entropy` weighs the terms of the sum by their own classes instead of the true one, so
+    that a common class is spread mostly over the rarest.
     """
     loss = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
     if smoothing:
@@ -47,10 +46,9 @@ def weighted_cross_entropy(
 def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
     """Return the gradient of the Lovász extension of the Jaccard loss, (K, P), by pixel.
 
-    `errors` (K, P) are those of every pixel for each of K classes, `foreground` (K, P) says which
-    pixels are of the class, at least one. With the pixels sorted by falling error, pixel i weighs
-    by how much the Jaccard loss grows when it joins the mispredicted set {1 … i-1} (Berman et al.
-    2018, eq. 9 and algorithm 1).
+    Of errors (K, P) for each of K classes, and whether pixels are of the class, (K, P), at least
+    one. With the pixels sorted by falling error, pixel i weighs by how much the Jaccard loss grows
+    when it joins the mispredicted set {1 … i-1} (Berman et al. 2018, eq. 9 and algorithm 1).
     """
     order = errors.argsort(dim=1, descending=True)
     belongs = foreground.gather(1, order)
@@ -67,10 +65,9 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
 def lovasz_softmax(
     probabilities: Tensor, truth: Tensor, group: ProcessGroup = SINGLE_PROCESS
 ) -> Tensor:
-    """Return the Lovász-Softmax loss, the mean over the classes present in the truth, 0-d.
+    """Return the mean Lovász-Softmax loss of the classes present in the truth (P,) int64, 0-d.
 
-    Of probabilities (P, C) and truth (P,) int64. The pixels of all workers of a group count as one
-    set; their losses add up to that of the set.
+    Of probabilities (P, C). The losses of all workers of a group add up to that of all pixels.
     """
     present = group.sum(truth.bincount(minlength=probabilities.shape[1])).nonzero()[:, 0]
     if not len(present):
@@ -89,9 +86,9 @@ def lovasz_softmax(
 class SegmentationLoss(nn.Module):
     """Weighted cross-entropy plus Lovász-Softmax on logits (paper eq. 3).
 
-    Pixels of a class with weight 0, of weights (C,), are left out of both terms. Target C + k says
-    that a pixel is of any class of the k-th set: its probability is the sum of theirs, its weight
-    the least of theirs above 0; Lovász-Softmax leaves it out.
+    Classes with weight 0, of weights (C,), are left out of both terms. The probability of target
+    C + k is the sum of those of the k-th set of classes, its weight the least of theirs above 0;
+    Lovász-Softmax leaves it out.
     """
 
     weights: Tensor
@@ -125,10 +122,8 @@ class SegmentationLoss(nn.Module):
     ) -> Tensor:
         """Return the loss of logits (B, C, H, W) for integer targets (B, H, W), 0-d.
 
-        Of a part of a batch it is the part's share: cross-entropy is the mean over all pixels of
-        all parts, whose weight is `total_weight`. Lovász-Softmax is no mean over pixels: all
-        workers' pixels of a part have one, and what counts is the mean over the `parts` of each
-        worker.
+        Of a part of a batch it is the part's share: of cross-entropy in the mean over the pixels of
+        all parts, whose weight is `total_weight`, of Lovász-Softmax in the mean over the `parts`.
         """
         truth = truth.flatten().long()
         counts = (self.weights[truth] > 0).nonzero()[:, 0]
@@ -137,9 +132,10 @@ class SegmentationLoss(nn.Module):
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes[counts], 1, dtype=precise)
         of_sets = [log_probabilities[:, s].logsumexp(1, keepdim=True) for s in self.sets]
+        of_targets = torch.cat([log_probabilities, *of_sets], 1) if of_sets else log_probabilities
+        weights, smoothing = self.weights.to(precise), self.smoothing
         loss = weighted_cross_entropy(
-            torch.cat([log_probabilities, *of_sets], 1) if of_sets else log_probabilities,
-            *(truth, self.weights.to(precise), total_weight, self.smoothing, self.class_count),
+            of_targets, truth, weights, total_weight, smoothing, self.class_count
         )
         if self.lovasz:
             if of_sets:

@@ -8,19 +8,12 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from importlib import resources
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 from salsanext_cli.errors import UsageError, shortened
 from salsanext_cli.files.yaml_toml import read_toml, refuse_unknown
 
-CHOICES = {
-    "optimiser": ("sgd", "adamw"),
-    "schedule": ("decay", "one-cycle"),
-    "precision": ("auto", "float32", "bfloat16", "float16"),
-    "sensors": ("given", "fitted"),
-    "initial": ("random", "default"),
-}
-"""Words that the keys of type str may have."""
+BUILT_IN = resources.files("salsanext_cli").joinpath("presets/recipes")
 MAX_INTEGER = 2**53
 """Bound of whole numbers in place of others: floats are no longer exact beyond."""
 
@@ -32,90 +25,83 @@ READERS: dict[type, tuple[Callable[[str], Any], str]] = {
 """Reader of the text of each type of key, and its name; quotes are taken for those of TOML."""
 
 
+Positive = Annotated[int, ("at least 1", lambda value: value >= 1)]
+Count = Annotated[int, ("at least 0", lambda value: value >= 0)]
+Folds = Annotated[int, ("0, or at least 2", lambda value: value == 0 or value >= 2)]
+Seed = Annotated[int, ("from 0 to below 2⁶³", lambda value: 0 <= value < 2**63)]
+Amount = Annotated[float, ("at least 0", lambda value: value >= 0)]
+Rate = Annotated[float, ("above 0", lambda value: value > 0)]
+Share = Annotated[float, ("between 0 and 1", lambda value: 0 <= value <= 1)]
+ShareBelow1 = Annotated[float, ("from 0 to below 1", lambda value: 0 <= value < 1)]
+"""Types of keys: what is expected of their values, and whether one is that."""
+
+
+def one_of(*words: str) -> tuple[str, Callable[[str], bool]]:
+    """Return what is expected of a key with some values."""
+    return f"one of {', '.join(words)}", words.__contains__
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """Everything that decides what a training ends with; the defaults are the paper's.
-
-    `docs/train.md` says what each key means.
-    """
+    """Everything that decides what a training ends with; the defaults are the paper's."""
 
     architecture: str = "salsanext"
-    initial: str = "random"
-    precision: str = "float32"
-    epochs: int = 150
-    batch: int = 24
-    accumulate: int = 1
-    samples_per_epoch: int = 0
-    crop_width: int = 0
-    crop_on_class: float = 0.0
-    whole_epochs: int = 0
-    optimiser: str = "sgd"
-    learning_rate: float = 0.01
-    schedule: str = "decay"
-    decay: float = 0.99
-    warm_up: float = 1.0
-    momentum: float = 0.9
-    weight_decay: float = 1e-4
-    clip_gradient: float = 0.0
-    average: float = 0.0
-    dropout: float = 0.2
-    class_weight: float = 0.5
-    lovasz: float = 1.0
-    label_smoothing: float = 0.0
-    rotate: float = 0.5
-    shift: float = 0.5
-    flip: float = 0.5
-    drop: float = 0.5
-    mix: float = 0.0
-    paste: float = 0.0
-    sensors: str = "given"
-    also: float = 0.5
-    streets: int = 0
-    intensity: float = 0.0
-    no_intensity: float = 0.0
-    mount: float = 0.0
-    view: float = 0.0
-    fewer_beams: float = 0.0
-    jitter: float = 0.0
-    holes: float = 0.0
-    validate_every: int = 1
-    validation_scans: int = 0
-    folds: int = 0
-    seed: int = 1
+    initial: Annotated[str, one_of("random", "default")] = "random"
+    precision: Annotated[str, one_of("auto", "float32", "bfloat16", "float16")] = "float32"
+    epochs: Positive = 150
+    batch: Positive = 24
+    accumulate: Positive = 1
+    samples_per_epoch: Count = 0
+    crop_width: Count = 0
+    crop_on_class: Share = 0.0
+    whole_epochs: Count = 0
+    optimiser: Annotated[str, one_of("sgd", "adamw")] = "sgd"
+    learning_rate: Rate = 0.01
+    schedule: Annotated[str, one_of("decay", "one-cycle")] = "decay"
+    decay: Rate = 0.99
+    warm_up: Amount = 1.0
+    momentum: ShareBelow1 = 0.9
+    weight_decay: Amount = 1e-4
+    clip_gradient: Amount = 0.0
+    average: ShareBelow1 = 0.0
+    dropout: ShareBelow1 = 0.2
+    class_weight: Amount = 0.5
+    lovasz: Amount = 1.0
+    label_smoothing: ShareBelow1 = 0.0
+    rotate: Share = 0.5
+    shift: Share = 0.5
+    flip: Share = 0.5
+    drop: Share = 0.5
+    mix: Share = 0.0
+    paste: Share = 0.0
+    sensors: Annotated[str, one_of("given", "fitted")] = "given"
+    also: Share = 0.5
+    streets: Count = 0
+    intensity: Share = 0.0
+    no_intensity: Share = 0.0
+    mount: Share = 0.0
+    view: Share = 0.0
+    fewer_beams: Share = 0.0
+    jitter: Share = 0.0
+    holes: Share = 0.0
+    validate_every: Positive = 1
+    validation_scans: Count = 0
+    folds: Folds = 0
+    seed: Seed = 1
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            kind = type(field.default)
+        for key in fields(self):
+            value, kind = getattr(self, key.name), type(key.default)
             if kind is float and type(value) is int and abs(value) < MAX_INTEGER:
                 value = float(value)
-                object.__setattr__(self, field.name, value)
-            if type(value) is not kind:
-                found = shortened(value)
-                raise UsageError(f"recipe key {field.name}", found, f"a {kind.__name__}")
+                object.__setattr__(self, key.name, value)
+            self._require(key.name, type(value) is kind, f"a {kind.__name__}")
             if kind is float:
-                self._require(field.name, math.isfinite(getattr(self, field.name)), "finite")
-        for key in ("epochs", "batch", "accumulate", "validate_every"):
-            self._require(key, getattr(self, key) >= 1, "at least 1")
-        of_scans = ("samples_per_epoch", "crop_width", "whole_epochs", "validation_scans")
-        for key in (*of_scans, "streets", "seed"):
-            self._require(key, getattr(self, key) >= 0, "at least 0")
-        for key in ("weight_decay", "clip_gradient", "class_weight", "lovasz", "warm_up"):
-            self._require(key, getattr(self, key) >= 0, "at least 0")
-        changes = ("rotate", "shift", "flip", "drop", "mix", "paste")
-        of_sensors = ("intensity", "no_intensity", "mount", "view", "fewer_beams")
-        for key in (*changes, *of_sensors, "jitter", "holes", "also", "crop_on_class"):
-            self._require(key, 0 <= getattr(self, key) <= 1, "between 0 and 1")
-        for key in ("average", "dropout", "momentum", "label_smoothing"):
-            self._require(key, 0 <= getattr(self, key) < 1, "from 0 to below 1")
-        for key in ("learning_rate", "decay"):
-            self._require(key, getattr(self, key) > 0, "above 0")
-        self._require("seed", self.seed < 2**63, "below 2⁶³")
-        self._require("folds", self.folds == 0 or self.folds >= 2, "0, or at least 2")
+                self._require(key.name, math.isfinite(value), "finite")
+            for expected, is_right in getattr(key.type, "__metadata__", ()):
+                self._require(key.name, is_right(value), expected)
         steady = self.folds == 0 or self.schedule == "decay"
         self._require("schedule", steady, "decay with folds, which choose the number of epochs")
-        for key, names in CHOICES.items():
-            self._require(key, getattr(self, key) in names, f"one of {', '.join(names)}")
 
     def _require(self, key: str, holds: bool, expected: str) -> None:
         if not holds:
@@ -142,16 +128,15 @@ class Recipe:
 
 def presets() -> tuple[str, ...]:
     """Return the names of the built-in recipes."""
-    folder = resources.files("salsanext_cli").joinpath("presets/recipes")
-    return tuple(sorted(Path(file.name).stem for file in folder.iterdir()))
+    return tuple(sorted(Path(file.name).stem for file in BUILT_IN.iterdir()))
 
 
 def recipe(name_or_file: str | Path) -> Recipe:
     """Return a built-in recipe by name, or read one from a TOML file."""
     name = str(name_or_file)
     if name in presets():
-        built_in = resources.files("salsanext_cli").joinpath(f"presets/recipes/{name}.toml")
-        return Recipe.from_dict(tomllib.loads(built_in.read_text("utf-8")), name)
+        text = BUILT_IN.joinpath(f"{name}.toml").read_text("utf-8")
+        return Recipe.from_dict(tomllib.loads(text), name)
     path = Path(name_or_file)
     return Recipe.from_dict(read_toml(path, "recipe", presets()), path)
 

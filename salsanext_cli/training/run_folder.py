@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: MIT
-"""Run folder of a training: its files, its settings, and whose files lie in it."""
+"""Run folder of a training: its files, and the settings that decide what is in them."""
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.engines.device import PRECISIONS
 from salsanext_cli.files.atomic import require_writable
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.labelling.label_records import digest_of_file
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import (
     StageRecord,
@@ -15,6 +20,7 @@ from salsanext_cli.results.stage_records import (
     as_json,
     require_same_settings,
 )
+from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.recipe import Recipe
 
 STAGE = "train"
@@ -27,6 +33,36 @@ RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE, ERROR)
 """Files that a new training in the folder removes, beside pictures and events."""
 
 
+def training_settings(
+    recipe: Recipe, sources: Sequence[Source], weights: Path | None
+) -> dict[str, Any]:
+    """Return all that decides a training's result; sources: trained on, validated, further ones."""
+    first, validation, *further = sources
+    settings: dict[str, Any] = {
+        "recipe": recipe.to_dict(),
+        "sensor": replace(first.sensor, intensity_quantiles=(), row_gaps=None).to_dict(),
+        "label_space": first.space.to_dict(),
+        "scans": scans_digest([*first.files, *validation.files]),
+        "weights": fingerprint(weights) if weights else None,
+    }
+    if first.files and recipe.folds:
+        # Labels of a few scans are corrected, and trained on again.
+        labels = "".join(digest_of_file(file.label_path) for file in first.files)
+        settings["labels"] = hashlib.sha256(labels.encode()).hexdigest()[:16]
+    if further:
+        settings["also"] = [
+            {"label_space": each.space.to_dict(), "scans": scans_digest(each.files)}
+            for each in further
+        ]
+    return settings
+
+
+def scans_digest(scans: Sequence[ScanFile]) -> str:
+    """Return the number of scans and a digest of their names."""
+    names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
+    return f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}"
+
+
 def sample_path(run: Path, epoch: int) -> Path:
     """Return where the picture of a validated scan after an epoch lies."""
     return run / SAMPLES / f"epoch-{epoch:03d}.png"
@@ -37,14 +73,21 @@ def fold_folder(run: Path, number: int) -> Path:
     return run / FOLDS / str(number)
 
 
+def recorded_precision(run: Path) -> str | None:
+    """Return the number type of the training that a folder holds, None if it tells none."""
+    settings = StageRecords(run).settings(STAGE)
+    precision = settings.table("recipe").get("precision") if settings else None
+    return precision if precision in PRECISIONS and precision != "auto" else None
+
+
 def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
     """Refuse, before anything is done, a folder that a training may not have."""
     require_writable(run)
     recorded = StageRecords(run).settings(STAGE)
-    epochs = as_json(settings)["recipe"]["epochs"]
     replaced = [run / name for name in (*RESULTS, CLASS_COUNTS)]
+    epochs = settings["recipe"]["epochs"]
     replaced += [sample_path(run, epoch) for epoch in range(1, epochs + 1)]
-    if _content(run / RECIPE) != _recipe_file(settings):
+    if not _holds_recipe(run, settings):
         replaced.append(run / RECIPE)
     owned = OwnedFolder(run, STAGE)
     owned.require_own(replaced)
@@ -53,19 +96,8 @@ def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> 
         require_same_settings(owned.record_path, _decisive(recorded), _decisive(as_json(settings)))
 
 
-def recorded_precision(run: Path) -> str | None:
-    """Return the number type of the training that a folder holds, None if it tells none."""
-    settings = StageRecords(run).settings(STAGE)
-    found = settings.table("recipe").get("precision") if settings else None
-    return found if found in PRECISIONS and found != "auto" else None
-
-
 def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
-    """Record a training in a folder that is free; results of other settings are removed.
-
-    `run`: the folder; `settings`: all that decides the result of the training, its recipe under
-    that name; `overwrite`: whether to begin anew with the same settings too.
-    """
+    """Record a training in a free folder; remove results of other settings, or all to overwrite."""
     recorded, owned = StageRecords(run).settings(STAGE), OwnedFolder(run, STAGE)
     if overwrite or recorded is None or _decisive(recorded) != _decisive(as_json(settings)):
         for folder in _folders(run):
@@ -73,7 +105,7 @@ def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
             results += [*folder.glob(f"{SAMPLES}/epoch-*.png"), *folder.glob(f"{EVENTS}/events.*")]
             OwnedFolder(folder).remove_own(results)
     owned.begin(StageRecord(STAGE, as_json(settings)).to_dict())
-    if _content(run / RECIPE) != _recipe_file(settings):
+    if not _holds_recipe(run, settings):
         owned.write(run / RECIPE, _recipe_file(settings))
 
 
@@ -86,10 +118,10 @@ def _recipe_file(settings: Mapping[str, Any]) -> bytes:
     return Recipe.from_dict(settings["recipe"]).to_toml().encode()
 
 
-def _content(path: Path) -> bytes | None:
+def _holds_recipe(run: Path, settings: Mapping[str, Any]) -> bool:
     with suppress(OSError):
-        return path.read_bytes()
-    return None
+        return (run / RECIPE).read_bytes() == _recipe_file(settings)
+    return False
 
 
 def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:

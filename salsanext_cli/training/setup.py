@@ -2,13 +2,13 @@
 """Setup of a training: what trainings on parts of the same data share, cross-validation of them."""
 
 import copy
+import hashlib
+import json
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,33 +16,44 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.network.weights import read_weights
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.training import run_folder
 from salsanext_cli.training.cross_validation import Expectation, expectation, folds
-from salsanext_cli.training.data.class_counts import ClassCounts, class_weights, rare_classes
+from salsanext_cli.training.data.class_counts import (
+    ClassCounts,
+    class_weights,
+    data_digest,
+    rare_classes,
+)
 from salsanext_cli.training.data.dataset import Samples, SamplingPlan
 from salsanext_cli.training.data.sources import Source
-from salsanext_cli.training.data.targets import ClassSets
+from salsanext_cli.training.data.targets import class_sets
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.fit import StepReport, Training
-from salsanext_cli.training.fold_errors import error_of_folds
 from salsanext_cli.training.learner import Learner
-from salsanext_cli.training.log import Row, tensorboard_in
+from salsanext_cli.training.log import Row
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.run_folder import (
-    BEST,
-    CHECKPOINT,
-    EVENTS,
-    begin,
-    fold_folder,
-    require_free,
+from salsanext_cli.training.tuning.error import (
+    JudgedPoints,
+    cross_validated,
+    gains,
+    judged_points,
+    of_both_kinds,
+    points_of_scan,
 )
-from salsanext_cli.training.settings import scans_digest
+from salsanext_cli.uncertainty.error_features import FEATURES
+from salsanext_cli.version import __version__
 
 log = logging.getLogger(__name__)
 
@@ -61,48 +72,30 @@ def require_pixels(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
-    """All that a training needs but its scans.
-
-    `initial` is the network before training. The card of the weights files has no scores; of the
-    recipe it has keys with other values than the recipe's, of the scans trained on those of the
-    weights that it begins from. `sources` are all labelled scans of the data set, and further data
-    sets; `settings` all that decides the result. `draw` draws a network's predictions for a scan
-    into an open file and returns the picture; `report` is called after every step; `held` is closed
-    after the training.
-    """
+    """All that a training needs but its scans."""
 
     run: Path
     recipe: Recipe
-    initial: SegmentationNetwork
+    initial: SegmentationNetwork  # The network before training
+    # Of the weights files, without scores; of the recipe it has keys with other values than the
+    # recipe's, of the scans trained on those of the weights that it begins from
     card: WeightsCard
-    sources: Sequence[Source]
+    sources: Sequence[Source]  # All labelled scans of the data set, and further data sets
     counts: ClassCounts
-    sets: ClassSets
-    settings: Mapping[str, Any]
+    settings: Mapping[str, Any]  # All that decides the result
     place: torch.device
     group: ProcessGroup
     workers: int
     overwrite: bool
+    # Draws a network's predictions for a scan into an open file and returns the picture
     draw: Callable[[BinaryIO, ScanFile, Network], npt.NDArray[np.uint8]]
-    report: Callable[[StepReport], object]
-    held: ExitStack
+    report: Callable[[StepReport], object]  # Called after every step
 
-    def training(
-        self,
-        files: Sequence[ScanFile],
-        validation: Source,
-        folder: Path | None = None,
-        report: Callable[[StepReport], object] | None = None,
-    ) -> Training:
-        """Return a training on some scans of the data set that scores others.
-
-        Folder and report are those of the setup, unless others are given.
-        """
-        folder, recipe = folder or self.run, self.recipe
-        first, *further = self.sources
+    def training(self, files: Sequence[ScanFile], validation: Source) -> Training:
+        """Return a training on some scans of the data set that scores others."""
+        recipe, (first, *further) = self.recipe, self.sources
         of_class = self.counts.points, self.card.space.scored
         drawn = (validation.files or files)[0]
-        tensorboard = tensorboard_in(folder, EVENTS, wanted=self.group.is_main)
         shown = validation if validation.files else first
 
         def draw(file: BinaryIO, network: Network) -> npt.NDArray[np.uint8]:
@@ -111,30 +104,44 @@ class Setup:
         weights = class_weights(*of_class, recipe.class_weight)
         module = copy.deepcopy(self.initial)
         trained_on = [replace(first, files=files), *further]
-        real = (source.files for source in trained_on if not source.simulated)
-        digests = {self.counts.digests[file] for file in chain.from_iterable(real)}
-        card = replace(
-            self.card,
-            recipe={**recipe.to_dict(), **self.card.recipe},
-            trained_on=self.card.trained_on | digests,
-        )
+        real = [source for source in trained_on if not source.simulated]
+        digests = {self.counts.digests[file] for source in real for file in source.files}
+        sets = class_sets(source.space for source in self.sources)
         return Training(
-            run=folder,
-            learner=Learner(module, recipe, weights, self.place, self.group, self.sets),
-            samples=Samples(trained_on, first.sensor, recipe, rare_classes(*of_class), self.sets),
+            run=self.run,
+            learner=Learner(module, recipe, weights, self.place, self.group, sets),
+            samples=Samples(trained_on, first.sensor, recipe, rare_classes(*of_class), sets),
             validation=validation,
-            card=card,
+            card=replace(
+                self.card,
+                recipe={**recipe.to_dict(), **self.card.recipe},
+                trained_on=self.card.trained_on | digests,
+            ),
             workers=self.workers,
             draw=draw,
-            write_epoch=self.held.enter_context(tensorboard),
-            report=report or self.report,
+            report=self.report,
         )
 
-    def after(self, expected: Expectation | None) -> "Setup":
-        """Return the setup of the training on all scans, after a cross-validation.
+    def cross_validated(self) -> Expectation | None:
+        """Train once without each fold of the scans, and score it; None of a single scan."""
+        first, parts, logs = self.sources[0], self._folds(), list[list[Row]]()
+        if not parts:
+            log.warning("one labelled scan: what to expect on others is unknown")
+            return None
+        for number, part in enumerate(parts, start=1):
+            fold = replace(
+                self,
+                run=run_folder.fold_folder(self.run, number),
+                settings={**self.settings, "left_out": run_folder.scans_digest(part)},
+                report=partial(self._report_fold, number, len(parts)),
+            )
+            self.group.on_main(fold._begin)
+            files = [file for file in first.files if file not in part]
+            logs.append(fold.training(files, replace(first, files=part)).fit().rows)
+        return expectation(logs, one_drive=len({file.sequence for file in first.files}) == 1)
 
-        Its weights have a model of errors that was fitted to the scans that each fold left out.
-        """
+    def after(self, expected: Expectation | None) -> "Setup":
+        """Return the setup of the training on all scans, after a cross-validation."""
         counts = [len(source.files) for source in self.sources]
         before = len(self._folds()) * SamplingPlan(counts, self.recipe).steps
 
@@ -143,53 +150,31 @@ class Setup:
 
         if expected is None:
             return replace(self, report=report)
-        scans = self.sources[0], self._folds()
-        fitted = partial(error_of_folds, self.run, *scans, expected.temperature, self.place)
-        return replace(
-            self,
-            recipe=self.recipe.with_changes(epochs=expected.epochs),
-            card=replace(
-                self.card,
-                scores=expected.scores(),
-                temperature=expected.temperature,
-                error=self.group.on_main(fitted),
-            ),
-            report=report,
+        card = replace(
+            self.card,
+            scores=expected.scores(),
+            temperature=expected.temperature,
+            error=self.group.on_main(partial(self._error_model, expected.temperature)),
         )
-
-    def cross_validated(self) -> Expectation | None:
-        """Train once without each fold of the scans, and score it; None of a single scan.
-
-        The best weights so far are those of the run until its own training ends.
-        """
-        first, parts, logs = self.sources[0], self._folds(), list[list[Row]]()
-        if not parts:
-            log.warning("one labelled scan: what to expect on others is unknown")
-            return None
-        for number, part in enumerate(parts, start=1):
-            left_out, folder = replace(first, files=part), fold_folder(self.run, number)
-            settings = {**self.settings, "left_out": scans_digest(part)}
-            self.group.on_main(partial(self._begin, folder, settings))
-            files = [file for file in first.files if file not in part]
-            report = partial(self._report_fold, number, len(parts))
-            logs.append(self.training(files, left_out, folder, report=report).fit().rows)
-        return expectation(logs, one_drive=len({file.sequence for file in first.files}) == 1)
+        recipe = self.recipe.with_changes(epochs=expected.epochs)
+        return replace(self, recipe=recipe, card=card, report=report)
 
     def _folds(self) -> list[list[ScanFile]]:
         files = self.sources[0].files
         return folds(files, self.recipe.folds) if len(files) > 1 else []
 
-    def _begin(self, folder: Path, settings: Mapping[str, Any]) -> None:
-        require_free(folder, settings, overwrite=self.overwrite)
-        begin(folder, settings, overwrite=self.overwrite)
+    def _begin(self) -> None:
+        run_folder.require_free(self.run, self.settings, overwrite=self.overwrite)
+        run_folder.begin(self.run, self.settings, overwrite=self.overwrite)
 
     def _report_fold(self, number: int, count: int, report: StepReport) -> None:
-        """StepReport a step as one of the whole cross-validation and the training after it.
+        """Report a step as one of the whole cross-validation and the training after it.
 
         After an epoch, the best weights of the fold become those of the run if they are better.
         """
-        best, own = self.run / BEST, fold_folder(self.run, number) / BEST
-        if report.row and own.exists() and not (self.run / CHECKPOINT).exists():
+        best = self.run / run_folder.BEST
+        own = run_folder.fold_folder(self.run, number) / run_folder.BEST
+        if report.row and own.exists() and not (self.run / run_folder.CHECKPOINT).exists():
             scores = [
                 read_card(path).scores.get("miou", -1.0) for path in (best, own) if path.exists()
             ]
@@ -197,3 +182,45 @@ class Setup:
                 OwnedFolder(self.run).write(best, own.read_bytes(), durable=True)
         done, steps = (number - 1) * report.steps + report.step, (count + 1) * report.steps
         self.report(replace(report, step=done, steps=steps, fold=number))
+
+    def _error_model(self, temperature: float) -> ErrorModel | None:
+        """Return a model of errors of the folds; None if it tells no more than the confidence.
+
+        It is kept in the run folder, and fitted again only if weights or scans are others.
+        """
+        numbers = range(1, len(self._folds()) + 1)
+        weights = [run_folder.fold_folder(self.run, number) / run_folder.LAST for number in numbers]
+        data = data_digest(self.sources[:1])
+        inputs = [__version__, FEATURES, temperature, data, *map(fingerprint, weights)]
+        kept = read_json(self.run / run_folder.ERROR) or {}
+        if "error" not in kept or kept.get("sha256") != _checksum(inputs, kept["error"]):
+            model = self._fit_error_model(weights, temperature)
+            error = model.to_dict() if model else None
+            kept = {"error": error, "sha256": _checksum(inputs, error)}
+            OwnedFolder(self.run).write(
+                self.run / run_folder.ERROR, encode_json(kept), durable=True
+            )
+        if kept["error"] is None:
+            log.warning("no model of errors: it would tell no more than the confidence")
+            return None
+        return ErrorModel.from_dict(kept["error"])
+
+    def _fit_error_model(self, weights: Sequence[Path], temperature: float) -> ErrorModel | None:
+        """Fit to the scans that each fold left out, judged by the weights of the fold."""
+        source, parts = self.sources[0], self._folds()
+        judged: dict[ScanFile, JudgedPoints] = {}
+        most = points_of_scan(len(source.files))
+        for path, part in zip(weights, parts, strict=True):
+            module, card = read_weights(path)
+            # That of the final weights: the fold's own was fitted to these very scans.
+            card = replace(card, temperature=temperature)
+            network = network_of_module(module.to(self.place), card, str(self.place))
+            for file in part:
+                own = network.for_sensor(source.sensor_of(file))
+                judged[file] = judged_points(file, own, source.space, most)
+        model = cross_validated(judged, parts) if of_both_kinds(judged.values()) else None
+        return model if model and gains(model) else None
+
+
+def _checksum(inputs: Sequence[Any], error: Any) -> str:
+    return hashlib.sha256(json.dumps([inputs, error]).encode()).hexdigest()

@@ -30,39 +30,21 @@ class Validation:
     logits: Tensor
     truth: Tensor  # (M,) int64: their classes
 
-    def across(self, group: ProcessGroup, device: torch.device) -> "Validation":
-        """Return those of all workers together."""
-        counts = group.sum(torch.from_numpy(self.confusion.matrix).to(device)).cpu().numpy()
-        logits, truth = (
-            torch.cat(group.gather(each.to(device)), dim=-1).cpu()
-            for each in (self.logits, self.truth)
-        )
-        return Validation(Confusion(len(counts), counts), logits, truth)
-
     def row(self, network: Network) -> Row:
-        """Return the scores as columns of the log: accuracy, miou, temperature, iou_<class>.
-
-        The temperature is that of the least negative log-likelihood; 1 where there is none, since
-        the network knows nothing yet, or every point is right.
-        """
-        space = network.card.space
-        result = scores(self.confusion, space)
-        temperature = 1.0
-        if len(self.truth):
-            found = best_temperature(self.logits.T.contiguous(), self.truth)
-            lowest, highest = TEMPERATURES
-            temperature = found if lowest <= found <= highest else temperature
-        named = {f"iou_{score.name}": score.iou for score in result.classes}
+        """Return the scores as columns of the log, with a temperature of 1 where none is best."""
+        result = scores(self.confusion, network.card.space)
+        best = best_temperature(self.logits.T.contiguous(), self.truth) if len(self.truth) else 1.0
+        lowest, highest = TEMPERATURES
         return {
             "accuracy": result.accuracy,
             "miou": result.iou_mean_present,
-            "temperature": temperature,
-            **named,
+            "temperature": best if lowest <= best <= highest else 1.0,
+            **{f"iou_{score.name}": score.iou for score in result.classes},
         }
 
 
 def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS) -> Validation:
-    """Predict a worker's share of labelled scans as `predict` does."""
+    """Predict labelled scans as `predict` does, each by one worker of a group."""
     space = network.card.space
     confusion = Confusion(space.class_count)
     logits, truth = [torch.empty(space.class_count, 0)], [torch.empty(0, dtype=torch.int64)]
@@ -77,4 +59,9 @@ def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROC
         pixels = image.pixel_of_point[chosen]
         logits.append(torch.from_numpy(of_pixels.reshape(space.class_count, -1)[:, pixels]))
         truth.append(torch.from_numpy(labels[chosen].astype(np.int64)))
-    return Validation(confusion, torch.cat(logits, dim=1), torch.cat(truth))
+    counts = group.sum(torch.from_numpy(confusion.matrix).to(network.device)).cpu().numpy()
+    all_logits, all_truth = (
+        torch.cat(group.gather(torch.cat(own, dim=-1).to(network.device)), dim=-1).cpu()
+        for own in (logits, truth)
+    )
+    return Validation(Confusion(space.class_count, counts), all_logits, all_truth)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scans import write_sequence
 
-from salsanext_cli.training.data.noise import (
+from salsanext_cli.training.data.other_sensors import (
     HOLE_SHARES,
     hole_cells,
 )

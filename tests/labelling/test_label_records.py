@@ -70,8 +70,6 @@ def test_labels_are_a_first_guess_until_they_are_changed_or_imported(data):
     assert recorded["scans"]["00/000000"]["files"] == ["a.ply"]
     records.write(first, GUESS, {"files": ["a.ply", "more/a.ply"]})
     assert not LabelRecords(data).is_replaceable(first, A)
-    records.write(first, GUESS, {"files": None})
-    assert not LabelRecords(data).is_replaceable(first, A)
 
 
 def test_a_copy_of_a_data_set_has_its_first_guesses(data, tmp_path):

@@ -30,11 +30,11 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.train import TrainResult, train
-from salsanext_cli.training import fit, fold_errors
+from salsanext_cli.training import fit, setup
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.tuning import error
-from salsanext_cli.training.tuning.judged_points import JudgedPoints, judged_points
+from salsanext_cli.training.tuning.error import JudgedPoints, judged_points
 
 LEAST_STEPS = error.LEAST_STEPS
 FEW = Recipe(
@@ -135,8 +135,8 @@ def test_errors_are_fitted_anew_only_to_other_weights_or_scans(
         judged.append(file.path)
         return judged_points(file, *others)
 
-    monkeypatch.setattr(fold_errors, "judged_points", count)
-    monkeypatch.setattr(fold_errors, "gains", lambda _: True)
+    monkeypatch.setattr(setup, "judged_points", count)
+    monkeypatch.setattr(setup, "gains", lambda _: True)
 
     def judged_again(reason: Callable[[], object] = lambda: None) -> int:
         judged.clear()
@@ -157,7 +157,7 @@ def test_errors_are_fitted_anew_only_to_other_weights_or_scans(
     for damaged in ({}, json.loads((run / "error.json").read_bytes()) | {"error": None}):
         content = json.dumps(damaged).encode()
         assert judged_again(partial(OwnedFolder(run).write, run / "error.json", content)) == 3
-    monkeypatch.setattr(fold_errors, "gains", lambda _: False)
+    monkeypatch.setattr(setup, "gains", lambda _: False)
     assert judged_again((run / "error.json").unlink) == 3
     for _ in range(2):
         caplog.clear()

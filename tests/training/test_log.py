@@ -37,7 +37,7 @@ def test_an_epoch_is_scalars_and_an_image(tmp_path: Path, monkeypatch: pytest.Mo
     tensorboard = MagicMock()
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", tensorboard)
     monkeypatch.setattr(log, "find_spec", lambda name: True)
-    with tensorboard_in(tmp_path, "events") as write:
+    with tensorboard_in(tmp_path) as write:
         write(ROWS[1], PICTURE)
     writer = tensorboard.SummaryWriter.return_value.__enter__.return_value
     scalars = [("loss", 2.5, 2), ("miou", 0.25, 2), ("iou/road", 0.5, 2)]

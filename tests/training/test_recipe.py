@@ -51,23 +51,10 @@ def test_an_unknown_key_names_the_known_ones(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("epochs", 0),
-        ("epochs", 1.5),
-        ("decay", 10**400),
-        ("accumulate", 0),
-        ("precision", "float64"),
-        ("learning_rate", 0.0),
-        ("learning_rate", "fast"),
-        ("learning_rate", float("nan")),
-        ("warm_up", float("inf")),
-        ("dropout", 1.5),
-        ("flip", -0.1),
-        ("paste", -0.5),
-        ("jitter", 1.5),
-        ("holes", -0.1),
-        ("label_smoothing", 1.0),
-        ("whole_epochs", -1),
-        ("average", 1.0),
+        *(("epochs", 0), ("epochs", 1.5), ("decay", 10**400), ("precision", "float64")),
+        *(("learning_rate", 0.0), ("learning_rate", "fast"), ("learning_rate", float("nan"))),
+        *(("warm_up", float("inf")), ("flip", -0.1), ("jitter", 1.5), ("label_smoothing", 1.0)),
+        *(("whole_epochs", -1), ("folds", 1), ("seed", 2**63)),
     ],
 )
 def test_impossible_values_name_the_key(key: str, value: object) -> None:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Augmentations of labelled scans: those of the paper, mixing of scans, and windows of images.
 
-All but the windows move points before they are projected. So range, x, y and z of the range image
-stay consistent, and the nearest point wins each pixel whichever scan it is from. Sources of the
-mixing: LaserMix (Kong et al. 2023) alternates two scans band by band of inclination, PolarMix (Xiao
-et al. 2022) sector by sector of azimuth, RangeFormer (Kong et al. 2023) box by box of the range
-image; the last two add points of rare classes of another scan.
+All but the windows move points before they are projected, so that the range image stays consistent
+and the nearest point wins each pixel. Of the mixing, LaserMix (Kong et al. 2023) alternates two
+scans band by band of inclination, PolarMix (Xiao et al. 2022) sector by sector of azimuth,
+RangeFormer (Kong et al. 2023) box by box of the range image; the last two add points of rare
+classes of another scan.
 """
 
 import math
@@ -38,12 +38,7 @@ CLEAR_RADIUS_M = 3.0
 
 
 def augment(labelled: LabelledScan, recipe: Recipe, random: np.random.Generator) -> LabelledScan:
-    """Return a changed copy of a labelled scan.
-
-    The points are turned about z by any angle; moved by up to ±5 m forward, ±3 m sideways and 1 m
-    down; mirrored left and right; and a uniform share of them, at most half, is dropped. Each
-    happens on its own, with a probability of the recipe.
-    """
+    """Return a labelled scan turned, shifted, mirrored and thinned out, each by chance."""
     scan, labels = labelled
     chances = (recipe.rotate, recipe.shift, recipe.flip, recipe.drop)
     rotated, shifted, flipped, dropped = random.random(4) < chances
@@ -82,15 +77,14 @@ class Checkerboard:
     """Checkerboard over the directions in which a sensor looks.
 
     Cell (i, j) is band i of inclination, from below, and sector j of azimuth, counter-clockwise; it
-    is odd if i + j is. Bands are equally high from edge to edge of the field of view (degrees), and
-    the outer ones hold the points beyond. Sectors are equally wide, the first of them ends at
-    `azimuth` (radians); their number is 1 or even, so that neighbours differ all around.
+    is odd if i + j is. Bands are equally high, and the outer ones hold the points beyond the field
+    of view.
     """
 
     bands: int
-    sectors: int
-    azimuth: float
-    fov_down: float
+    sectors: int  # 1 or even, so that neighbours differ all around
+    azimuth: float  # End of the first sector, radians
+    fov_down: float  # Degrees
     fov_up: float
 
     @classmethod
@@ -104,9 +98,8 @@ class Checkerboard:
     def odd(self, points: Float) -> npt.NDArray[np.bool_]:
         """Return whether points (N, 3) lie in odd cells, (N,) bool.
 
-        It changes with every border that lies between a point and the lowest band of the first
-        sector. A border between bands is a cone; one between sectors goes on straight through the
-        origin as another, so that half as many planes are borders of all sectors.
+        It changes with every border between a point and the lowest band of the first sector: a cone
+        between bands, a plane through the origin for two borders between sectors.
         """
         x, y, z = np.ascontiguousarray(points.T)
         odd = np.zeros(len(points), np.bool_)
@@ -125,19 +118,14 @@ class Checkerboard:
 
 def mix(even: LabelledScan, odd: LabelledScan, board: Checkerboard) -> LabelledScan:
     """Return the points of one scan in the even cells of a board, of another in the odd ones."""
-    return concatenate(
-        select(even, ~board.odd(even[0].points)),
-        select(odd, board.odd(odd[0].points)),
-    )
+    kept = select(even, ~board.odd(even[0].points))
+    return concatenate(kept, select(odd, board.odd(odd[0].points)))
 
 
 def paste(
     onto: LabelledScan, pasted: LabelledScan, angles: npt.NDArray[np.float64]
 ) -> LabelledScan:
-    """Return a scan and, for each angle (radians), all points of another turned about z by it.
-
-    Points within `CLEAR_RADIUS_M` of the z axis, or without a measurement, are not pasted.
-    """
+    """Return a scan with points of another beside it, turned about z by each angle (radians)."""
     points = pasted[0].points
     with np.errstate(invalid="ignore", over="ignore"):
         clear = np.hypot(points[:, 0], points[:, 1]) > CLEAR_RADIUS_M

@@ -4,7 +4,6 @@
 import hashlib
 import json
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -36,15 +35,11 @@ WARNING_TEXTS = ("code", "message", "remedy")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClassCounts:
-    """Result of reading labelled scans once.
+    """Result of reading labelled scans once."""
 
-    Training `points` of each class, (C,); `warnings` about scans of either split, as
-    `RunSummary.warnings` lists them; `digests` of the training scans.
-    """
-
-    points: Counts
-    warnings: list[dict[str, Any]]
-    digests: dict[ScanFile, str]
+    points: Counts  # (C,): training points of each class
+    warnings: list[dict[str, Any]]  # About scans of either split, as `RunSummary.warnings` has them
+    digests: dict[ScanFile, str]  # Of the training scans
 
     def require_no_warnings(self, dataset: Path) -> None:
         """Raise `TrainingError` if a scan is doubtful."""
@@ -67,11 +62,7 @@ def require_labels(files: Sequence[ScanFile]) -> None:
 
 
 def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSummary], list[str]]:
-    """Count the points of every class in every scan, reading and checking all with their labels.
-
-    Return counts (F, C) int64, what the checks found, and a digest of each of F scans. A scan that
-    cannot be trained on raises `FormatError` or `LabelError`.
-    """
+    """Return counts (F, C) int64, what checks found, and a digest of each of F scans."""
     # Unless it is fitted, the network learns from the intensity as it is.
     plain = replace(source.sensor, intensity_quantiles=())
 
@@ -99,18 +90,14 @@ def class_shares(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[n
 
 
 def class_weights(counts: Counts, scored: npt.NDArray[np.bool_], exponent: float = 0.5) -> Tensor:
-    """Return the weight of every class, (C,) float32; parameters as `class_shares`.
-
-    It is the inverse of a power of the share, by default of its square root; 0 for classes that are
-    ignored or never seen.
-    """
+    """Return share**-exponent of every class, (C,) float32; 0 for those ignored or never seen."""
     share = class_shares(counts, scored)
     weights = np.divide(1, share**exponent, out=np.zeros_like(share), where=share > 0)
     return torch.from_numpy(weights.astype(np.float32))
 
 
 def rare_classes(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return which scored classes are rare, (C,) bool; parameters as `class_shares`."""
+    """Return which scored classes are rare, (C,) bool."""
     return scored & (class_shares(counts, scored) < RARE_SHARE)
 
 
@@ -124,29 +111,16 @@ def class_counts(
 ) -> ClassCounts:
     """Return the points per class of all training data, reading and checking all scans.
 
-    The JSON file keeps the result, which is right until a file of scans or labels changes; for a
-    whole SemanticKITTI 55 GB are read. Further sources get the share `also` of the samples, and
-    points count as often as they are drawn. Without any point of a class that counts, in the
-    training scans or in those `validated`, it raises `TrainingError`.
+    The JSON file keeps the result until a file of scans or labels changes; for a whole
+    SemanticKITTI 55 GB are read. Points count as often as they are drawn: further sources get the
+    share `also` of the samples.
     """
     first, *further = sources
     space, training = first.space, first.files
     digest = data_digest([*sources, validation], validated, also if further else 0.0)
-    known = read_json(path) or {}
-    points, warnings = known.get("points"), known.get("warnings")
     files = [file for source in sources for file in source.files]
-    digests = _parted(known.get("scans"))
-    if (
-        len(digests) == len(files)
-        and known.get("files") == digest
-        and isinstance(points, dict)
-        and points.keys() == {*space.names}
-        and all(type(n) is int and 0 <= n < 2**63 for n in points.values())
-        and isinstance(warnings, list)
-        and all(map(_is_warning, warnings))
-    ):
-        counts = np.array([points[name] for name in space.names], np.int64)
-        return ClassCounts(counts, warnings, dict(zip(files, digests, strict=True)))
+    if kept := _kept(path, digest, files, space.names):
+        return kept
     of_validation, summaries, _ = count_classes(validation, jobs)
     scored = {*validated}
     of_validated = of_validation[[file in scored for file in validation.files]].sum(axis=0)
@@ -184,19 +158,24 @@ def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[dict[str
     return summary.warnings()
 
 
-def _parted(text: object) -> list[str]:
-    with suppress(ValueError):
-        return parted(text)
-    return []
-
-
-def _is_warning(value: object) -> bool:
-    """Say whether data is a warning, as `RunSummary.warnings` returns it."""
-    if not isinstance(value, dict) or value.keys() != {*WARNING_TEXTS, "scans"}:
-        return False
-    scans = value["scans"]
-    texts = [value[key] for key in WARNING_TEXTS] + (scans if isinstance(scans, list) else [None])
-    return all(isinstance(text, str) for text in texts)
+def _kept(
+    path: Path, digest: str, files: Sequence[ScanFile], names: Sequence[str]
+) -> ClassCounts | None:
+    """Read counts that were kept; None if they are of other data, or damaged."""
+    known = read_json(path) or {}
+    if known.get("files") != digest:
+        return None
+    try:
+        points, warnings = known["points"], known["warnings"]
+        counts = np.array([points[name] for name in names], np.int64)
+        texts = [
+            text for each in warnings for text in (*map(each.get, WARNING_TEXTS), *each["scans"])
+        ]
+        digests = dict(zip(files, parted(known["scans"]), strict=True))
+    except (AttributeError, LookupError, OverflowError, TypeError, ValueError):
+        return None
+    is_whole = all(isinstance(text, str) for text in texts)
+    return ClassCounts(counts, warnings, digests) if is_whole else None
 
 
 def data_digest(

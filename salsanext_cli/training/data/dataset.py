@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Samples of labelled scans, and their order, the same whatever the number of worker processes.
 
-Everything drawn for a sample comes from a generator of its own, seeded by the recipe's seed and
-the sample's position in the whole training.
+Each sample has a generator of its own, seeded by the recipe and its position in the training.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,35 +29,18 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
-from salsanext_cli.training.data.augment import (
-    PASTED_COPIES,
-    Checkerboard,
-    LabelledScan,
-    augment,
-    choose_columns,
-    mix,
-    paste,
-    select,
-)
-from salsanext_cli.training.data.noise import jitter, make_holes
-from salsanext_cli.training.data.other_sensors import (
-    change_intensity,
-    fewer_beams,
-    mount_otherwise,
-    other_view,
-)
+from salsanext_cli.training.data import augment, other_sensors
+from salsanext_cli.training.data.augment import LabelledScan
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.data.targets import ClassSets, of_targets
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.recipe import Recipe
 
-ORDER = 0
-"""Purpose of the generator of orders, a part of its seed beside those of other modules."""
+ORDER, SAMPLE = 0, 1
+"""Purposes of generators, of orders and of samples: parts of their seeds beside `DROPOUT`."""
 
 SampleKey = tuple[int, int]
 """Position of a sample in the whole training, index of its scan."""
-SAMPLE = 1
-"""Purpose of the generators of samples, a part of their seeds beside those of other modules."""
 Sample = tuple[Float, TrainIds, int]
 """Normalised image (5, H, W), targets (H, W), index of the scan."""
 Batch = tuple[Tensor, Tensor, Tensor]
@@ -69,10 +51,9 @@ Batch = tuple[Tensor, Tensor, Tensor]
 class SamplingPlan:
     """Batches of the whole training, each a list of sample keys.
 
-    Every scan of a data set is drawn once before any is drawn again, and every batch is whole: the
-    last one of an epoch goes on with the next round of scans. A batch of one or two would upset the
-    statistics of batch norm just before they are validated. Data sets behind the first have the
-    share `recipe.also` of the samples, all of them as many.
+    Every scan of a data set is drawn once before any is drawn again, and every batch is whole,
+    since one of one or two samples would upset batch norm: the last of an epoch goes on with the
+    next round. Data sets behind the first share `recipe.also` of the samples evenly.
     """
 
     scan_counts: Sequence[int]
@@ -97,10 +78,7 @@ class SamplingPlan:
     def batches(
         self, first_step: int = 0, group: ProcessGroup = SINGLE_PROCESS
     ) -> Iterator[list[SampleKey]]:
-        """Yield a worker's share of each batch, from a step of the whole training to its end.
-
-        The shares of all workers together are the batch that one alone would have.
-        """
+        """Yield a worker's share of each batch, from a step of the whole training to its end."""
         keys = self._keys(first_step * self.recipe.batch)
         for _ in range(first_step, self.steps):
             yield list(islice(keys, self.recipe.batch))[group.rank :: group.size]
@@ -134,16 +112,12 @@ class SamplingPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples(Dataset[Sample]):
-    """Augmented, mixed, projected, normalised and cropped scans, by sample key.
-
-    Indices of scans go on from one source to the next. Images are normalised for `sensor`, whose
-    intensity and gaps are those of training; points of `rare` classes, (C,) bool, are pasted.
-    """
+    """Augmented, mixed, projected, normalised and cropped scans, by sample key."""
 
     sources: Sequence[Source]
-    sensor: Sensor
+    sensor: Sensor  # That images are normalised for; its intensity and gaps are those of training
     recipe: Recipe
-    rare: npt.NDArray[np.bool_]
+    rare: npt.NDArray[np.bool_]  # (C,): classes whose points are pasted
     sets: ClassSets = ()
 
     @property
@@ -152,12 +126,19 @@ class Samples(Dataset[Sample]):
         return SamplingPlan([len(source.files) for source in self.sources], self.recipe)
 
     def scan_at(self, index: int) -> tuple[Source, ScanFile]:
-        """Return a scan and its data set."""
+        """Return a scan and its data set; indices go on from one data set to the next."""
         for source in self.sources:
             if index < len(source.files):
                 return source, source.files[index]
             index -= len(source.files)
         raise IndexError(index)
+
+    def __getitems__(self, keys: Sequence[SampleKey]) -> list[Sample] | SalsanextError:
+        """Return samples, or the error of one, since a loader would not raise it as it is."""
+        try:
+            return [self[key] for key in keys]
+        except SalsanextError as error:
+            return error
 
     def __getitem__(self, key: SampleKey) -> Sample:
         """Return the sample at a position of the training, of the scan with an index."""
@@ -171,23 +152,23 @@ class Samples(Dataset[Sample]):
         # Pixels and rows are left out, and gaps filled, of both alike.
         both = np.concatenate([image.channels, truth[None].astype(np.float32)])
         if _drawn(recipe.holes, random):
-            both = make_holes(both, random)
+            both = other_sensors.make_holes(both, random)
         if _drawn(recipe.fewer_beams, random):
-            both = fewer_beams(both, random)
+            both = other_sensors.fewer_beams(both, random)
             view = replace(view, row_gaps=row_gaps([both]))
         both = with_filled_gaps(both, view, self.sensor)
         channels, truth = both[:-1], both[-1].astype(np.uint8)
         if _drawn(recipe.no_intensity, random):
             channels = match_intensity(channels, NO_INTENSITY, self.sensor.intensity_quantiles)
         scored = of_targets(self.sources[0].space.scored, self.sets, np.any)
-        columns = choose_columns(truth, scored, width, recipe.crop_on_class, random)
+        columns = augment.choose_columns(truth, scored, width, recipe.crop_on_class, random)
         return normalise(channels[:, :, columns], self.sensor), truth[:, columns], index
 
     def _view(self, index: int, random: np.random.Generator) -> Sensor:
         """Return the sensor that a sample of a scan is projected with, in the sensor's frame."""
         source, file = self.scan_at(index)
         view = replace(source.sensor_of(file), up=UP, origin=ORIGIN)
-        return other_view(view, random) if _drawn(self.recipe.view, random) else view
+        return other_sensors.other_view(view, random) if _drawn(self.recipe.view, random) else view
 
     def _mixed(self, index: int, random: np.random.Generator) -> LabelledScan:
         """Return an augmented scan, mixed with others as often as the recipe says."""
@@ -195,27 +176,26 @@ class Samples(Dataset[Sample]):
         labelled = self._augmented(self._read(index, random), random)
         if _drawn(recipe.mix, random):
             partner = self._augmented(self._partner(index, random), random)
-            labelled = mix(labelled, partner, Checkerboard.drawn(self.sensor, random))
+            board = augment.Checkerboard.drawn(self.sensor, random)
+            labelled = augment.mix(labelled, partner, board)
         if _drawn(recipe.paste, random):
             partner = self._partner(index, random)
             chosen = of_targets(self.rare, self.sets, np.all)[partner[1]]
-            rare = self._augmented(select(partner, chosen), random)
-            labelled = paste(labelled, rare, random.uniform(-np.pi, np.pi, PASTED_COPIES))
+            rare = self._augmented(augment.select(partner, chosen), random)
+            angles = random.uniform(-np.pi, np.pi, augment.PASTED_COPIES)
+            labelled = augment.paste(labelled, rare, angles)
         return labelled
 
     def _augmented(self, labelled: LabelledScan, random: np.random.Generator) -> LabelledScan:
-        scan, labels = augment(labelled, self.recipe, random)
+        scan, labels = augment.augment(labelled, self.recipe, random)
         if _drawn(self.recipe.mount, random):
-            scan = replace(scan, points=mount_otherwise(scan.points, random))
+            scan = replace(scan, points=other_sensors.mount_otherwise(scan.points, random))
         if _drawn(self.recipe.jitter, random):
-            scan = replace(scan, points=jitter(scan.points, random))
+            scan = replace(scan, points=other_sensors.jitter(scan.points, random))
         return scan, labels
 
     def _partner(self, index: int, random: np.random.Generator) -> LabelledScan:
-        """Return another scan than the one of an index; the same if there is no other.
-
-        It comes from a further data set as often as samples do.
-        """
+        """Return another scan than that of an index, of a further data set as often as samples."""
         counts = self.plan.scan_counts
         chosen = 0
         if len(counts) > 1 and random.random() < self.recipe.also:
@@ -230,7 +210,7 @@ class Samples(Dataset[Sample]):
         source, file = self.scan_at(index)
         scan, labels = source.read(file, self.sets)
         if _drawn(self.recipe.intensity, random):
-            scan = change_intensity(scan, bright_intensity(self.sensor), random)
+            scan = other_sensors.change_intensity(scan, bright_intensity(self.sensor), random)
         return scan, labels
 
 
@@ -247,13 +227,9 @@ def batches(
     pinned: bool = False,
     group: ProcessGroup = SINGLE_PROCESS,
 ) -> Iterator[Batch]:
-    """Yield the batches from a step to the end of the training.
-
-    `workers` processes prepare samples beside this one; `pinned` batches lie in memory that a GPU
-    copies from quickly; the workers of a group share each batch.
-    """
+    """Yield the batches from a step to the end of the training, prepared by workers if any."""
     loader: DataLoader[Any] = DataLoader(
-        _ErrorsAsValues(samples),
+        samples,
         collate_fn=_collate,
         batch_sampler=samples.plan.batches(first_step, group),
         num_workers=workers,
@@ -267,20 +243,5 @@ def batches(
         yield batch
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ErrorsAsValues(Dataset[Sample | SalsanextError]):
-    """Samples whose errors are returned, since a loader would not raise them as they are."""
-
-    samples: Samples
-
-    def __getitem__(self, key: SampleKey) -> Sample | SalsanextError:
-        try:
-            return self.samples[key]
-        except SalsanextError as error:
-            return error
-
-
-def _collate(items: list[Sample | SalsanextError]) -> Any:
-    """Make a batch of samples, or return the first error among them."""
-    errors = (item for item in items if isinstance(item, SalsanextError))
-    return next(errors, None) or default_collate(items)
+def _collate(items: list[Sample] | SalsanextError) -> Any:
+    return items if isinstance(items, SalsanextError) else default_collate(items)

@@ -38,10 +38,7 @@ log = logging.getLogger(__name__)
 def read_labelled(
     file: ScanFile, space: LabelSpace, sensor: Sensor, sets: ClassSets = ()
 ) -> LabelledScan:
-    """Read a scan and the targets of its points, (N,) uint8; without sets these are train ids.
-
-    It raises `FormatError` or `LabelError`.
-    """
+    """Read a scan and the targets of its points, (N,) uint8; without sets these are train ids."""
     scan = read_scan(file.path, sensor)
     raw = read_labels(file.label_path, len(scan))
     return scan, to_targets(raw, space, sets, file.label_path)
@@ -49,29 +46,21 @@ def read_labelled(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """Labelled scans of one data set, their label space and sensor.
-
-    The network is trained for `sensor`; `fitted` has those of sequences as `predict` fits them, and
-    is empty if all are taken as `sensor` says. Of `simulated` scans the user knows nothing.
-    """
+    """Labelled scans of one data set, their label space and sensor."""
 
     files: Sequence[ScanFile]
     space: LabelSpace
-    sensor: Sensor
+    sensor: Sensor  # That the network is trained for
+    # Those of sequences, as `predict` fits them; empty if all scans are taken as `sensor` says
     fitted: Mapping[str, Sensor] = field(default_factory=dict)
-    simulated: bool = False
+    simulated: bool = False  # Scans that the user knows nothing of
 
     def sensor_of(self, file: ScanFile) -> Sensor:
         """Return the sensor that a scan is projected with."""
         return self.fitted.get(file.sequence, self.sensor)
 
     def read(self, file: ScanFile, sets: ClassSets) -> LabelledScan:
-        """Read a scan, in its sensor's frame, its intensity on training's scale, and its targets.
-
-        Points of the vehicle are left out.
-
-        It raises what `read_labelled` does.
-        """
+        """Read a scan, but the vehicle's points, in the sensor's frame, and its targets, (N,)."""
         own = self.sensor_of(file)
         scan, targets = read_labelled(file, self.space, own, sets)
         scan = in_sensor_frame(scan, own)
@@ -85,11 +74,7 @@ class Source:
 
 
 def training_sources(sources: Sequence[Source], *, fit: bool, jobs: int = 1) -> list[Source]:
-    """Return sources as training sees them: fitted or not, and with what it sees in their sensor.
-
-    Intensity and gaps of the sensor that the network is trained for are those of the first source,
-    unless it knows its own and the others are fitted to them.
-    """
+    """Return sources as training sees them, fitted or not, with intensity and gaps of the first."""
     if fit:
         sources = [fitted_source(source, jobs) for source in sources]
     first = sources[0]
@@ -126,11 +111,7 @@ def fitted_source(source: Source, jobs: int = 1) -> Source:
 
 
 def further_source(dataset: Path, space: LabelSpace, sensor: Sensor) -> Source:
-    """Return the training split of a further data set.
-
-    Its ids and alternatives may be others, but classes that are neither those of the label space
-    nor merged into these raise `LabelError`.
-    """
+    """Return the training split of a further data set, its classes merged into those of a space."""
     own, files = labelled_split(dataset, None, "train")
     _name_unsplit(dataset, own)
     classes = merged_into(own, space)
@@ -153,10 +134,9 @@ def scans_to_train_on(
 ) -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
     """Return the label space of a data set, its training scans and its validation scans.
 
-    If it is `divisible`, scans without a validation split will do. Unless the label space or the
-    data set names splits, the training scans are then all with labels, and the validation scans
-    none. So they are where a labelled scan is in no split, or none is in ``train`` or in ``valid``,
-    without those of other splits than ``train``. No scans at all raise `NoInputError`.
+    If it is `divisible`, scans without a validation split will do: all labelled ones are trained on
+    where no splits are named; where a labelled scan is in none, or ``train`` or ``valid`` is empty,
+    all but those of other splits than ``train``. No scans at all raise `NoInputError`.
     """
     if not divisible:
         classes, training = labelled_split(dataset, space, "train")
@@ -166,13 +146,12 @@ def scans_to_train_on(
     found = find_scans(dataset)
     guesses = {*first_guesses(found)}
     labelled = [scan for scan in found if scan.label_path.is_file() and scan not in guesses]
-    text = f"{len(guesses)} with a network's first guess only" if guesses else ""
+    text = f", {len(guesses)} with a network's first guess only" if guesses else ""
     if not labelled:
-        none = ", ".join(filter(None, (f"none of {counted(len(found), 'scan')} has labels", text)))
+        none = f"none of {counted(len(found), 'scan')} has labels{text}"
         raise NoInputError(dataset, none, f"label files such as {found[0].label_path}")
     if unlabelled := len(found) - len(labelled):
-        words = ", ".join(filter(None, (counted(unlabelled, "scan"), text)))
-        log.log(NOTICE, "left out without labels: %s", words)
+        log.log(NOTICE, "left out without labels: %s%s", counted(unlabelled, "scan"), text)
     own = space if space and space.splits else data_set_label_space(dataset)
     if own is None or not own.splits:
         found_in = counted(len({scan.sequence for scan in labelled}), "sequence")
@@ -203,9 +182,8 @@ def _name_unsplit(dataset: Path, space: LabelSpace) -> None:
     """Warn of sequences with labels that no split names."""
     unsplit = [scan for scan in find_scans(dataset) if space.split_of(scan.sequence) is None]
     if labelled := sorted({scan.sequence for scan in unsplit if scan.label_path.is_file()}):
-        log.warning(
-            "left out, since no split of %s names them: %s", space.name, first_few(labelled)
-        )
+        names = first_few(labelled)
+        log.warning("left out, since no split of %s names them: %s", space.name, names)
 
 
 def labelled_split(
@@ -213,9 +191,8 @@ def labelled_split(
 ) -> tuple[LabelSpace, list[ScanFile]]:
     """Return the label space of a data set, and the scans of a split.
 
-    Unless a space is given, it is what the data set says, else SemanticKITTI's. One without splits
-    has those of the data set, else SemanticKITTI's; one that merges classes has the data set's
-    alternatives. A split without scans raises `NoInputError`.
+    What is not given or not in the space, itself, splits, alternatives of merged classes, is what
+    the data set says, else SemanticKITTI's. A split without scans raises `NoInputError`.
     """
     space = with_splits_of(dataset, space)
     members = space.split(split)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Targets of a training: train ids, and sets of them where a label may be any of several classes.
 
-A data set that does not tell some classes apart says so by `LabelSpace.alternatives`. With C
-classes, target C + k is the k-th set.
+A data set says so by `LabelSpace.alternatives`. With C classes, target C + k is the k-th set.
 """
 
 from collections.abc import Callable, Iterable

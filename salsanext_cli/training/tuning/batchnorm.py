@@ -19,7 +19,7 @@ from salsanext_cli.fitting.batch_norm import (
 from salsanext_cli.fitting.label_scan import project_for
 from salsanext_cli.fitting.scan_fit import EGO
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.training.tuning.tuning import Tuned, TuningScans
+from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 
 log = logging.getLogger(__name__)
 
@@ -32,19 +32,13 @@ def require_batchnorm(network: Network, share: float = SHARE) -> None:
 
 
 def fit_batchnorm(scans: TuningScans, share: float = SHARE) -> Tuned:
-    """Move the statistics of batch norm towards those of scans of one's own.
+    """Move the statistics of batch norm by a `share` (0…1] of the way to those of some scans.
 
-    Every scan passes once, as `statistics_of_scan` says; no label is read. The statistics of all
-    scans are pooled in float64. The sensor of the new weights is that of the network; `scores`,
-    measured with the old statistics, are left out.
-
-    `share`: of the new statistics, above 0 and at most 1; the rest are the old ones.
-
-    Reports the number of `scans`, the `share`, the name of the `sensor` of the weights written, and
-    `layers`, every batch norm in order of computation: its name, `layer`; the distance of the new
-    mean from the old one in old standard deviations, `shift`, mean over the channels; the new
-    variance over the old, ε added to both, `variance_ratio`, geometric mean; and `warnings`,
-    reasons to doubt the scans.
+    The statistics of all scans, which pass once, are pooled in float64; no label is read. Scores of
+    the weights, measured with the old statistics, are left out. Reports of every batch norm, in
+    order of computation, the distance of the new mean from the old one in old standard deviations,
+    `shift`, mean over the channels; and the new variance over the old, ε added to both,
+    `variance_ratio`, geometric mean.
     """
     network = scans.network
     layers = norms(network.module)

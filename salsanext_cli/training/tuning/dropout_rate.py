@@ -14,20 +14,13 @@ from salsanext_cli.errors import TrainingError, UsageError
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.records import Float
-from salsanext_cli.training.tuning.labelled_images import (
-    of_points,
-    read_labelled_image,
-    require_points,
-)
-from salsanext_cli.training.tuning.tuning import Tuned, TuningScans
+from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan_seed
 
 SMALLEST_VARIANCE = 1e-4
-"""Lower bound of a variance: a standard deviation of 1 % of probability.
-
-Without it a few points that are sure and wrong would weigh more than all others.
-"""
+"""Lower bound of a variance, (1 % of probability)²: else a few points that are sure and wrong would
+weigh more than all others."""
 SAMPLES = 30
 """Passes per scan and rate."""
 LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10
@@ -53,8 +46,7 @@ def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) ->
     """Return Σ ½ log s + (y − p)² / 2s over points and classes; lower is better.
 
     It is the negative log-likelihood, but for a constant, of the one-hot truth y (M,) under
-    Gaussians of mean p (M, C), the mean softmax over the passes, and variance s (M, C), their total
-    variance; smaller ones count as `SMALLEST_VARIANCE`.
+    Gaussians of mean p (M, C), the mean softmax of the passes, and total variance s (M, C).
     """
     s = np.maximum(variance.astype(np.float64), SMALLEST_VARIANCE)
     error = probabilities.astype(np.float64)
@@ -83,34 +75,30 @@ def fit_dropout(
     highest: float = HIGHEST,
     steps: int = STEPS,
 ) -> Tuned:
-    """Find the rate of dropout of the least `objective`.
+    """Find the rate of dropout of the least `objective`, among `steps` rates.
 
-    Progress is reported after each scan at each rate; `samples`, `seed`: passes per scan and rate,
-    and the seed of their masks, as for `uncertainty`; `lowest`, `highest`: ends of the range;
-    `steps`: number of rates to try, at equal steps of the logarithm.
-
-    Reports the rate that the weights had, `before`, and the `best`; the `rates` that were tried and
-    the `objectives` of each, mean over the points; the number of `scans` and of `points` sampled at
-    every rate.
+    `samples`, `seed`: passes per scan and rate, and the seed of their masks. Reports the rate that
+    the weights had, `before`, the `best`, and all `rates` with their `objectives`, means over the
+    points.
     """
     network, rates = scans.network, rates_between(lowest, highest, steps)
     candidates = [with_dropout(network, rate) for rate in rates]
     sums, points = np.zeros(len(rates)), 0
     for number, file in enumerate(scans.files):
         labelled = read_labelled_image(file, network, scans.space)
-        noise = of_points(aleatoric(network, labelled.image), labelled)
+        noise = labelled.of_points(aleatoric(network, labelled.image))
         points += len(labelled.truth)
         masks = scan_seed(seed, file.sequence, file.stem)
         for index, candidate in enumerate(candidates):
             sampled = sample(candidate, labelled.image, samples=samples, seed=masks)
-            variance = of_points(sampled.variance, labelled) + noise
-            probabilities = of_points(sampled.probabilities, labelled)
+            variance = labelled.of_points(sampled.variance) + noise
+            probabilities = labelled.of_points(sampled.probabilities)
             sums[index] += objective(probabilities, variance, labelled.truth)
             if scans.progress:
                 done = number * len(rates) + index + 1
                 scans.progress(done, len(scans.files) * len(rates))
         log.info("%s/%s: %d points", file.sequence, file.stem, len(labelled.truth))
-    require_points(points, scans.source, scans.space)
+    scans.require_points(points)
     objectives: list[float] = (sums / points).tolist()
     if not np.isfinite(objectives).all():
         wrong = "the network's uncertainties are not finite"

@@ -3,14 +3,17 @@
 
 import logging
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 from torch import nn
 
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import TrainingError, counted
 from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
@@ -20,19 +23,17 @@ from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.cross_validation import folds
-from salsanext_cli.training.tuning.judged_points import (
-    JudgedPoints,
-    Mask,
-    judged_points,
-    points_of_scan,
-)
-from salsanext_cli.training.tuning.labelled_images import require_points
-from salsanext_cli.training.tuning.tuning import Tuned, TuningScans
-from salsanext_cli.uncertainty.error_features import FEATURES
+from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
+from salsanext_cli.uncertainty.error_features import FEATURES, error_features
+from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
+MAX_POINTS = 1_000_000
+"""Bound of the number of points of all scans, 37 MB."""
+MAX_POINTS_OF_SCAN = 20_000
+"""Points of one scan are much alike: more of them tell little."""
 FOLDS = 5
 SEED = 0
-"""Seed of the first weights and of the order of the points."""
+"""Seed of the choice of points, of the first weights and of the order of the points."""
 HIDDEN = 16
 """Values of each of the two hidden layers."""
 EPOCHS, BATCH = 8, 2048
@@ -44,21 +45,43 @@ HEIGHT = FEATURES.index("height above the sensor")
 LEAST_SPREAD = 1e-3
 """Features that hardly differ are not blown up."""
 
+Mask = npt.NDArray[np.bool_]
+
 log = logging.getLogger(__name__)
 
 
-def fit_error_model(scans: TuningScans) -> Tuned:
-    """Fit a model of the probability that a point's label is wrong.
+@dataclass(frozen=True, slots=True, eq=False)
+class JudgedPoints:
+    """Points of one scan whose labels are known to be wrong or right."""
 
-    The label is the one of `predict`, after kNN. The model is cross-validated over whole sequences,
-    or over neighbouring scans of a single one, and then fitted to all scans. Reports its scores, as
-    `cross_validated` returns them.
-    """
+    features: Float  # (M, F), in the order of `FEATURES`
+    wrong: Mask  # (M,)
+
+
+def points_of_scan(scans: int) -> int:
+    """Return how many points to keep of each of so many scans."""
+    return max(1, min(MAX_POINTS_OF_SCAN, MAX_POINTS // scans))
+
+
+def judged_points(file: ScanFile, network: Network, space: LabelSpace, most: int) -> JudgedPoints:
+    """Predict a labelled scan as `predict` does, and judge a random sample of its points."""
+    labelled = read_labelled_image(file, network, space)
+    probabilities = network.probabilities(labelled.image, file.path)
+    labels = network.labels(labelled.image, probabilities)
+    features = error_features(labelled.image, probabilities, labels)
+    random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
+    chosen = random.permutation(len(labelled.truth))[:most]
+    points = labelled.points[chosen]
+    return JudgedPoints(features[points], labels[points] != labelled.truth[chosen])
+
+
+def fit_error_model(scans: TuningScans) -> Tuned:
+    """Fit a model of the probability that a label is wrong; report scores of cross-validation."""
     files, network = scans.files, scans.network
     most = points_of_scan(len(files))
     judged = {file: judged_points(file, network, scans.space, most) for file in scans.each()}
     wrong = np.concatenate([points.wrong for points in judged.values()])
-    require_points(len(wrong), scans.source, scans.space)
+    scans.require_points(len(wrong))
     if not of_both_kinds(judged.values()):
         count = f"{'every' if wrong.all() else 'no'} label of {len(wrong)} points is wrong"
         remedy = "use more scans, or other weights"
@@ -77,10 +100,9 @@ def cross_validated(
 ) -> ErrorModel:
     """Fit a model to all scans; its scores are those of models that lack a fold of the scans.
 
-    Without `height` it may not use that, which differs between sensors that are mounted
-    differently. The scores are the number of `scans`, `points` and `folds`, the names of the
-    `sequences`, the share of wrong points `wrong`, and `error_scores` of the model, `error`, and of
-    1 − the probability of the label, `confidence`; both are None without folds.
+    Without `height` it does not use that feature, which depends on the mounting. Among the scores
+    are the share of wrong points `wrong`, and `error_scores` of the model, `error`, and of 1 − the
+    probability of the label, `confidence`; both are None without folds.
     """
     every = list(judged.values())
     wrong = np.concatenate([points.wrong for points in every])
@@ -112,7 +134,8 @@ def _scores_left_out(
         log.warning("%s: not cross-validated", counted(len(judged), "scan"))
         return {"folds": 0, "error": None, "confidence": None}
     wrong = np.concatenate([points.wrong for points in left_out])
-    doubt = 1 - np.concatenate([points.confidence for points in left_out])
+    features = np.concatenate([points.features for points in left_out])
+    doubt = 1 - features[:, FEATURES.index("probability of the label")]
     return {
         "folds": len(parts),
         "error": error_scores(np.concatenate(errors), wrong),
@@ -132,10 +155,10 @@ def gains(model: ErrorModel) -> bool:
 
 
 def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
-    """Fit a model of the least cross-entropy to points of all scans, some of each class at least.
+    """Fit a model of the least cross-entropy to points of all scans, some wrong and some right.
 
-    AdamW with a one-cycle learning rate, seeded; the mean and spread of the features become part of
-    the first layer. Without `height`, its weights are 0.
+    The mean and spread of the features become part of the first layer. Without `height`, the
+    weights of that feature are 0.
     """
     features = np.concatenate([scan.features for scan in scans])
     wrong = torch.from_numpy(np.concatenate([scan.wrong for scan in scans])).float()
@@ -145,18 +168,13 @@ def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
     values = torch.from_numpy((features - mean) / spread)
     with torch.random.fork_rng([]):
         torch.manual_seed(SEED)
-        linear = [
-            nn.Linear(len(FEATURES), HIDDEN),
-            nn.Linear(HIDDEN, HIDDEN),
-            nn.Linear(HIDDEN, 1),
-        ]
+        linear = [nn.Linear(len(FEATURES), HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.Linear(HIDDEN, 1)]
         model = nn.Sequential(linear[0], nn.ReLU(), linear[1], nn.ReLU(), linear[2])
         steps_per_epoch = -(-len(values) // BATCH)
         epochs = max(EPOCHS, -(-LEAST_STEPS // steps_per_epoch))
-        rate, decay = LEARNING_RATE, WEIGHT_DECAY
-        optimiser = torch.optim.AdamW(model.parameters(), rate, weight_decay=decay)
+        optimiser = torch.optim.AdamW(model.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimiser, rate, epochs=epochs, steps_per_epoch=steps_per_epoch
+            optimiser, LEARNING_RATE, epochs=epochs, steps_per_epoch=steps_per_epoch
         )
         for _ in range(epochs):
             order = torch.randperm(len(values))
@@ -169,7 +187,7 @@ def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
                 optimiser.step()
                 schedule.step()
     layers = [
-        (layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy()) for layer in linear
+        (each.weight.detach().numpy().T.copy(), each.bias.detach().numpy()) for each in linear
     ]
     weight, bias = layers[0]
     weight = weight / spread[:, None]
@@ -178,11 +196,7 @@ def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
 
 
 def error_scores(error: Float, wrong: Mask) -> dict[str, float]:
-    """Return the scores of a probability of error, (M,), of which some are wrong, some right.
-
-    `auroc`, `aurc` and `ece` as `eval` has them, and `risk_80`, the share of wrong points among
-    the 80 % of least error.
-    """
+    """Return `auroc`, `aurc`, `ece` of errors (M,), and `risk_80` of the 80 % of least error."""
     histogram = uncertainty_histogram(error, wrong, np.zeros(len(error), np.intp), 1)
     ranking = ranking_scores(histogram)
     counts = error_histogram(error, wrong).counts[:, 0]

@@ -20,8 +20,7 @@ from salsanext_cli.measures.calibration import calibration_scores
 from salsanext_cli.measures.histograms import confidence_histogram, softmax_errors
 from salsanext_cli.network.card import TEMPERATURES
 from salsanext_cli.records import Float
-from salsanext_cli.training.tuning.labelled_images import read_labelled_image, require_points
-from salsanext_cli.training.tuning.tuning import Tuned, TuningScans
+from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 MAX_LOGITS = 20_000_000
@@ -37,21 +36,18 @@ log = logging.getLogger(__name__)
 def fit_temperature(scans: TuningScans) -> Tuned:
     """Fit the temperature of the least negative log-likelihood.
 
-    Each point has the logits of its pixel, as for `predict --probabilities`; points of ignored
-    classes do not count. Of a scan with more points than its share of `MAX_LOGITS`, a random sample
-    is taken, the same one every time.
-
-    Reports, with the temperature that the weights had, `before`, and with the one that was fitted,
-    `after`, the `temperature`, the mean negative log-likelihood of the true class in nats, `nll`,
-    and the expected calibration error over 15 bins, `ece`, 0…1; the number of `scans` and of
-    `points` fitted to.
+    Each point has the logits of its pixel, as for `predict --probabilities`. Of a scan with more
+    points than its share of `MAX_LOGITS`, a random sample is taken, the same one every time.
+    Reports, of the temperature that the weights had, `before`, and of the new one, `after`, the
+    `temperature`, the mean negative log-likelihood of the true class in nats, `nll`, and the
+    expected calibration error over 15 bins, `ece`, 0…1.
     """
     card = scans.network.card
     most = max(1, MAX_LOGITS // card.space.class_count // len(scans.files))
     samples = list(_samples(scans, most))
     logits = torch.from_numpy(np.concatenate([values for values, _ in samples]))
     truth = torch.from_numpy(np.concatenate([classes for _, classes in samples])).long()
-    require_points(len(truth), scans.source, scans.space)
+    scans.require_points(len(truth))
     temperature = best_temperature(logits, truth)
     _require_possible(scans.source, temperature, len(truth))
     if card.error:
@@ -69,14 +65,14 @@ def _samples(scans: TuningScans, most: int) -> Iterator[tuple[Float, Any]]:
     """Yield the logits (M, C) and train ids (M,) of at most so many points of each scan."""
     for file in scans.each():
         labelled = read_labelled_image(file, scans.network, scans.space)
-        logits = scans.network.logits(labelled.image).reshape(scans.space.class_count, -1)
+        logits = scans.network.logits(labelled.image)
         if not np.isfinite(logits).all():
             raise WeightsError(file.path, "the network's logits are not finite", "finite ones")
         random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
         count = len(labelled.truth)
         chosen = random.choice(count, most, replace=False) if count > most else slice(None)
         log.info("%s/%s: %d points", file.sequence, file.stem, min(count, most))
-        yield logits[:, labelled.pixels[chosen]].T.copy(), labelled.truth[chosen]
+        yield labelled.of_points(logits)[chosen].copy(), labelled.truth[chosen]
 
 
 def _require_possible(dataset: Path, temperature: float, points: int) -> None:
@@ -114,10 +110,9 @@ def negative_log_likelihood(logits: Tensor, truth: Tensor, temperature: float) -
 def best_temperature(logits: Tensor, truth: Tensor) -> float:
     """Return the temperature of the least negative log-likelihood of truth (N,) by logits (N, C).
 
-    LBFGS on the logarithm of the temperature, in float64. The loss is convex in 1/temperature, so
-    there is one minimum, or none above 0 and below infinity: 0 if the loss falls all the way down
-    there, since every point is right; infinity if it falls all the way up, since the logits of the
-    true classes are not above average.
+    LBFGS on its logarithm, in float64. The loss is convex in 1/temperature, so there is one
+    minimum, or it is at 0, since every point is right, or at infinity, since the logits of the true
+    classes are not above average.
     """
     own = logits.gather(1, truth[:, None])[:, 0]
     if (own == logits.amax(dim=1)).all():

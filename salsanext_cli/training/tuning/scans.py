@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: MIT
+"""Scans that one part of the weights is fitted to, their labels point by point, and that part."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from torch import Tensor
+
+from salsanext_cli.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.engines.network import Network
+from salsanext_cli.errors import LabelError, first_few
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.selection import select_evenly, space_of
+from salsanext_cli.training.data.class_counts import require_labels
+from salsanext_cli.training.data.sources import read_labelled
+from salsanext_cli.training.data.targets import class_sets
+
+VALIDATION = ScanSelection(split="valid")
+"""Selection of scans to tune on, unless another is given."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TuningScans:
+    """Scans that a part of the weights is fitted to."""
+
+    source: Path
+    files: list[ScanFile]
+    space: LabelSpace  # Of the labels, if they are read; else that of the network
+    network: Network  # Fitted to the sensor of the scans
+    progress: Callable[[int, int], object] | None = None  # Called after each step
+
+    def each(self) -> Iterator[ScanFile]:
+        """Yield each scan, and report when the next one is asked for."""
+        for number, file in enumerate(self.files, start=1):
+            yield file
+            if self.progress:
+                self.progress(number, len(self.files))
+
+    def require_points(self, points: int) -> None:
+        """Raise `LabelError` if there is no point to learn from."""
+        if not points:
+            expected = f"labels of {self.space.name}"
+            raise LabelError(self.source, "no point is of a class that counts", expected)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tuned:
+    """Part of the weights that was fitted."""
+
+    card: WeightsCard  # Card of the new weights
+    report: dict[str, Any]  # Plain data
+    tensors: Mapping[str, Tensor] = field(default_factory=dict)  # Others than in the old weights
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledImage:
+    """Range image of a whole scan, and its M points that have a pixel and one class that counts."""
+
+    image: RangeImage
+    points: npt.NDArray[np.intp]  # (M,): their indices in the scan
+    truth: TrainIds  # (M,) uint8
+
+    def of_points(self, of_pixels: Float) -> Float:
+        """Give every point that counts its pixel's values: (C, H, W) to (M, C)."""
+        pixels = self.image.pixel_of_point[self.points]
+        values: Float = of_pixels.reshape(len(of_pixels), -1)[:, pixels].T
+        return values
+
+
+def labelled_scans(
+    dataset: Path, selection: ScanSelection, card: WeightsCard
+) -> tuple[list[ScanFile], LabelSpace]:
+    """Find labelled scans, evenly spaced if limited, and their classes: those of a network."""
+    scans = select_evenly(dataset, selection, card.space)
+    space = space_of(scans, card.space)
+    if not space.fits(card.space):
+        raise LabelError(
+            dataset,
+            f"labels in the classes of {space.name} ({first_few(space.differences(card.space))})",
+            f"those of {card.space.name}, as the weights",
+            "use weights for these classes",
+        )
+    require_labels(scans)
+    return scans, space
+
+
+def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:
+    """Read a scan with its labels and project it."""
+    scan, targets = read_labelled(file, space, network.sensor, class_sets([space]))
+    image = project(scan, network.sensor, network.device)
+    is_scored = np.isin(targets, np.flatnonzero(space.scored))
+    points = np.flatnonzero(is_scored & (image.pixel_of_point >= 0))
+    return LabelledImage(image, points, targets[points])
