@@ -16,6 +16,8 @@ Int = npt.NDArray[np.int32]
 
 CHANNELS = ("range", "x", "y", "z", "intensity")
 """Channels of a range image, in the published order."""
+LARGEST = np.float32(1e6)
+"""Largest range in metres, and largest intensity, that counts as a measurement of a range image."""
 
 
 @dataclass(frozen=True, slots=True)

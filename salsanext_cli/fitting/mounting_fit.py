@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.geometry.points import few_points, in_sensor_frame, upright_rotation
+from salsanext_cli.geometry.projection import few_points, in_sensor_frame, upright_rotation
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 

@@ -29,15 +29,14 @@ from salsanext_cli.geometry.network_input import (
     NO_INTENSITY,
     without_intensity,
 )
-from salsanext_cli.geometry.points import (
-    LARGEST,
+from salsanext_cli.geometry.projection import (
     ego_points,
     few_points,
     in_sensor_frame,
     measured_ranges,
     without_ego,
 )
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import LARGEST, Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 
 NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)

@@ -13,9 +13,13 @@ from salsanext_cli.fitting.scan_checks import (
     FieldOfViewCoverage,
     field_of_view_coverage,
 )
-from salsanext_cli.geometry.points import LARGEST, in_sensor_frame, measured_ranges, without_ego
-from salsanext_cli.geometry.projection import medians_of_rings
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.geometry.projection import (
+    in_sensor_frame,
+    measured_ranges,
+    medians_of_rings,
+    without_ego,
+)
+from salsanext_cli.records import LARGEST, Float, Scan
 from salsanext_cli.sensors.limits import MAX_BEAMS
 from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 

@@ -54,38 +54,24 @@ class KnnParameters:
     cutoff: float = 1.0
 
     def __post_init__(self) -> None:
-        window, k = self.window, self.k
-        possible = {
-            "window": 1 <= window <= LARGEST_WINDOW_PX and window % 2 == 1,
-            "k": 1 <= k <= window**2,
-            "sigma": 0 < self.sigma < math.inf,
-            "cutoff": self.cutoff >= 0,
-        }
-        expected = {
-            "window": f"an odd window from 1 to {LARGEST_WINDOW_PX}",
-            "k": f"1 ≤ k ≤ {window**2} neighbours in a window of {window}",
-            "sigma": "a finite sigma above 0 pixels",
-            "cutoff": "a cutoff ≥ 0 metres",
-        }
-        for name, holds in possible.items():
+        window, k, most = self.window, self.k, LARGEST_WINDOW_PX
+        odd = window % 2 == 1
+        rules = (
+            ("window", 1 <= window <= most and odd, f"an odd window from 1 to {most}"),
+            ("k", 1 <= k <= window**2, f"1 ≤ k ≤ {window**2} neighbours in a window of {window}"),
+            ("sigma", 0 < self.sigma < math.inf, "a finite sigma above 0 pixels"),
+            ("cutoff", self.cutoff >= 0, "a cutoff ≥ 0 metres"),
+        )
+        for name, holds, expected in rules:
             if not holds:
-                raise UsageError("knn", f"{name} {getattr(self, name)}", expected[name])
+                raise UsageError("knn", f"{name} {getattr(self, name)}", expected)
 
     def candidates(self, width: int) -> tuple[Int, Float]:
-        """Return the offsets of a point's candidates and the factors of their distances.
+        """Return offsets (M,) int32 of a point's candidates, and factors (M,) of their distances.
 
-        Parameters
-        ----------
-        width : int
-            W of the range image. If it is narrower than the window, no pixel comes round twice.
-
-        Returns
-        -------
-        offsets : (M,) int32
-            Flat offsets from the point's pixel, itself left out, in an image that is framed by
-            ``window // 2`` pixels on each side.
-        weights : (M,) float32
-            Their factors, 1 − Gaussian.
+        The flat offsets are those from the point's pixel, itself left out, in an image of a width
+        that is framed by ``window // 2`` pixels on each side; the factors are 1 − Gaussian. In an
+        image narrower than the window, no pixel comes round twice.
         """
         half = self.window // 2
         dy, dx = np.mgrid[-half : half + 1, -half : half + 1]
@@ -132,21 +118,37 @@ def knn_refine(
     half, width = parameters.window // 2, image.width
     empty = image.channels[0] <= 0
     ranges = _framed(np.where(empty, np.float32(np.inf), image.channels[0]), half, np.inf)
-    framed_labels = _framed(np.where(empty, np.uint8(0), labels), half, 0)
-    points = (image.pixel_of_point, image.point_range)
-    candidates = parameters.candidates(width)
-    votes = (parameters.k, parameters.cutoff)
-    if device == "cpu":
-        return _refine_on_cpu(*points, ranges, framed_labels, width, half, *candidates, *votes)
-    from salsanext_cli.geometry import knn_torch
+    labels = _framed(np.where(empty, np.uint8(0), labels), half, 0)
+    offsets, weights = parameters.candidates(width)
+    framed, votes = (ranges, labels, width, half), (offsets, weights, parameters.k)
+    if device != "cpu":
+        from salsanext_cli.geometry import knn_torch
 
-    return knn_torch.refine(
-        *points, ranges, framed_labels, width, half, *candidates, *votes, device=device
-    )
+        points = (image.pixel_of_point, image.point_range)
+        return knn_torch.refine(*points, *framed, *votes, parameters.cutoff, device)
+    pixel_of_point = argument(image.pixel_of_point, np.int32)
+    point_range = argument(image.point_range, np.float32)
+    frame = half * (width + 2 * half) + half
+    mixed = np.empty(labels.size - 2 * frame, np.bool_)
+    refined = np.empty(len(pixel_of_point), np.uint8)
+    view, vote = (ranges, labels, mixed, width, half), (*votes, np.float32(parameters.cutoff))
+
+    def mark(part: slice) -> None:
+        mark_mixed(labels, frame + part.start, offsets, mixed[part])
+
+    def refine(part: slice) -> None:
+        refine_points(pixel_of_point[part], point_range[part], *view, *vote, refined[part])
+
+    parallel_for_slices(mark, mixed.size)
+    parallel_for_slices(refine, len(refined))
+    return refined
 
 
 def _framed(image: npt.NDArray[Scalar], half: int, beyond: float) -> npt.NDArray[Scalar]:
-    """Return the flattened image with a frame of `half` pixels, periodic in azimuth."""
+    """Return the flattened image in a frame of `half` pixels, periodic in azimuth.
+
+    With it no step has to test for the border.
+    """
     wide = np.pad(image, ((0, 0), (half, half)), mode="wrap")
     return np.pad(wide, ((half, half), (0, 0)), constant_values=beyond).reshape(-1)
 
@@ -155,56 +157,18 @@ def _checked_labels(image: RangeImage, labels: npt.NDArray[np.generic], count: i
     """Return uint8 labels that fit the image; neither kernel checks bounds."""
     if not 1 <= count <= 256:
         raise UsageError("knn", f"{count} classes", "1 to 256 classes")
-    if labels.shape != (image.height, image.width):
-        raise LabelError(
-            "pixel labels", f"shape {labels.shape}", f"({image.height}, {image.width})"
-        )
+    size = (image.height, image.width)
+    if labels.shape != size:
+        raise LabelError("pixel labels", f"shape {labels.shape}", f"{size}")
     if not np.issubdtype(labels.dtype, np.integer):
         raise LabelError("pixel labels", f"dtype {labels.dtype}", "integer train ids")
     if labels.min() < 0 or labels.max() >= count:
         raise LabelError("pixel labels", f"{labels.min()} … {labels.max()}", f"0 … {count - 1}")
     pixels = image.pixel_of_point
     if len(pixels) and (pixels.min() < -1 or pixels.max() >= labels.size):
-        raise LabelError(
-            "pixels of points", f"{pixels.min()} … {pixels.max()}", f"-1 … {labels.size - 1}"
-        )
+        found = f"{pixels.min()} … {pixels.max()}"
+        raise LabelError("pixels of points", found, f"-1 … {labels.size - 1}")
     return labels.astype(np.uint8, copy=False)
-
-
-def _refine_on_cpu(
-    pixel_of_point: Int,
-    point_range: Float,
-    ranges: Float,
-    labels: TrainIds,
-    width: int,
-    half: int,
-    offsets: Int,
-    weights: Float,
-    k: int,
-    cutoff: float,
-) -> TrainIds:
-    """Return the label of every point.
-
-    Ranges and labels are those of an image of this width, flattened after a frame of `half` pixels
-    was added, so that no step has to test for its border; see `KnnParameters.candidates`.
-    """
-    pixel_of_point = argument(pixel_of_point, np.int32)
-    point_range = argument(point_range, np.float32)
-    frame = half * (width + 2 * half) + half
-    mixed = np.empty(labels.size - 2 * frame, np.bool_)
-    refined = np.empty(len(pixel_of_point), np.uint8)
-    image = (ranges, labels, mixed, width, half)
-    votes = (offsets, weights, k, np.float32(cutoff))
-
-    def mark(part: slice) -> None:
-        mark_mixed(labels, frame + part.start, offsets, mixed[part])
-
-    def vote(part: slice) -> None:
-        refine_points(pixel_of_point[part], point_range[part], *image, *votes, refined[part])
-
-    parallel_for_slices(mark, mixed.size)
-    parallel_for_slices(vote, len(refined))
-    return refined
 
 
 @compiled

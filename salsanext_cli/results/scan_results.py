@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.formats.npy import read_uncertainty
-from salsanext_cli.geometry.points import in_sensor_frame, measured_ranges
+from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors.sensor import Sensor
 

@@ -27,7 +27,7 @@ from salsanext_cli.fitting.label_scan import (
 from salsanext_cli.fitting.scan_checks import check_image
 from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.geometry.knn import KnnParameters
-from salsanext_cli.geometry.points import points_from_pixels
+from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask, named_if_too_large

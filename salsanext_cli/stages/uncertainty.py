@@ -18,7 +18,7 @@ from salsanext_cli.fitting.recorded_network import (
     require_network_of_labels,
 )
 from salsanext_cli.geometry.knn import KnnParameters
-from salsanext_cli.geometry.points import points_from_pixels
+from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask

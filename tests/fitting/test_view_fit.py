@@ -10,7 +10,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting import scan_fit
 from salsanext_cli.fitting.scan_checks import field_of_view_coverage
 from salsanext_cli.fitting.view_fit import SHOWN, fit_view
-from salsanext_cli.geometry.points import upright_rotation
+from salsanext_cli.geometry.projection import upright_rotation
 from salsanext_cli.results.layout import find_scans
 
 SCANS = [make_scan(3000, seed) for seed in range(3)]
