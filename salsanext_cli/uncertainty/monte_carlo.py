@@ -11,8 +11,7 @@ from torch import Tensor
 
 from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices, thread_count
 from salsanext_cli.engines.device import MAX_BATCH_PIXELS
-from salsanext_cli.engines.engine import Engine
-from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.network import Engine, Network
 from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.dropout import drawn, require_dropout, sampling

@@ -12,9 +12,8 @@ from scans import SMALL, lively, make_scan
 from torch import nn
 
 from salsanext_cli import label_space, project, sample
-from salsanext_cli.engines.engine import Engine
 from salsanext_cli.engines.loading import with_dropout
-from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.network import Engine, Network
 from salsanext_cli.geometry.network_input import ScanFit
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.dropout import drawn, dropouts, sampling
