@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from scans import SMALL
 
 from salsanext_cli import Scan, read_scan, sensor
-from salsanext_cli.fitting import mixed_sensors as module
-from salsanext_cli.fitting.mixed_sensors import mixed_sensors
-from salsanext_cli.fitting.scan_checks import ScanCheck, ScanTraits, check_scan
+from salsanext_cli.fitting import scan_checks as module
+from salsanext_cli.fitting.scan_checks import ScanCheck, ScanTraits, check_scan, mixed_sensors
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.results.layout import ScanFile
 

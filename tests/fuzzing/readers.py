@@ -23,7 +23,7 @@ from tiny_network import TinyNetwork
 
 from salsanext_cli import LabelSpace, label_space, project, read_labels, read_scan, sensor
 from salsanext_cli.files.json_files import read_json
-from salsanext_cli.fitting.scan_checks import field_of_view_coverage
+from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.formats import recordings
 from salsanext_cli.formats.npy import (
     encode_array,
@@ -74,7 +74,7 @@ def _scan(path: Path) -> None:
     """Read a scan and use it as every stage does."""
     scan = read_scan(path)
     project(scan, SMALL)
-    field_of_view_coverage(scan, SMALL)
+    check_scan(path, scan, SMALL)
 
 
 def _scan_of_five_columns(path: Path) -> None:
