@@ -41,13 +41,10 @@ def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float
 
 
 def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
-    """Return the variance of every pixel's softmax over noisy copies, dropout off.
+    """Return the variance (C, H, W) of every pixel's softmax over noisy copies, dropout off.
 
-    Without the temperature, as in `sample`.
-
-    `network`: whose sensor knows its noise; `image`: one scan; `seed`: of the noise.
-
-    Returns (C, H, W) float32, without bias: divided by the number of copies less one.
+    It is without bias: divided by the number of copies less one; and without the temperature, as
+    in `sample`.
     """
     statistics = PassStatistics((network.space.class_count, image.height, image.width))
     copies = noisy_copies(image, network.sensor, seed)
@@ -58,13 +55,9 @@ def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
 
 
 def aleatoric(network: Network, image: RangeImage) -> Float:
-    """Return the variance of every pixel's softmax that comes from noise of the input.
+    """Return the variance (C, H, W) of every pixel's softmax that comes from noise of the input.
 
     One pass of assumed density filtering, dropout off, without the temperature, as in `sample`.
-
-    `network`: whose sensor knows its noise; `image`: one scan.
-
-    Returns (C, H, W) float32, at least 0; its mean over the classes is the aleatoric uncertainty.
     """
     engine, mean = network.engine, network.fit.input(image.channels)
     variance = input_variance(network.fit.filled(image.channels), network.sensor)[None]

@@ -24,10 +24,7 @@ PASSES_PER_THREAD = 4
 
 
 class PassStatistics:
-    """Running sums over passes, in float64 so that the variance does not cancel.
-
-    Added up element by element, so that no bit depends on the number of threads.
-    """
+    """Running sums over passes, in float64 so that the variance does not cancel."""
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
         self.count = 0
@@ -190,7 +187,7 @@ def require_samples(samples: int) -> None:
 
 
 def pass_seed(seed: int, number: int) -> int:
-    """Return the seed of one pass: the sum of its parts would make neighbours share passes."""
+    """Return the seed of one pass; with the sum of its parts, neighbours would share passes."""
     return _hashed(f"{seed}/{number}")
 
 
