@@ -303,7 +303,7 @@ def sensor(name: str | None, base: Callable[[], Sensor] | None = None) -> Sensor
 
 def ego_box(text: str) -> tuple[float, ...]:
     """Return the box that a text tells, nothing for ``none``."""
-    from salsanext_cli.sensors.limits import BOX_EXPECTED, is_box
+    from salsanext_cli.sensors.sensor import BOX_EXPECTED, is_box
 
     box: tuple[float, ...] = ()
     if text != "none":
@@ -318,7 +318,7 @@ def with_columns(sensor: Sensor, columns: str | None) -> Sensor:
     """Return a sensor whose files have other columns, if some were named."""
     if columns is None:
         return sensor
-    from salsanext_cli.sensors.limits import COLUMNS_EXPECTED, are_columns
+    from salsanext_cli.sensors.sensor import COLUMNS_EXPECTED, are_columns
 
     names = tuple(name.strip().lower() for name in columns.split(","))
     if not are_columns(names):

@@ -14,8 +14,7 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, WeightsError
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.network.card import default_weights, joined
-from salsanext_cli.sensors.limits import NOISE
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.sensors.sensor import NOISE, Sensor
 
 log = logging.getLogger(__name__)
 

@@ -16,8 +16,7 @@ from salsanext_cli.geometry.projection import (
     without_ego,
 )
 from salsanext_cli.records import LARGEST, Float, Scan
-from salsanext_cli.sensors.limits import MAX_BEAMS
-from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
+from salsanext_cli.sensors.sensor import FITTED_NAME, MAX_BEAMS, ORIGIN, UP, Sensor
 
 MIN_RANGE_OF_BEAMS_M = 1.0
 """Nearest range that counts: beams start some centimetres beside the origin."""

@@ -14,8 +14,7 @@ import numpy.typing as npt
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.projection import drawn, measured_ranges
 from salsanext_cli.records import LARGEST, Float
-from salsanext_cli.sensors.limits import INTENSITY_LEVELS
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
 
 QUANTILE_DIGITS = 6
 """Significant digits of a quantile."""
@@ -55,16 +54,12 @@ class ScanFit:
     sensor: Sensor
     trained: Sensor
 
-    def filled(self, channels: Float) -> Float:
-        """Return (5, H, W) channels with gaps between rows as in training, if both are known."""
-        return with_filled_gaps(channels, self.sensor, self.trained)
-
     def input(self, channels: Float) -> Float:
         """Return (5, H, W) channels as the network takes them, (1, 5, H, W) float32."""
         own, trained = self.sensor.intensity_quantiles, self.trained.intensity_quantiles
         if own and trained:
             channels = match_intensity(channels, own, trained)
-        return normalise(self.filled(channels), self.sensor)[None]
+        return normalise(with_filled_gaps(channels, self.sensor, self.trained), self.sensor)[None]
 
 
 def normalise(channels: Float, sensor: Sensor) -> Float:
@@ -75,24 +70,6 @@ def normalise(channels: Float, sensor: Sensor) -> Float:
     normal /= stds
     normal[:, channels[0] <= 0] = 0
     return normal
-
-
-def input_variance(channels: Float, sensor: Sensor) -> Float:
-    """Return the variance (5, H, W) float32 of every number of a normalised range image.
-
-    A range that is wrong by δ moves the point along its ray: x by δ x/r, y and z alike. Empty
-    pixels are certain. `channels` (5, H, W) are not normalised.
-    """
-    range_noise, intensity_noise = noise_of(sensor)
-    occupied = channels[0] > 0
-    deviations = np.zeros_like(channels)
-    deviations[0] = 1
-    np.divide(channels[1:4], channels[0], out=deviations[1:4], where=occupied)
-    deviations[:4] *= range_noise
-    deviations[4] = intensity_noise
-    deviations /= np.asarray(sensor.stds, np.float32).reshape(-1, 1, 1)
-    variance: Float = np.where(occupied, np.square(deviations), np.float32(0))
-    return variance
 
 
 def noise_of(sensor: Sensor) -> tuple[float, float]:

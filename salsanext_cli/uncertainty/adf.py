@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
@@ -266,15 +266,6 @@ class Gaussian:
     def softmax(self, dim: int, groups: Groups | None = None) -> Self:
         """Return the moments of the softmax over a dimension, of classes merged into groups."""
         return self.like(*softmax_moments(self.mean, self.variance, dim, groups))
-
-
-Kind = TypeVar("Kind", bound=Gaussian)
-
-
-def propagate(network: Callable[..., Any], *inputs: Kind) -> Kind:
-    """Run on Gaussians what is written for tensors."""
-    outputs: Kind = network(*inputs)
-    return outputs
 
 
 def _linear(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:

@@ -9,15 +9,24 @@ from torch import Tensor
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.torch_engine import inference_mode
-from salsanext_cli.geometry.network_input import input_variance, noise_of
+from salsanext_cli.geometry.network_input import noise_of, with_filled_gaps
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors.sensor import Sensor
-from salsanext_cli.uncertainty.adf import Gaussian, propagate
+from salsanext_cli.uncertainty.adf import Gaussian
 from salsanext_cli.uncertainty.monte_carlo import PassStatistics
 
 COPIES = 8
 """Copies of a scan; their deviations rank pixels as those of 256 others do (correlation 0.97)."""
+
+
+def _along_ray(channels: Float) -> Float:
+    """Return the change (4, H, W) of range, x, y, z by a metre of range; 0 of empty pixels."""
+    occupied = channels[0] > 0
+    change = np.zeros_like(channels[:4])
+    change[0] = occupied
+    np.divide(channels[1:4], channels[0], out=change[1:], where=occupied)
+    return change
 
 
 def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float]:
@@ -28,16 +37,28 @@ def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float
     """
     range_noise, intensity_noise = noise_of(sensor)
     random = np.random.default_rng(seed)
-    occupied = image.channels[0] > 0
-    step = np.zeros_like(image.channels[:4])
-    step[0] = occupied
-    np.divide(image.channels[1:4], image.channels[0], out=step[1:], where=occupied)
+    occupied, step = image.channels[0] > 0, _along_ray(image.channels)
     while True:
         along, bright = random.standard_normal((2, *occupied.shape), np.float32)
         copy = image.channels.copy()
         copy[:4] += step * np.float32(range_noise) * along
         copy[4] += occupied * np.float32(intensity_noise) * bright
         yield copy
+
+
+def input_variance(channels: Float, sensor: Sensor) -> Float:
+    """Return the variance (5, H, W) float32 of every number of a normalised range image.
+
+    A range that is wrong by δ moves the point along its ray: x by δ x/r, y and z alike. Empty
+    pixels are certain. `channels` (5, H, W) are not normalised.
+    """
+    range_noise, intensity_noise = noise_of(sensor)
+    deviations = np.zeros_like(channels)
+    deviations[:4] = _along_ray(channels)
+    deviations[:4] *= range_noise
+    deviations[4] = (channels[0] > 0) * np.float32(intensity_noise)
+    deviations /= np.asarray(sensor.stds, np.float32).reshape(-1, 1, 1)
+    return np.square(deviations)
 
 
 def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
@@ -60,7 +81,8 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
     One pass of assumed density filtering, dropout off, without the temperature, as in `sample`.
     """
     engine, mean = network.engine, network.fit.input(image.channels)
-    variance = input_variance(network.fit.filled(image.channels), network.sensor)[None]
+    filled = with_filled_gaps(image.channels, network.sensor, network.fit.trained)
+    variance = input_variance(filled, network.sensor)[None]
     with inference_mode(engine.device):
         if engine.library == "openvino":
             inputs = [engine.example_input()] * 2
@@ -76,5 +98,5 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
 
 def _moments(module: SegmentationNetwork, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
     """Return mean and variance of the logits from those of the input, (B, 5, H, W)."""
-    logits = propagate(module, Gaussian(mean, variance))
+    logits: Gaussian = module(Gaussian(mean, variance))
     return logits.mean, logits.variance

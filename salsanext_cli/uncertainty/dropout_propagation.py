@@ -19,7 +19,7 @@ from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import RangeImage
-from salsanext_cli.uncertainty.adf import Gaussian, propagate
+from salsanext_cli.uncertainty.adf import Gaussian
 from salsanext_cli.uncertainty.estimate import Estimate, entropy
 
 SMALLEST_MEAN = 1e-12
@@ -147,5 +147,5 @@ def _moments(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor, Tensor
     """Return mean and variance of the logits of an image (B, 5, H, W), with the padding."""
     features = module.padded_trunk(image)
     certain = (ChannelCorrelatedGaussian(f, torch.zeros_like(f)) for f in features)
-    logits = propagate(module.rest, *certain)
+    logits: Any = module.rest(*certain)
     return logits.mean, logits.variance

@@ -18,7 +18,7 @@ from salsanext_cli.network.card import read_card
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_bin
-from salsanext_cli.sensors.limits import INTENSITY_LEVELS
+from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages import export_onnx as stage
 from salsanext_cli.stages.export_onnx import export_onnx
 

@@ -9,7 +9,8 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import Sensor, project, sensor
 from salsanext_cli.errors import UsageError
-from salsanext_cli.geometry.network_input import input_variance, noise_of, normalise
+from salsanext_cli.geometry.network_input import noise_of, normalise
+from salsanext_cli.uncertainty.aleatoric import input_variance
 
 NOISY = replace(SMALL, range_noise=0.03, intensity_noise=0.1)
 

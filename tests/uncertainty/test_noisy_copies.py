@@ -6,8 +6,13 @@ from itertools import islice
 
 import numpy as np
 
-from salsanext_cli.geometry.network_input import input_variance, normalise
-from salsanext_cli.uncertainty.aleatoric import COPIES, noise_variance, noisy_copies
+from salsanext_cli.geometry.network_input import normalise
+from salsanext_cli.uncertainty.aleatoric import (
+    COPIES,
+    input_variance,
+    noise_variance,
+    noisy_copies,
+)
 
 
 def with_noise(network, metres, intensity):
