@@ -193,11 +193,8 @@ class Sensor:
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
         """Return the same sensor with another image size."""
-        return replace(
-            self,
-            height=self.height if height is None else height,
-            width=self.width if width is None else width,
-        )
+        sizes = {"height": height, "width": width}
+        return replace(self, **{key: size for key, size in sizes.items() if size is not None})
 
 
 def are_beams(elevations: tuple[float, ...]) -> bool:
