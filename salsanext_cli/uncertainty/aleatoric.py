@@ -58,7 +58,8 @@ def input_variance(channels: Float, sensor: Sensor) -> Float:
     deviations[:4] *= range_noise
     deviations[4] = (channels[0] > 0) * np.float32(intensity_noise)
     deviations /= np.asarray(sensor.stds, np.float32).reshape(-1, 1, 1)
-    return np.square(deviations)
+    variance: Float = np.square(deviations)
+    return variance
 
 
 def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
