@@ -5,7 +5,7 @@ A dropped channel is dropped at all of its pixels, so what it does to neighbouri
 average out, as independent noise would.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 from typing import Any, ClassVar
 
@@ -147,6 +147,5 @@ def _moments(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor, Tensor
     """Return mean and variance of the logits of an image (B, 5, H, W), with the padding."""
     features = module.padded_trunk(image)
     certain = (ChannelCorrelatedGaussian(f, torch.zeros_like(f)) for f in features)
-    rest: Callable[..., Any] = module.rest  # written for tensors
-    logits = rest(*certain)
+    logits: Any = module.rest(*certain)
     return logits.mean, logits.variance
