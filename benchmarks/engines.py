@@ -95,7 +95,7 @@ def compare(scan: sn.Scan, sensor: sn.Sensor, weights: str | None, rounds: int) 
         return sn.load_network(weights, "cpu", sensor, kind, engine)
 
     projected = sn.project(scan, sensor)
-    image = load("torch", "float32").fit.input(projected.channels)
+    image = load("torch", "float32").input(projected.channels)
     found = engines(load, image)
     times = {name: [] for name in found}
     for _ in range(rounds):

@@ -21,7 +21,6 @@ from salsanext_cli.engines.network import Engine, Network
 from salsanext_cli.errors import MissingDependency, UsageError, WeightsError, error_text
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.user_cache import check_once
-from salsanext_cli.geometry.network_input import ScanFit
 from salsanext_cli.network.card import WeightsCard, default_weights, read_card
 from salsanext_cli.network.onnx_metadata import ONNX_SUFFIX
 from salsanext_cli.records import CHANNELS
@@ -72,10 +71,10 @@ def load_network(
     file = default_weights() if path is None else Path(path)
     card = read_card(file)
     merging = ClassMerging.needed(card.space, classes)
-    fit = ScanFit(sensor or card.sensor, card.sensor)
-    size = (fit.sensor.height, fit.sensor.width)
+    sensor = sensor or card.sensor
+    size = (sensor.height, sensor.width)
     if file.suffix == ONNX_SUFFIX:
-        return Network(_load_onnx(file, card, size, device, precision, engine), fit, merging)
+        return Network(_load_onnx(file, card, size, device, precision, engine), sensor, merging)
     sha256, place = fingerprint(file), choose_device(device)
     loaded = Engine(
         lambda: _read_module(file, place, sha256),
@@ -91,13 +90,13 @@ def load_network(
         _ = loaded.module
     else:
         check_once(sha256, lambda: loaded.module)  # what was read once needs no torch
-    return Network(loaded, fit, merging)
+    return Network(loaded, sensor, merging)
 
 
 def network_of_module(module: "SegmentationNetwork", card: WeightsCard, device: str) -> Network:
     """Return the network of a module that is on a device already, computed by torch."""
     size = (card.sensor.height, card.sensor.width)
-    return Network(Engine(lambda: module, card, size, device), ScanFit(card.sensor, card.sensor))
+    return Network(Engine(lambda: module, card, size, device), card.sensor)
 
 
 def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":

@@ -16,7 +16,7 @@ from salsanext_cli.compiled.kernels import thread_count
 from salsanext_cli.engines.graphs import Graph, compiled_graph, converted
 from salsanext_cli.errors import WeightsError, out_of_memory
 from salsanext_cli.geometry.knn import KnnParameters, knn_refine
-from salsanext_cli.geometry.network_input import ScanFit
+from salsanext_cli.geometry.network_input import network_input
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors.sensor import Sensor
@@ -182,14 +182,14 @@ class Network:
     ----------
     engine : Engine
         Computes with the weights.
-    fit : ScanFit
-        Makes the input of the weights of range images of the sensor.
+    sensor : Sensor
+        Geometry and normalisation of the range images: the card's unless another was named.
     merging : ClassMerging, optional
         Merges the classes of the card into those of all results but the logits.
     """
 
     engine: Engine
-    fit: ScanFit
+    sensor: Sensor
     merging: ClassMerging | None = None
 
     @property
@@ -208,11 +208,6 @@ class Network:
         return self.engine.module
 
     @property
-    def sensor(self) -> Sensor:
-        """Geometry and normalisation of the range images: the card's unless another was named."""
-        return self.fit.sensor
-
-    @property
     def space(self) -> LabelSpace:
         """Classes of the results: those of the card, merged if that was asked for."""
         return self.card.space if self.merging is None else self.merging.space
@@ -224,11 +219,15 @@ class Network:
 
     def for_sensor(self, sensor: Sensor) -> "Network":
         """Return the network for another sensor, whose images have the same size."""
-        return replace(self, fit=replace(self.fit, sensor=sensor))
+        return replace(self, sensor=sensor)
+
+    def input(self, channels: Float) -> Float:
+        """Return (5, H, W) channels of the sensor as the weights take them, (1, 5, H, W)."""
+        return network_input(channels, self.sensor, self.card.sensor)
 
     def logits(self, image: RangeImage) -> Float:
         """Return the logits of every pixel, (C, H, W) float32, of the classes of the card."""
-        (logits,) = self.engine.outputs([self.fit.input(image.channels)], None)
+        (logits,) = self.engine.outputs([self.input(image.channels)], None)
         return logits
 
     def probabilities(self, image: RangeImage, source: object = "a scan") -> Float:
@@ -260,7 +259,7 @@ class Network:
 
         Errors are those of `Engine.outputs`; the temperature is the card's by default.
         """
-        inputs = [self.fit.input(each) for each in channels]
+        inputs = [self.input(each) for each in channels]
         softmax = self.engine.outputs(inputs, temperature or self.card.temperature)
         return [self.merged(each) for each in softmax]
 

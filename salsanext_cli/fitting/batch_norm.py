@@ -121,7 +121,7 @@ def statistics_of_scan(
     `channels` (5, H, W); `source`: what to call the scan in an error.
     """
     module = network.module
-    inputs = network.engine.tensor(network.fit.input(channels))
+    inputs = network.engine.tensor(network.input(channels))
     height, width = inputs.shape[-2:]
     inside = torch.zeros(module.pad(inputs).shape[-2:], dtype=torch.float64)
     inside[:height, :width] = 1

@@ -294,7 +294,7 @@ def _adapted_to(
         raise NoInputError("--adapt", found, "scans to adapt to")
     digest = hashlib.sha256(f"{network.engine.sha256} {ADAPTED_SHARE}".encode())
     for channels in images:
-        digest.update(network.fit.input(channels).tobytes())
+        digest.update(network.input(channels).tobytes())
     path = out / ADAPTED_NAME.format(digest.hexdigest()[:12])
     with locked(out / ".adapted.lock", LOCK_TIMEOUT_S):
         OwnedFolder(out).require_own([path])

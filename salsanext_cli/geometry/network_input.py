@@ -6,7 +6,6 @@ that sparser beams leave between rows are filled.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -47,19 +46,16 @@ MORE_GAPS = 0.08
 GAP_DIGITS = 4
 
 
-@dataclass(frozen=True, slots=True)
-class ScanFit:
-    """Sensor of the scans at hand, and that of training."""
+def network_input(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
+    """Return channels (5, H, W) of a sensor as weights that were trained on another take them.
 
-    sensor: Sensor
-    trained: Sensor
-
-    def input(self, channels: Float) -> Float:
-        """Return (5, H, W) channels as the network takes them, (1, 5, H, W) float32."""
-        own, trained = self.sensor.intensity_quantiles, self.trained.intensity_quantiles
-        if own and trained:
-            channels = match_intensity(channels, own, trained)
-        return normalise(with_filled_gaps(channels, self.sensor, self.trained), self.sensor)[None]
+    Gaps and intensity become those of training where both sensors know theirs. Returns (1, 5, H, W)
+    float32.
+    """
+    own, of_training = sensor.intensity_quantiles, trained.intensity_quantiles
+    if own and of_training:
+        channels = match_intensity(channels, own, of_training)
+    return normalise(with_filled_gaps(channels, sensor, trained), sensor)[None]
 
 
 def normalise(channels: Float, sensor: Sensor) -> Float:

@@ -81,8 +81,8 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
 
     One pass of assumed density filtering, dropout off, without the temperature, as in `sample`.
     """
-    engine, mean = network.engine, network.fit.input(image.channels)
-    filled = with_filled_gaps(image.channels, network.sensor, network.fit.trained)
+    engine, mean = network.engine, network.input(image.channels)
+    filled = with_filled_gaps(image.channels, network.sensor, network.card.sensor)
     variance = input_variance(filled, network.sensor)[None]
     with inference_mode(engine.device):
         if engine.library == "openvino":

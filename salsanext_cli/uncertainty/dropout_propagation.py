@@ -128,7 +128,7 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
     The mutual information is that of a small spread of the softmax around its mean, ½ Σ v / p, and
     at most the entropy. The temperature is left out, as in `sample`.
     """
-    engine, given = network.engine, network.fit.input(image.channels)
+    engine, given = network.engine, network.input(image.channels)
     rate = require_dropout(engine.module)
     with inference_mode(engine.device):
         if engine.library == "openvino":

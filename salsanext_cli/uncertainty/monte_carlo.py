@@ -91,7 +91,7 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     seeds = [pass_seed(seed, number) for number in range(samples)]
     passes = openvino_passes if network.engine.library == "openvino" else torch_passes
     with inference_mode(network.device):
-        for softmax, nats in passes(network.engine, network.fit.input(image.channels), seeds):
+        for softmax, nats in passes(network.engine, network.input(image.channels), seeds):
             inside = (..., slice(image.height), slice(image.width))
             softmax, nats = softmax[inside], nats[inside]
             if network.merging is not None:

@@ -73,7 +73,7 @@ def _estimate(
 
 def pixel_features(network: Network, image: RangeImage) -> Float:
     """Return the features of every pixel of a scan, (D, H, W) float32, without dropout."""
-    engine, given = network.engine, network.fit.input(image.channels)
+    engine, given = network.engine, network.input(image.channels)
     if engine.library == "openvino":
         of_one: Float = engine.graph("features", _decoded)(given)[0][0]
         return of_one
