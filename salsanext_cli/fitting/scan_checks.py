@@ -183,7 +183,7 @@ def intensity_findings(
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
-    """Check the intensity of a range image (5, H, W); its geometry was when it was projected."""
+    """Check the intensity of a range image (5, H, W); its view was checked by `project`."""
     occupied = channels[:, channels[0] > 0]
     if occupied.shape[1] < MIN_POINTS:
         return UNCHECKED
