@@ -63,12 +63,12 @@ def by_openvino(network: Network) -> Engine:
 
 
 def by_openvino_in_int8(network: Network, image: np.ndarray) -> Engine:
-    from salsanext_cli.engines.onnx_engine import read_model
+    from salsanext_cli.engines.loading import read_onnx
     from salsanext_cli.engines.onnx_export import exported, quantised
 
     card = replace(network.card, sensor=network.sensor)
     content = quantised(exported(network.module, card), [image], lambda given: given)
-    model = read_model(content.SerializeToString(), "int8", card, network.engine.size)
+    model = read_onnx(content.SerializeToString(), "int8", card, network.engine.size)
     hints = {"INFERENCE_PRECISION_HINT": HINTS[KINDS[-1]], "INFERENCE_NUM_THREADS": thread_count()}
     graph = Graph(openvino_core().compile_model(model, "CPU", hints))
     return lambda image: graph(image)[0]
@@ -95,7 +95,7 @@ def compare(scan: sn.Scan, sensor: sn.Sensor, weights: str | None, rounds: int) 
         return sn.load_network(weights, "cpu", sensor, kind, engine)
 
     projected = sn.project(scan, sensor)
-    image = load("torch", "float32").fit.input(projected.channels)
+    image = load("torch", "float32").input(projected.channels)
     found = engines(load, image)
     times = {name: [] for name in found}
     for _ in range(rounds):

@@ -20,7 +20,7 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting.scan_fit import fitted
 from salsanext_cli.fitting.view_fit import view_text
-from salsanext_cli.geometry.points import in_sensor_frame
+from salsanext_cli.geometry.projection import in_sensor_frame
 from salsanext_cli.report.colours import Colours, legend_of, screen_colours
 from salsanext_cli.report.scan_pictures import scan_picture
 from salsanext_cli.results.layout import find_scans

@@ -16,6 +16,8 @@ Int = npt.NDArray[np.int32]
 
 CHANNELS = ("range", "x", "y", "z", "intensity")
 """Channels of a range image, in the published order."""
+LARGEST = np.float32(1e6)
+"""Largest range in metres, and largest intensity, that counts as a measurement of a range image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,31 +89,3 @@ class RangeImage:
     def width(self) -> int:
         """W, the number of columns."""
         return int(self.channels.shape[2])
-
-
-@dataclass(frozen=True, slots=True)
-class Uncertainty:
-    """Per-pixel or per-point uncertainty of one scan; NaN for empty pixels and without a pixel.
-
-    Attributes
-    ----------
-    epistemic : float32
-        Variance of the softmax over passes, mean over classes (paper III-C.2); 0…(1 - 1/C)/C.
-    entropy : float32
-        Predictive entropy of the mean softmax in nats; 0…ln C.
-    mutual_information : float32
-        Entropy of the mean softmax minus mean entropy of the passes in nats; 0…ln C.
-    aleatoric : float32, optional
-        Variance of the softmax by the sensor's noise, mean over classes; 0…(1 - 1/C)/C. It ranks
-        points; its scale is far too small.
-    """
-
-    epistemic: Float
-    entropy: Float
-    mutual_information: Float
-    aleatoric: Float | None = None
-
-    @property
-    def total(self) -> Float | None:
-        """Epistemic plus aleatoric, if that is known (paper III-C)."""
-        return None if self.aleatoric is None else self.epistemic + self.aleatoric

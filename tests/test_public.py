@@ -16,7 +16,7 @@ import salsanext_cli as sn
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.results.point_files import write_bin
-from salsanext_cli.sensors.limits import INTENSITY_LEVELS
+from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.predict import predict_scans
 
 NAMES = [name for name in sn.__all__ if not name.startswith("__")]

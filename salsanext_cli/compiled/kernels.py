@@ -44,23 +44,6 @@ MIN_SLICE_ITEMS = 16384
 log = logging.getLogger(__name__)
 
 
-def run_on_threads(work: Callable[[], object], threads: int) -> None:
-    """Call ``work()`` on up to `threads` threads at once, this one among them.
-
-    Returns when all calls are done. Each call should do what remains of the work: calls that have
-    not begun when this thread is done are cancelled. They must not wait for each other.
-    """
-    pool = _pool(os.getpid()) if threads > 1 else None
-    calls = [pool.submit(work) for _ in range(threads - 1)] if pool else []
-    try:
-        work()
-    finally:
-        begun = [call for call in calls if not call.cancel()]
-        wait(begun)
-    for call in begun:
-        call.result()
-
-
 @lru_cache(maxsize=1)
 def _pool(_process: int) -> ThreadPoolExecutor:
     """Return the pool of a process; after a fork it is a new one."""
@@ -70,8 +53,7 @@ def _pool(_process: int) -> ThreadPoolExecutor:
 def compiled(function: Function) -> Function:
     """Compile on first call, strictly in IEEE arithmetic, and cache where a cache can be written.
 
-    That is the folder NUMBA_CACHE_DIR, by default the user's cache folder, which all processes
-    share; else beside the source. Without any of them, the kernel is compiled once per process.
+    That is the folder NUMBA_CACHE_DIR, by default the user's cache folder; else beside the source.
     """
     kernel: Any = numba.njit(nogil=True, error_model="numpy")(function)
     settings = vars(numba.config)
@@ -171,8 +153,8 @@ def argument(array: npt.NDArray[Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
 def parallel_for(work: Callable[[Item], object], items: Sequence[Item]) -> None:
     """Call a function of each item, on several threads; no two calls may write to the same place.
 
-    There are up to ``NUMBA_NUM_THREADS`` of them: all cores, unless that variable is set, as joblib
-    does for its workers.
+    There are up to ``NUMBA_NUM_THREADS`` of them, this one among them: all cores, unless that
+    variable is set, as joblib does for its workers.
     """
     waiting = iter(items)
 
@@ -181,14 +163,22 @@ def parallel_for(work: Callable[[Item], object], items: Sequence[Item]) -> None:
         for item in waiting:
             work(item)
 
-    run_on_threads(pull, max(1, min(thread_count(), len(items))))
+    threads = min(thread_count(), len(items))
+    helpers = [_pool(os.getpid()).submit(pull) for _ in range(threads - 1)]
+    try:
+        pull()
+    finally:
+        begun = [helper for helper in helpers if not helper.cancel()]
+        wait(begun)
+    for helper in begun:
+        helper.result()
 
 
 def parallel_for_slices(work: Callable[[slice], object], count: int, cost: int = 1) -> None:
     """Call `work` for slices that cover ``0 … count``, one for each thread of `parallel_for`.
 
-    The result must not depend on their number. Of items that each `cost` more, fewer are enough
-    for a second thread.
+    The result must not depend on their number. Of items that `cost` more, fewer are enough for a
+    second thread.
     """
     threads = max(1, min(thread_count(), count * cost // MIN_SLICE_ITEMS))
     borders = [count * part // threads for part in range(threads + 1)]

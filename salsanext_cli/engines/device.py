@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 PRECISIONS = ("auto", "float32", "bfloat16", "float16")
 ENGINES = ("auto", "openvino", "torch")
 MAX_BATCH_PIXELS = 16 * 64 * 2048
-"""Pixels that a GPU computes side by side, of several images or of passes over one."""
+"""Pixels that a GPU computes side by side."""
 GPU_FILES = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-ctrl", "/dev/kfd", "/dev/dxg")
 """Devices of Linux without one of which torch finds no GPU."""
 CPUINFO = Path("/proc/cpuinfo")
@@ -61,11 +61,7 @@ def choose_device(name: str) -> str:
 
 
 def choose_engine(name: str, device: str) -> str:
-    """Return the engine of a name on a device.
-
-    `name` {"auto", "openvino", "torch"}, ``"auto"`` is OpenVINO on a CPU on which it starts, and
-    torch elsewhere; `device`: as `choose_device` returns it.
-    """
+    """Return the engine of a name; ``"auto"`` is OpenVINO on CPUs on which it starts."""
     if name not in ENGINES:
         raise UsageError("--engine", name, ", ".join(ENGINES))
     if device != "cpu":
@@ -74,21 +70,20 @@ def choose_engine(name: str, device: str) -> str:
         return "torch"
     if name == "torch":
         return name
-    if not (found := _openvino_fails()):
+    if not (failure := _openvino_fails()):
         return "openvino"
     if name == "openvino":
-        raise MissingDependency(name, found, remedy="install it again, or --engine torch")
-    _say_once(found)
+        raise MissingDependency(name, failure, remedy="install it again, or --engine torch")
+    _warn_once(failure)
     return "torch"
 
 
 @cache
 def openvino_core() -> "openvino.Core":
-    """Return OpenVINO for this process.
+    """Return OpenVINO for this process, until it ends.
 
-    It stays until the process ends: the CPU plugin gives the thread that loads it a stack for
-    signal handlers, and takes the memory back when it is unloaded, whichever thread does that. The
-    next signal would end the process.
+    The CPU plugin gives the thread that loads it a stack for signal handlers, and takes the memory
+    back when it is unloaded: the next signal would end the process.
     """
     import openvino
 
@@ -116,16 +111,15 @@ def _openvino_fails() -> str:
 
 
 @cache
-def _say_once(found: str) -> None:
-    log.warning("openvino %s; computing with torch, which is slower", found)
+def _warn_once(failure: str) -> None:
+    log.warning("openvino %s; computing with torch, which is slower", failure)
 
 
 def choose_precision(name: str, device: str) -> str:
     """Return the number type of a name on a device.
 
-    `name` {"auto", "float32", "bfloat16", "float16"}, ``"auto"`` is float16 on a GPU with tensor
-    cores, bfloat16 on a CPU that multiplies it, and float32 elsewhere; `device`: as `choose_device`
-    returns it.
+    ``"auto"`` is float16 on a GPU with tensor cores, bfloat16 on a CPU that multiplies it, and
+    float32 elsewhere.
     """
     if name not in PRECISIONS:
         raise UsageError("--precision", name, ", ".join(PRECISIONS))
@@ -156,15 +150,11 @@ def has_bfloat16() -> bool:
 
 def bfloat16_instructions() -> list[str]:
     """Return the flags of those that multiply bfloat16 here and that the environment allows."""
-    limit, known = isa_limit(), flags()
-    return [
-        flag
-        for flag, parts in BFLOAT16_ISA.items()
-        if flag in known and any(part in limit for part in parts)
-    ]
+    limit = _isa_limit()
+    return [f for f in BFLOAT16_ISA if f in flags() and any(p in limit for p in BFLOAT16_ISA[f])]
 
 
-def isa_limit() -> str:
+def _isa_limit() -> str:
     """Return the instructions that the environment holds the libraries to, "ALL" for any."""
     named = (os.environ.get(variable) for variable in ISA_VARIABLES)
     return next(filter(None, named), "ALL").upper()
@@ -172,4 +162,4 @@ def isa_limit() -> str:
 
 def processor() -> str:
     """Return what code that is compiled for this processor depends on."""
-    return f"{platform.machine()} {sorted(flags())} {isa_limit()}"
+    return f"{platform.machine()} {sorted(flags())} {_isa_limit()}"

@@ -32,7 +32,7 @@ HINTS = {"float32": "f32", "bfloat16": "bf16"}
 LOGITS = "logits"
 """Name of the last convolution, in every architecture."""
 OF_LOGITS = re.compile(rf"[./]{LOGITS}/")
-"""Part of the names of its layers, traced from torch or read from ONNX."""
+"""Part of the names of its layers."""
 ERFC = (
     *(0.17087277, -0.82215223, 1.48851587, -1.13520398, 0.27886807),
     *(-0.18628806, 0.09678418, 0.37409196, 1.00002368, -1.26551223),
@@ -44,10 +44,7 @@ _COMPILING = threading.Lock()
 
 
 class Graph:
-    """Compiled part of a network: float32 arrays in, float32 arrays out, the same bits always.
-
-    `compiled`: with one stream or several, each for calls side by side.
-    """
+    """Compiled part of a network: float32 arrays in, float32 arrays out, the same bits always."""
 
     def __init__(self, compiled: "openvino.CompiledModel") -> None:
         self.compiled = compiled
@@ -60,24 +57,24 @@ class Graph:
 
     def __call__(self, *inputs: Float) -> list[Float]:
         """Compute once."""
-        found = self.request.infer(dict(enumerate(inputs)), share_inputs=True)
-        return list(found.values())
+        outputs = self.request.infer(dict(enumerate(inputs)), share_inputs=True)
+        return list(outputs.values())
 
     def each(self, calls: Sequence[Sequence[Float]]) -> list[list[Float]]:
         """Compute several times side by side; return the outputs in the order of the calls."""
         from openvino import AsyncInferQueue
 
-        found: list[list[Float]] = [[]] * len(calls)
+        outputs: list[list[Float]] = [[]] * len(calls)
 
         def keep(request: "openvino.InferRequest", number: int) -> None:
-            found[number] = [tensor.data.copy() for tensor in request.output_tensors]
+            outputs[number] = [tensor.data.copy() for tensor in request.output_tensors]
 
         queue = AsyncInferQueue(self.compiled)
         queue.set_callback(keep)
         for number, inputs in enumerate(calls):
             queue.start_async(dict(enumerate(inputs)), number, share_inputs=True)
         queue.wait_all()
-        return found
+        return outputs
 
 
 def compiled_graph(
@@ -89,10 +86,9 @@ def compiled_graph(
 ) -> Graph:
     """Return a model, ready to compute; from the cache if it was compiled before.
 
-    `make`: returns the model; called only if the cache does not hold it; `key`: what the model
-    depends on, with a `repr` of its own; `precision` {"float32", "bfloat16"}, of all layers but
-    those that see the range image or make the logits; `threads`, `streams`: threads in all, and
-    calls that they compute side by side. No bit depends on them.
+    `make` is called only if the cache does not hold it; `key` is what the model depends on, with a
+    `repr` of its own. Layers that see the range image or make the logits compute in float32 in any
+    precision. `threads` in all compute `streams` calls side by side; no bit depends on them.
     """
     import openvino
 
@@ -124,7 +120,7 @@ def compiled_graph(
 def _sources() -> str:
     """Return a digest of the code that graphs are made of."""
     package, digest = Path(__file__).parents[1], hashlib.sha256()
-    for room in ("inference", "network", "uncertainty"):
+    for room in ("engines", "network", "uncertainty"):
         for path in sorted((package / room).glob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -185,12 +181,13 @@ def partly_float32(core: "openvino.Core", model: "openvino.Model") -> "openvino.
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder, "model.xml")
             openvino.save_model(model, file, compress_to_fp16=False)
-            tree, weights = ElementTree.parse(file), file.with_suffix(".bin").read_bytes()
+            root = ElementTree.parse(file).getroot()
+            weights = file.with_suffix(".bin").read_bytes()
     except (OSError, RuntimeError) as error:
         full = f"cannot hold the network for a moment: {error_text(error)}"
         raise OutputError("folder for temporary files", full, "room for weights") from error
     after_logits = False
-    for layer in tree.getroot().iter("layer"):
+    for layer in root.iter("layer"):
         if layer.get("type") in ("Convolution", "GroupConvolution"):
             is_logits = bool(OF_LOGITS.search(str(layer.get("name"))))
             channels = int(layer.findall("input/port")[0].findall("dim")[1].text or 0)
@@ -199,10 +196,9 @@ def partly_float32(core: "openvino.Core", model: "openvino.Model") -> "openvino.
         else:
             precise = after_logits and layer.get("type") not in ("Const", "Parameter", "Result")
         if precise:
-            mark = ElementTree.Element("attribute", name="precise", version="0")
-            found = layer.find("rt_info")
-            if found is None:
-                found = ElementTree.Element("rt_info")
-                layer.insert(1 if layer.find("data") is not None else 0, found)
-            found.append(mark)
-    return core.read_model(ElementTree.tostring(tree.getroot()), weights)
+            info = layer.find("rt_info")
+            if info is None:
+                info = ElementTree.Element("rt_info")
+                layer.insert(1 if layer.find("data") is not None else 0, info)
+            ElementTree.SubElement(info, "attribute", name="precise", version="0")
+    return core.read_model(ElementTree.tostring(root), weights)

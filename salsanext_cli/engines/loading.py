@@ -1,24 +1,33 @@
 # SPDX-License-Identifier: MIT
-"""Networks from weights files: on which device, by which engine, in which number type."""
+"""Networks from weights files and ONNX files: on which device, by which engine and number type."""
 
-from dataclasses import replace
+import hashlib
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.engines.device import choose_device, choose_engine, choose_precision
-from salsanext_cli.engines.engine import Engine
-from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.onnx_engine import load_onnx
-from salsanext_cli.errors import WeightsError
+from salsanext_cli.engines.device import (
+    choose_device,
+    choose_engine,
+    choose_precision,
+    openvino_core,
+)
+from salsanext_cli.engines.graphs import Graph
+from salsanext_cli.engines.network import Engine, Network
+from salsanext_cli.errors import MissingDependency, UsageError, WeightsError, error_text
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.user_cache import check_once
-from salsanext_cli.geometry.network_input import ScanFit
 from salsanext_cli.network.card import ONNX_SUFFIX, WeightsCard, default_weights, read_card
+from salsanext_cli.records import CHANNELS
 from salsanext_cli.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
+    import openvino
+
     from salsanext_cli.network.segmentation import SegmentationNetwork
 
 
@@ -61,10 +70,10 @@ def load_network(
     file = default_weights() if path is None else Path(path)
     card = read_card(file)
     merging = ClassMerging.needed(card.space, classes)
-    fit = ScanFit(sensor or card.sensor, card.sensor)
-    size = (fit.sensor.height, fit.sensor.width)
+    sensor = sensor or card.sensor
+    size = (sensor.height, sensor.width)
     if file.suffix == ONNX_SUFFIX:
-        return Network(load_onnx(file, card, size, device, precision, engine), fit, merging)
+        return Network(_load_onnx(file, card, size, device, precision, engine), sensor, merging)
     sha256, place = fingerprint(file), choose_device(device)
     loaded = Engine(
         lambda: _read_module(file, place, sha256),
@@ -80,13 +89,13 @@ def load_network(
         _ = loaded.module
     else:
         check_once(sha256, lambda: loaded.module)  # what was read once needs no torch
-    return Network(loaded, fit, merging)
+    return Network(loaded, sensor, merging)
 
 
 def network_of_module(module: "SegmentationNetwork", card: WeightsCard, device: str) -> Network:
     """Return the network of a module that is on a device already, computed by torch."""
     size = (card.sensor.height, card.sensor.width)
-    return Network(Engine(lambda: module, card, size, device), ScanFit(card.sensor, card.sensor))
+    return Network(Engine(lambda: module, card, size, device), card.sensor)
 
 
 def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":
@@ -96,9 +105,13 @@ def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":
 
     module, _ = read_weights(file)
     if fingerprint(file) != sha256:
-        found = "was replaced since the run began"
-        raise WeightsError(file, found, "the same file", "run again with --overwrite")
+        raise _replaced(file)
     return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+
+
+def _replaced(file: Path) -> WeightsError:
+    found = "was replaced since the run began"
+    return WeightsError(file, found, "the same file", "run again with --overwrite")
 
 
 def with_dropout(network: Network, rate: float) -> Network:
@@ -118,3 +131,97 @@ def with_dropout(network: Network, rate: float) -> Network:
     module.load_state_dict(network.module.state_dict(), assign=True)
     card = replace(network.card, architecture=architecture)
     return replace(network, engine=replace(network.engine, load_module=module.eval, card=card))
+
+
+@dataclass(frozen=True, eq=False)
+class OnnxEngine(Engine):
+    """Engine of an ONNX file: labels and probabilities, without torch."""
+
+    path: Path = Path()
+
+    def model(self, temperature: float | None = None) -> "openvino.Model":
+        """Read the file; with a temperature, for the softmax of the logits divided by it."""
+        try:
+            content = self.path.read_bytes()
+        except OSError as error:
+            raise WeightsError(self.path, f"cannot be read: {error_text(error)}") from error
+        if hashlib.sha256(content).hexdigest() != self.sha256:
+            raise _replaced(self.path)
+        model = read_onnx(content, self.path, self.card, self.size)
+        return model if temperature is None else _with_softmax(model, temperature)
+
+    def output_graph(self, temperature: float | None) -> Graph:
+        """Return the graph of the softmax at a temperature, or of the logits."""
+        return self.compiled(
+            f"ONNX at {temperature}", lambda: self.model(temperature), self.precision
+        )
+
+
+def _load_onnx(
+    path: Path, card: WeightsCard, size: tuple[int, int], device: str, precision: str, engine: str
+) -> OnnxEngine:
+    if device not in ("auto", "cpu"):
+        raise UsageError("--device", f"{device} for an ONNX model", "cpu, or .safetensors weights")
+    if engine == "torch":
+        raise UsageError("--engine", "torch for an ONNX model", "openvino, or .safetensors weights")
+
+    def no_module() -> "SegmentationNetwork":
+        from salsanext_cli.network.weights import read_weights
+
+        return read_weights(path)[0]  # raises what is to be said
+
+    number_type = choose_precision(precision, "cpu")
+    try:
+        library = choose_engine("openvino", "cpu")
+    except MissingDependency as error:
+        remedy = "install it again, or give the .safetensors weights"
+        raise MissingDependency(error.subject, error.found, remedy=remedy) from error
+    sha256 = fingerprint(path)
+    loaded = OnnxEngine(
+        no_module, card, size, "cpu", number_type, library, str(path), sha256, path=path
+    )
+    import openvino
+
+    shape = "x".join(map(str, size))
+    check_once(f"{sha256}.{shape}-{openvino.__version__}", loaded.model)
+    return loaded
+
+
+def read_onnx(
+    content: bytes, source: object, card: WeightsCard, size: tuple[int, int]
+) -> "openvino.Model":
+    """Read an ONNX model of normalised range images (1, 5, H, W) to logits (1, C, H, W).
+
+    `source` is the name of the file, for errors; a model of dynamic width takes that of the size.
+    """
+    import openvino
+
+    wanted = [1, len(CHANNELS), *size]
+    try:
+        model = openvino_core().read_model(content)
+        shapes = [port.get_partial_shape() for port in (*model.inputs, *model.outputs)]
+        if len(model.inputs) != 1 or len(model.outputs) != 1:
+            count = f"{len(model.inputs)} inputs and {len(model.outputs)} outputs"
+            raise WeightsError(source, count, "one of each")
+        if not shapes[0].compatible(openvino.PartialShape(wanted)):
+            remedy = "export it again with --sensor, or with --dynamic-width"
+            raise WeightsError(source, f"takes images {shapes[0]}", f"{wanted}", remedy)
+        model.reshape(wanted)
+    except (RuntimeError, ValueError, TypeError, MemoryError) as error:
+        found = f"cannot be read by OpenVINO: {error_text(error)}"
+        remedy = "write it with `salsanext export-onnx`"
+        raise WeightsError(source, found, "an ONNX model", remedy) from error
+    logits, expected = model.output(0).get_partial_shape(), [1, card.space.class_count, *size]
+    if logits != openvino.PartialShape(expected):
+        raise WeightsError(source, f"its logits are {logits}", f"{expected}, as its card says")
+    return model
+
+
+def _with_softmax(model: "openvino.Model", temperature: float) -> "openvino.Model":
+    """Return the model that ends with the softmax of its logits divided by a temperature."""
+    import openvino
+    from openvino import opset13 as ops
+
+    logits = model.output(0).get_node().input_value(0)
+    scaled = ops.divide(logits, ops.constant(np.float32(temperature)))
+    return openvino.Model([ops.softmax(scaled, 1)], model.get_parameters(), "softmax")

@@ -1,22 +1,178 @@
 # SPDX-License-Identifier: MIT
-"""A network ready to use: range image in, probabilities out, point labels of them."""
+"""Weights on a device, and a network ready to use: range image in, probabilities out."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+import logging
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.engines.engine import Engine
+from salsanext_cli.compiled.kernels import thread_count
+from salsanext_cli.engines.graphs import Graph, compiled_graph, converted
+from salsanext_cli.errors import WeightsError, out_of_memory
 from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.network_input import ScanFit
+from salsanext_cli.geometry.network_input import network_input
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.options import KnnParameters
-from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
+    import openvino
+    from torch import Tensor
+
     from salsanext_cli.network.segmentation import SegmentationNetwork
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Engine:
+    """Weights on a device, in evaluation mode; it knows images, not scans."""
+
+    # Returns the network in torch, float32, on the device; called when it is first needed
+    load_module: "Callable[[], SegmentationNetwork]"
+    card: WeightsCard
+    size: tuple[int, int]  # Rows and columns of the range images
+    device: str = "cpu"  # "cpu", "cuda", "cuda:1" …
+    precision: str = "float32"  # "float32", "bfloat16" or "float16"
+    library: str = "torch"  # "openvino", which needs `sha256`, or "torch"
+    name: str = "the weights"  # Of the weights file, for errors
+    sha256: str | None = None  # Of the weights file; None for weights that no file holds
+    graphs: dict[Any, Graph] = field(default_factory=dict, repr=False)  # Compiled so far
+    # Number of items by name that there was room for at once; empty until memory runs out
+    batch_sizes: dict[str, int] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def module(self) -> "SegmentationNetwork":
+        """Network in torch: (B, 5, H, W) normalised range images to (B, C, H, W) logits."""
+        return self.load_module()
+
+    @cached_property
+    def torch_module(self) -> "SegmentationNetwork":
+        """Network in torch that computes in the precision; float32 in and out."""
+        import torch
+
+        from salsanext_cli.engines.torch_engine import in_precision
+
+        if self.precision == "float32":
+            return self.module
+        return in_precision(self.module, getattr(torch, self.precision))
+
+    def graph(
+        self,
+        name: str,
+        function: Callable[..., Any],
+        inputs: "Callable[[], Sequence[Tensor]] | None" = None,
+        *,
+        precision: str | None = None,
+        streams: int = 1,
+    ) -> Graph:
+        """Return a named function of the module and tensors as a graph for images of the size.
+
+        `inputs` returns tensors of the shapes that it takes, by default one image; `precision` is
+        the engine's by default; `streams` calls are computed side by side.
+        """
+
+        def make() -> "openvino.Model":
+            return converted(self.module, function, inputs() if inputs else [self.example_input()])
+
+        return self.compiled(name, make, precision or self.precision, streams)
+
+    def compiled(
+        self, name: str, make: "Callable[[], openvino.Model]", precision: str, streams: int = 1
+    ) -> Graph:
+        """Return a model that is compiled once; each thread has its own, which computes one thing.
+
+        `make` and the others are as `compiled_graph` takes them.
+        """
+        settings = (precision, thread_count(), streams)
+        place = (name, settings, threading.get_ident())
+        if place not in self.graphs:
+            self.graphs[place] = compiled_graph(make, (name, self.sha256, *self.size), *settings)
+        return self.graphs[place]
+
+    def example_input(self) -> "Tensor":
+        """Return an empty range image, (1, 5, H, W)."""
+        import torch
+
+        return torch.zeros(1, len(CHANNELS), *self.size)
+
+    def tensor(self, image: Float) -> "Tensor":
+        """Return a normalised range image (1, 5, H, W) as a tensor on the device."""
+        import torch
+
+        return torch.from_numpy(image).to(self.device, memory_format=torch.channels_last)
+
+    def outputs(self, images: Sequence[Float], temperature: float | None) -> list[Float]:
+        """Return the softmax (C, H, W) float32 at a temperature, or the logits, of each image.
+
+        They are normalised, (1, 5, H, W). OpenVINO computes one after the other, so that no bit
+        depends on the others; torch computes all together, half as many where memory runs out, and
+        raises `MemoryError` if there is no room for one.
+        """
+        if self.library == "openvino":
+            compiled = self.output_graph(temperature)
+            return [compiled(image)[0][0] for image in images]
+        import torch
+
+        from salsanext_cli.engines.torch_engine import inference_mode
+
+        def batch(part: Sequence[Float]) -> Iterable[Float]:
+            with inference_mode(self.device):
+                logits = self.torch_module(torch.cat([self.tensor(image) for image in part]))
+                return _of_logits(logits, temperature).cpu().numpy()
+
+        return self.in_batches(batch, images, len(images), "scans")
+
+    def output_graph(self, temperature: float | None) -> Graph:
+        """Return the graph of the softmax at a temperature, or of the logits."""
+        name = "logits" if temperature is None else f"softmax at {temperature}"
+        return self.graph(name, lambda module, x: _of_logits(module(x), temperature))
+
+    def in_batches(
+        self,
+        function: Callable[[Sequence[Item]], Iterable[Result]],
+        items: Sequence[Item],
+        most: int,
+        name: str,
+    ) -> list[Result]:
+        """Return the results of a function of batches, halved where memory runs out.
+
+        `most`: items at once, as long as there is room; `name`: of the items, in the plural.
+        """
+        results: list[Result] = []
+        while len(results) < len(items):
+            size = min(most, self.batch_sizes.get(name, most))
+            batch = items[len(results) : len(results) + size]
+            try:
+                results.extend(function(batch))
+            except (MemoryError, RuntimeError) as error:
+                if not out_of_memory(error):
+                    raise
+                if len(batch) == 1:
+                    raise MemoryError(f"no room for one of the {name}") from error
+                size = self.batch_sizes[name] = len(batch) // 2
+                log.warning("not enough memory for %d %s at once: %d now", len(batch), name, size)
+        return results
+
+    def require_finite(self, values: Float, source: object) -> None:
+        """Raise `WeightsError`, naming weights and scan, if a result is not finite."""
+        if not np.isfinite(values).all():
+            wrong = f"their logits for {source} are not finite"
+            raise WeightsError(self.name, wrong, "finite logits", "use other weights")
+
+
+def _of_logits(logits: "Tensor", temperature: float | None) -> "Tensor":
+    return logits if temperature is None else (logits / temperature).softmax(dim=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,14 +183,14 @@ class Network:
     ----------
     engine : Engine
         Computes with the weights.
-    fit : ScanFit
-        Makes the input of the weights of range images of the sensor.
+    sensor : Sensor
+        Geometry and normalisation of the range images: the card's unless another was named.
     merging : ClassMerging, optional
         Merges the classes of the card into those of all results but the logits.
     """
 
     engine: Engine
-    fit: ScanFit
+    sensor: Sensor
     merging: ClassMerging | None = None
 
     @property
@@ -53,11 +209,6 @@ class Network:
         return self.engine.module
 
     @property
-    def sensor(self) -> Sensor:
-        """Geometry and normalisation of the range images: the card's unless another was named."""
-        return self.fit.sensor
-
-    @property
     def space(self) -> LabelSpace:
         """Classes of the results: those of the card, merged if that was asked for."""
         return self.card.space if self.merging is None else self.merging.space
@@ -69,11 +220,16 @@ class Network:
 
     def for_sensor(self, sensor: Sensor) -> "Network":
         """Return the network for another sensor, whose images have the same size."""
-        return replace(self, fit=replace(self.fit, sensor=sensor))
+        return replace(self, sensor=sensor)
+
+    def input(self, channels: Float) -> Float:
+        """Return (5, H, W) channels of the sensor as the weights take them, (1, 5, H, W)."""
+        return network_input(channels, self.sensor, self.card.sensor)
 
     def logits(self, image: RangeImage) -> Float:
         """Return the logits of every pixel, (C, H, W) float32, of the classes of the card."""
-        return self.engine.logits(self.fit.input(image.channels))
+        (logits,) = self.engine.outputs([self.input(image.channels)], None)
+        return logits
 
     def probabilities(self, image: RangeImage, source: object = "a scan") -> Float:
         """Return the softmax of every pixel, (C, H, W) float32, sum over C = 1.
@@ -100,11 +256,12 @@ class Network:
     def pixel_probabilities(
         self, channels: Sequence[Float], temperature: float | None = None
     ) -> list[Float]:
-        """Return the softmax (C, H, W) of some range images, (5, H, W) float32 each.
+        """Return the softmax (C, H, W) of range images (5, H, W); it may not be finite.
 
-        As `Engine.softmax`, in the classes of the results; it may not be finite.
+        Errors are those of `Engine.outputs`; the temperature is the card's by default.
         """
-        softmax = self.engine.softmax([self.fit.input(each) for each in channels], temperature)
+        inputs = [self.input(each) for each in channels]
+        softmax = self.engine.outputs(inputs, temperature or self.card.temperature)
         return [self.merged(each) for each in softmax]
 
     def merged(self, probabilities: Float) -> Float:

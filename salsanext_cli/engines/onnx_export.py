@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Networks as ONNX models: written by torch, compared with it by ONNX Runtime."""
 
+import io
+import logging
 import warnings
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, cast
@@ -10,8 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from salsanext_cli.engines.graphs import LOGITS
 from salsanext_cli.errors import WeightsError
-from salsanext_cli.files.optional_packages import import_extra
+from salsanext_cli.files.optional_packages import import_extra, import_nncf
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.onnx_metadata import OPSET
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -19,22 +24,12 @@ from salsanext_cli.records import CHANNELS, Float
 
 if TYPE_CHECKING:
     import onnx
-import io
-import logging
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stdout
-from typing import TYPE_CHECKING
-
-from salsanext_cli.engines.graphs import LOGITS
-from salsanext_cli.files.optional_packages import import_nncf
-
-if TYPE_CHECKING:
-    import onnx
 
 INPUT, OUTPUT = "image", "logits"
 TOLERANCE = 1e-3
 """Largest difference from torch, relative to the largest logit."""
-SEED = 0
+SHIFT = 128
+"""From signed to unsigned bytes."""
 
 
 class _Traced(nn.Module):
@@ -64,11 +59,9 @@ class _Traced(nn.Module):
 def exported(
     module: SegmentationNetwork, card: WeightsCard, *, dynamic_width: bool = False
 ) -> "onnx.ModelProto":
-    """Return a network as an ONNX model with its card.
+    """Return a network in evaluation mode, on the CPU, as an ONNX model with its card.
 
-    `module`: in evaluation mode, on the CPU; `card`: becomes the model's metadata; its sensor gives
-    height and width; `dynamic_width`: the model takes every width that the network's stride
-    divides.
+    `dynamic_width`: the model takes every width that the network's stride divides.
     """
     package = import_extra("onnx", "onnx")
     height, width = card.sensor.height, card.sensor.width
@@ -110,13 +103,15 @@ def difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -
     Of a random and of an empty image.
     """
     size = (1, len(CHANNELS), card.sensor.height, card.sensor.width)
-    drawn = np.random.default_rng(SEED).standard_normal(size, np.float32)
-    images = [drawn, np.zeros(size, np.float32)]
+    images = [
+        np.random.default_rng(0).standard_normal(size, np.float32),
+        np.zeros(size, np.float32),
+    ]
     largest = 0.0
-    for image, found in zip(images, run(content, images), strict=True):
+    for image, logits in zip(images, run(content, images), strict=True):
         with torch.inference_mode():
             expected = module(torch.from_numpy(image)).numpy()
-        error = np.abs(found - expected).max() / np.abs(expected).max()
+        error = np.abs(logits - expected).max() / np.abs(expected).max()
         if not error <= TOLERANCE:
             wrong = f"ONNX Runtime's logits differ from torch's by {error:.2g}"
             raise WeightsError("the ONNX model", wrong, f"at most {TOLERANCE:g}")
@@ -124,21 +119,14 @@ def difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -
     return largest
 
 
-SHIFT = 128
-"""From signed to unsigned bytes."""
-
-
 def quantised(
     model: "onnx.ModelProto", scans: Sequence[Any], image_of: Callable[[Any], Float]
 ) -> "onnx.ModelProto":
-    """Return a model whose convolutions multiply bytes.
+    """Return a model from `exported` whose convolutions multiply bytes.
 
     Float32 stay the first part of the network, which sees ranges of 0 to 80 metres to the
     centimetre, and the logits. The ranges of feature maps are means over the scans of high and low
-    quantiles, not extremes.
-
-    `model`: from `exported`; left as it is; `scans`: for calibration; `image_of`: returns the
-    normalised image of one of them, (1, 5, H, W) float32.
+    quantiles, not extremes; `image_of` returns the normalised image (1, 5, H, W) of a scan.
     """
     nncf = import_nncf()
     from nncf.quantization.range_estimator import RangeEstimatorParametersSet
@@ -146,7 +134,7 @@ def quantised(
     logging.getLogger("nncf").setLevel(logging.ERROR)
     dataset = nncf.Dataset(scans, lambda scan: {INPUT: image_of(scan)})
     with redirect_stdout(io.StringIO()):  # bars of progress
-        found: onnx.ModelProto = nncf.quantize(
+        short: onnx.ModelProto = nncf.quantize(
             model,
             dataset,
             preset=nncf.QuantizationPreset.MIXED,
@@ -156,15 +144,13 @@ def quantised(
                 activations_range_estimator_params=RangeEstimatorParametersSet.MEAN_QUANTILE
             ),
         )
-    _make_unsigned(found)
-    return found
+    _make_unsigned(short)
+    return short
 
 
 def left_in_float32(model: "onnx.ModelProto") -> list[str]:
     """Return the names of the nodes of the part that sees the range image, and of the logits."""
-    channels = {
-        tensor.name: tensor.dims[1] for tensor in model.graph.initializer if tensor.dims[1:]
-    }
+    channels = {each.name: each.dims[1] for each in model.graph.initializer if each.dims[1:]}
     parts = {LOGITS}
     for node in model.graph.node:
         if node.op_type == "Conv" and channels.get(node.input[1]) == len(CHANNELS):

@@ -200,7 +200,7 @@ def weights_file(path: Path | None) -> Path:
 
 def recorded_view(sensor: "Sensor") -> dict[str, Any]:
     """Return what labels depend on of a sensor, and its name, as plain data."""
-    from salsanext_cli.sensors.limits import NOISE
+    from salsanext_cli.sensors.sensor import NOISE
 
     return {key: value for key, value in sensor.to_dict().items() if key not in NOISE}
 
@@ -209,7 +209,7 @@ def with_columns(sensor: "Sensor", columns: str | None) -> "Sensor":
     """Return a sensor whose files have other columns, if some were named."""
     if columns is None:
         return sensor
-    from salsanext_cli.sensors.limits import COLUMNS_EXPECTED, are_columns
+    from salsanext_cli.sensors.sensor import COLUMNS_EXPECTED, are_columns
 
     names = tuple(name.strip().lower() for name in columns.split(","))
     if not are_columns(names):
@@ -219,7 +219,7 @@ def with_columns(sensor: "Sensor", columns: str | None) -> "Sensor":
 
 def _ego_box(text: str) -> tuple[float, ...]:
     """Return the box that a text tells, nothing for ``none``."""
-    from salsanext_cli.sensors.limits import BOX_EXPECTED, is_box
+    from salsanext_cli.sensors.sensor import BOX_EXPECTED, is_box
 
     box: tuple[float, ...] = ()
     if text != "none":

@@ -19,10 +19,7 @@ from salsanext_cli.records import CHANNELS
 
 @contextmanager
 def inference_mode(device: str) -> Iterator[None]:
-    """Set torch up for inference while the body runs: no gradients, on a GPU the same bits always.
-
-    Float32 is float32 there, without the ten bits that convolutions may have by default.
-    """
+    """Set torch up: no gradients; on a GPU the same bits always, and all those of float32."""
     cudnn = {"enabled": True, "benchmark": False, "deterministic": True, "allow_tf32": False}
     with torch.inference_mode():
         if device == "cpu":
@@ -41,7 +38,7 @@ class Float32Layer(nn.Module):
         self.dtype = dtype
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map any type to `dtype`; what is beyond the range of a shorter one becomes its border."""
+        """Map any type to `dtype`, within its range."""
         features: Tensor = self.layer(x.float())
         if self.dtype == torch.float32:
             return features
@@ -51,11 +48,11 @@ class Float32Layer(nn.Module):
 
 def in_precision(module: SegmentationNetwork, dtype: torch.dtype) -> SegmentationNetwork:
     """Return a copy of a network that computes in a shorter type, float32 in and out."""
-    found = copy.deepcopy(module).eval().to(dtype)
+    short = copy.deepcopy(module).eval().to(dtype)
     for name, layer in module.named_modules():
         if not isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
             continue
         if name == LOGITS or layer.in_channels == len(CHANNELS):
             output = torch.float32 if name == LOGITS else dtype
-            found.set_submodule(name, Float32Layer(copy.deepcopy(layer), output))
-    return found.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+            short.set_submodule(name, Float32Layer(copy.deepcopy(layer), output))
+    return short.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]

@@ -41,11 +41,7 @@ class Statistics:
 
     @classmethod
     def of(cls, values: Tensor, cells: Tensor) -> Statistics:
-        """Return the statistics of values (C, h, w), each counted as often as `cells` (h, w) says.
-
-        `values` (C, h, w) Tensor, of any precision; `cells` (h, w) float64, not negative, not all
-        0.
-        """
+        """Return those of values (C, h, w), each counted as often as `cells` (h, w) says."""
         double, count = values.double(), cells.sum()
         mean = torch.einsum("chw,hw->c", double, cells) / count
         apart = (double - mean[:, None, None]).square()
@@ -74,20 +70,16 @@ def norms(module: nn.Module) -> dict[str, nn.BatchNorm2d]:
 
 def require_norms(network: Network) -> dict[str, nn.BatchNorm2d]:
     """Return what `norms` does; raise `WeightsError` if it is nothing."""
-    found = norms(network.module)
-    if not found:
-        raise WeightsError(
-            network.engine.name, "its network has no batch norm", "one with batch norm"
-        )
-    return found
+    layers = norms(network.module)
+    if not layers:
+        found = "its network has no batch norm"
+        raise WeightsError(network.engine.name, found, "one with batch norm")
+    return layers
 
 
 @dataclass(slots=True, eq=False)
 class PooledStatistics:
-    """Statistics of several scans together: the variance within the scans and between them.
-
-    Memory does not grow with the number of scans.
-    """
+    """Statistics of several scans together: the variance within the scans and between them."""
 
     network: Network  # Stays as it is
     share: float  # As `statistics_of_scan` takes it
@@ -95,9 +87,13 @@ class PooledStatistics:
 
     def add(self, channels: Float, source: object = "a scan") -> None:
         """Add a scan; parameters and errors as of `statistics_of_scan`."""
-        found = statistics_of_scan(self.network, channels, self.share, source)
-        before = self._pooled
-        self._pooled = {name: before[name] + new if before else new for name, new in found.items()}
+        of_scan, before = (
+            statistics_of_scan(self.network, channels, self.share, source),
+            self._pooled,
+        )
+        self._pooled = {
+            name: before[name] + new if before else new for name, new in of_scan.items()
+        }
 
     def moved(self) -> dict[str, Statistics]:
         """Return the statistics of the network, moved by the share towards those of the scans."""
@@ -112,7 +108,7 @@ class PooledStatistics:
 def statistics_of_scan(
     network: Network, channels: Float, share: float = 1.0, source: object = "a scan"
 ) -> dict[str, Statistics]:
-    """Return the statistics of each batch norm's input when a scan passes.
+    """Return the statistics of each batch norm's input when a scan passes, by its name, in order.
 
     Each layer normalises with its old statistics moved by `share` towards the scan's, as in a
     network adapted to this scan alone, so that a layer sees what the layers before it make of the
@@ -122,26 +118,21 @@ def statistics_of_scan(
     padding of `SegmentationNetwork.pad` does not count; a cell that lies partly on it counts by the
     share of its area that is image.
 
-    `network`: stays as it is; `channels` (5, H, W) float32, range image of the scan; `share`: of
-    the scan's statistics, 0 to 1; the rest are those of the layer; `source`: what to call the scan
-    in an error.
-
-    Returns the scan's own, by the name of the layer, in order of
-    computation.
+    `channels` (5, H, W); `source`: what to call the scan in an error.
     """
     module = network.module
-    inputs = network.engine.tensor(network.fit.input(channels))
+    inputs = network.engine.tensor(network.input(channels))
     height, width = inputs.shape[-2:]
     inside = torch.zeros(module.pad(inputs).shape[-2:], dtype=torch.float64)
     inside[:height, :width] = 1
     inside = inside.to(network.device)
-    found: dict[str, Statistics] = {}
+    statistics: dict[str, Statistics] = {}
 
     def hook(name: str, layer: nn.BatchNorm2d) -> RemovableHandle:
         def normalise(_: nn.Module, given: tuple[Tensor], __: Tensor) -> Tensor:
             (values,) = given
             cells = F.adaptive_avg_pool2d(inside[None], (values.shape[2], values.shape[3]))[0]
-            own = found[name] = Statistics.of(values[0], cells)
+            own = statistics[name] = Statistics.of(values[0], cells)
             used = Statistics.kept_by(layer).blended(own, share)
             mean, variance = used.mean.to(values.dtype), used.variance.to(values.dtype)
             return F.batch_norm(values, mean, variance, layer.weight, layer.bias, eps=layer.eps)
@@ -154,10 +145,10 @@ def statistics_of_scan(
     finally:
         for handle in handles:
             handle.remove()
-    for name, values in as_tensors(found).items():
+    for name, values in as_tensors(statistics).items():
         if not torch.isfinite(values).all():
             raise WeightsError(source, f"the network's {name} is not finite", "finite values")
-    return found
+    return statistics
 
 
 def as_tensors(statistics: Mapping[str, Statistics]) -> dict[str, Tensor]:

@@ -56,11 +56,7 @@ def project_for(network: Network, file: ScanFile) -> ProjectedScan:
 def project_scan(
     file: ScanFile, sensor: Sensor, device: str = "cpu", trained: Sensor | None = None
 ) -> ProjectedScan:
-    """Read, check and project a scan.
-
-    `sensor`: what the scan is projected for; `device`: as `project` takes it; `trained`: that of
-    the weights, if a network is to label the scan.
-    """
+    """Read, check and project a scan; `trained` is the sensor of weights that are to label it."""
     scan = read_scan(file.path, sensor)
     check = check_scan(file.path, scan, sensor, trained)
     return ProjectedScan(file, scan, project(scan, sensor, device), check)
@@ -72,8 +68,8 @@ def labelled(
     """Return a projected scan with the labels that follow from its pixels' softmax (C, H, W)."""
     network.engine.require_finite(softmax, projected.file.path)
     labels = network.labels(projected.image, softmax, knn)
-    parts = (projected.file, projected.scan, projected.image, projected.check)
-    return LabelledScan(*parts, softmax, labels)
+    scan = projected.scan
+    return LabelledScan(projected.file, scan, projected.image, projected.check, softmax, labels)
 
 
 def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> tuple[Path, Float]:
@@ -91,10 +87,7 @@ def projected_sensor(folder: Path) -> Sensor | None:
 
 
 def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> Sensor:
-    """Return the network's sensor with the columns of the scans; refuse another geometry.
-
-    Normalisation is the network's own.
-    """
+    """Return the network's sensor with the columns of the scans; refuse another geometry."""
     if projected is None:
         raise UsageError(folder, "holds no range images", "the output folder of `project`")
     wanted = replace(wanted, columns=projected.columns)

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.geometry.points import few_points, in_sensor_frame, upright_rotation
+from salsanext_cli.geometry.projection import few_points, in_sensor_frame, upright_rotation
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 
@@ -59,10 +59,9 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
     """Return the plane that most points near the sensor lie on and few below, None without one.
 
     Planes through random triples of points, the same for every scan; the best is fitted to its
-    points by least squares (Fischler & Bolles 1981). Points count by their range, since the rings
-    near the sensor have most of them.
+    points by least squares (Fischler & Bolles 1981). Points (N, 3) count by their range, since the
+    rings near the sensor have most of them.
 
-    `points` (N, 3) float32, in metres, around the sensor or its vehicle; some of a scan are enough;
     `max_tilt_deg`: largest angle between normal and z. Without it the orientation is any, if the
     sensor turns about an axis of the frame; one that looks one way cannot tell ground from walls,
     so that the ground leans no more than that of a sensor that turns about z.
@@ -122,8 +121,7 @@ def _triples() -> npt.NDArray[np.float64]:
 def _heights(points: Float, normals: Float, offsets: Float) -> Float:
     """Return the heights of points (N, 3) above planes (P, 3) and (P,), (P, N).
 
-    Without a matrix product: the threads of the library for these go on computing nothing for
-    a while afterwards, and take the processors from the network, 35 ms for each scan.
+    A matrix product would leave threads behind that take the processors from the network.
     """
     x, y, z = np.ascontiguousarray(points.T)
     of_x, of_y, of_z = normals.T[:, :, None]
@@ -163,12 +161,10 @@ MIN_POINTS_OF_ORIGIN = 1000
 
 
 def find_origin(points: Float) -> tuple[float, float, float] | None:
-    """Return the place of the sensor that the points are seen from, None where no comb is found.
+    """Return the place that points (N, 3) are seen from, within centimetres, None without a comb.
 
-    `points` (N, 3) float32, in metres, z up; of one scan, or of several of one sensor. Without
-    those of the ground, which has one elevation as seen from a place on it.
-
-    Returns x, y, z in the frame of the points, within some centimetres.
+    They are upright, of one scan or of several, without those of the ground, which has one
+    elevation as seen from a place on it.
     """
     doubles: Double = points.astype(np.float64)
     distances = np.hypot(doubles[:, 0], doubles[:, 1])
@@ -203,15 +199,14 @@ def _grid(*axes: Sequence[float] | Double) -> Double:
 
 
 def _sharpest(points: Double, places: Double) -> Double:
-    found: Double = max(places, key=lambda place: sharpness(points, place))
-    return found
+    sharpest: Double = max(places, key=lambda place: sharpness(points, place))
+    return sharpest
 
 
 def sharpness(points: Double, place: Double) -> float:
     """Return how sharp the comb of elevations seen from a place is; about 1 where there is none.
 
-    It is the mean height of the histogram over that of its neighbourhood, each point counting
-    once.
+    It is the mean height of the histogram over that of its neighbourhood.
     """
     x, y, z = (points - place).T
     elevations = np.degrees(np.arctan2(z, np.hypot(x, y)))
@@ -252,21 +247,19 @@ DIGITS = 3
 def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     """Return the sensor with the direction up and the origin of scans where they differ much.
 
-    The direction up changes where the ground of most scans is tilted by more than `MAX_TILT_DEG`,
-    the heading as little as that allows.
-    The origin changes where most scans show no ground at a height of `HEIGHTS_M`, as in the frame
+    Its own mounting, of other scans, is forgotten. The direction up changes where the ground of
+    most scans is tilted by more than `MAX_TILT_DEG`, the heading as little as that allows. The
+    origin changes where most scans show no ground at a height of `HEIGHTS_M`, as in the frame
     of a vehicle: to the place that the beams come from, if that is seen; else to the usual height
     if the ground passes through the origin, where no sensor can be.
-
-    `scans`: of one sensor; `sensor`: that of the weights; its own mounting, of other scans, is
-    forgotten.
     """
     sensor = replace(sensor, up=UP, origin=ORIGIN)
     grounds = [ground for scan in scans if (ground := ground_of(scan))]
     tilted = [ground.up for ground in grounds if ground.tilt_deg > MAX_TILT_DEG]
     if len(tilted) > len(scans) / 2:
         up = np.median(tilted, axis=0)
-        sensor = replace(sensor, name=FITTED_NAME, up=_direction(up))
+        direction = (up / np.linalg.norm(up)).round(DIGITS)
+        sensor = replace(sensor, name=FITTED_NAME, up=tuple(direction.tolist()))
     heights = [ground.height for ground in grounds]
     usual = sum(HEIGHTS_M[0] <= height <= HEIGHTS_M[1] for height in heights)
     if not scans or usual >= len(scans) / 2:
@@ -310,10 +303,6 @@ def ground_of(scan: Scan) -> Ground | None:
     support = SUPPORT_OF_CEILING if in_room else SUPPORT
     likely = level is None or ground.share > support * level.share
     return ground if usual and likely else level
-
-
-def _direction(vector: npt.NDArray[np.float64]) -> tuple[float, ...]:
-    return tuple((vector / np.linalg.norm(vector)).round(DIGITS).tolist())
 
 
 def _finite(scan: Scan) -> Float:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Checks of a scan: units, mounting, view, intensity, from some of its points.
+"""Checks of scans: units, mounting, view, intensity, from some of their points, and one sensor.
 
 A check that fails for certain is an error of the scan; one that only makes its labels doubtful is a
 finding, which becomes a warning of the run. docs/checks.md says where the thresholds come from.
@@ -7,15 +7,16 @@ finding, which becomes a warning of the run. docs/checks.md says where the thres
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, counted
+from salsanext_cli.errors import FormatError, counted, first_few
 from salsanext_cli.fitting.mounting_fit import (
     HEIGHTS_M,
     MAX_TILT_DEG,
@@ -29,15 +30,14 @@ from salsanext_cli.geometry.network_input import (
     NO_INTENSITY,
     without_intensity,
 )
-from salsanext_cli.geometry.points import (
-    LARGEST,
+from salsanext_cli.geometry.projection import (
     ego_points,
     few_points,
     in_sensor_frame,
     measured_ranges,
-    without_ego,
 )
 from salsanext_cli.records import Float, Scan
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 
 NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)
@@ -51,7 +51,11 @@ MIN_POINTS = 100
 
 @dataclass(frozen=True, slots=True)
 class ScanTraits:
-    """Traits of the sensor in one scan, estimated from a sample of its points."""
+    """Traits of the sensor in one scan, estimated from a sample of its points.
+
+    Points between two nodes count for both by their distance, so that a beam that lies at one, or
+    is measured a little higher or lower, makes no difference.
+    """
 
     points: int  # Number of points with a measurement
     fov_up: float  # Elevations in degrees that few points lie above and below
@@ -60,26 +64,20 @@ class ScanTraits:
     below: tuple[float, ...]
     bright: float  # Upper intensity; 0 if unknown
 
-
-def traits_of(sines: Float, bright: float, per_point: float) -> ScanTraits:
-    """Return the traits of a scan.
-
-    Points between two nodes count for both by their distance, so that a beam that lies at one, or
-    is measured a little higher or lower, makes no difference.
-
-    `sines` (M,) float32, sines of elevation of a sample of the points with a measurement; `bright`:
-    upper intensity of the scan; `per_point`: points of the scan for each of the sample.
-    """
-    elevations = np.degrees(np.arcsin(sines))
-    down, up = np.quantile(elevations, VIEW)
-    below = [np.interp(elevations, NODES_DEG, hat).sum() for hat in np.eye(len(NODES_DEG))[:-1]]
-    return ScanTraits(
-        points=round(len(sines) * per_point),
-        fov_up=round(float(up), 2),
-        fov_down=round(float(down), 2),
-        below=tuple(round(float(count) * per_point, 1) for count in below),
-        bright=round(bright, 6),
-    )
+    @classmethod
+    def of(cls, sines: Float, bright: float, per_point: float) -> ScanTraits:
+        """Return the traits by the sines of elevation (M,) of points that stand for more each."""
+        elevations = np.degrees(np.arcsin(sines))
+        down, up = np.quantile(elevations, VIEW)
+        hats = np.eye(len(NODES_DEG))[:-1]
+        below = [np.interp(elevations, NODES_DEG, hat).sum() * per_point for hat in hats]
+        return cls(
+            points=round(len(sines) * per_point),
+            fov_up=round(float(up), 2),
+            fov_down=round(float(down), 2),
+            below=tuple(round(float(count), 1) for count in below),
+            bright=round(bright, 6),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +100,6 @@ class ScanCheck:
 
 
 UNCHECKED = ScanCheck()
-
 
 MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
@@ -146,17 +143,20 @@ def intensity_findings(
 ) -> Iterator[Finding]:
     """Compare an upper intensity with that of scans matched with, of training, or with 0 to 1.
 
-    `reason` says why the values are no intensity, if they are none.
+    `reason` says why the values are no intensity, if so.
     """
     matched = sensor.intensity_quantiles
     if reason:
         found = reason if matched else f"{reason}; the network takes it as it is"
-        remedy = (
-            "--intensity none"
-            if fitting and trained.intensity_quantiles and not matched
-            else NAME_IT
-        )
-        yield Finding("no-intensity", found, remedy)
+        can_match = fitting and trained.intensity_quantiles and not matched
+        yield Finding("no-intensity", found, "--intensity none" if can_match else NAME_IT)
+        return
+    if matched == NO_INTENSITY:
+        return
+    if bright < 0 and not matched:
+        found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}: negative"
+        remedy = "name another column: --columns, or --intensity none"
+        yield Finding("intensity-scale", found, remedy)
         return
     quantiles = matched or trained.intensity_quantiles
     if matched == NO_INTENSITY:
@@ -183,11 +183,7 @@ def intensity_findings(
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
-    """Check the intensity of a range image, whose geometry was checked when it was projected.
-
-    `channels` (5, H, W) float32, a pixel of range 0 is empty; `sensor`, `trained`: that of the
-    image, and that of the weights.
-    """
+    """Check the intensity of a range image (5, H, W); its view was checked by `project`."""
     occupied = channels[:, channels[0] > 0]
     if occupied.shape[1] < MIN_POINTS:
         return UNCHECKED
@@ -195,41 +191,21 @@ def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
     return ScanCheck(tuple(intensity_findings(bright, reason, sensor, trained, fitting=True)))
 
 
-@dataclass(frozen=True, slots=True)
-class FieldOfViewCoverage:
-    """Numbers of points; adding two gives those of both."""
-
-    points: int = 0  # Number of points with a measurement
-    outside: int = 0  # Number of those above or below the field of view
-
-    def __add__(self, other: FieldOfViewCoverage) -> FieldOfViewCoverage:
-        return FieldOfViewCoverage(self.points + other.points, self.outside + other.outside)
-
-    @property
-    def share(self) -> float:
-        """Share of the points that lies outside, 0…1; 0 without points."""
-        return self.outside / max(self.points, 1)
-
-
-def field_of_view_coverage(scan: Scan, sensor: Sensor) -> FieldOfViewCoverage:
-    """Count the points of a scan in and out of view; `out_of_view` of the sensor has no effect."""
-    scan = without_ego(scan, sensor)
-    ranges, measured = measured_ranges(scan.points, float(LARGEST))
-    ranges, z = ranges[measured], scan.points[measured, 2].astype(np.float64)
-    lowest, highest = (math.sin(math.radians(f)) for f in (sensor.fov_down, sensor.fov_up))
-    outside = (z < lowest * ranges) | (z > highest * ranges)
-    return FieldOfViewCoverage(len(z), int(outside.sum()))
+def share_outside(sines: npt.NDArray[np.floating[Any]], sensor: Sensor) -> float:
+    """Return the share of sines of elevation (N,) above or below the field of view; 0 of none."""
+    lowest, highest = np.sin(np.radians((sensor.fov_down, sensor.fov_up)))
+    outside = (sines < lowest) | (sines > highest)
+    return float(outside.mean()) if len(sines) else 0.0
 
 
 def check_scan(
     path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None, *, fitting: bool = True
 ) -> ScanCheck:
-    """Check a scan, from some of its points.
+    """Check a scan that is projected for a sensor, from some of its points.
 
-    `path`: its file, for errors; `scan`: n points; `sensor`: sensor that it is projected for;
-    `trained`: that of the weights, if the intensity matters: if a network is to label the scan or
-    to learn from it. One without quantiles stands for intensities from 0 to 1; `fitting`: whether
-    the command can fit view and intensity to the scans by itself.
+    `path`: for errors; `trained`: sensor of the weights, if a network is to label the scan or to
+    learn from it, so that the intensity matters; without quantiles it stands for 0 to 1;
+    `fitting`: whether the command can fit view and intensity to the scans by itself.
     """
     some = in_sensor_frame(few_points(scan), sensor)
     ranges, measured = measured_ranges(some.points)
@@ -259,7 +235,7 @@ def check_scan(
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
         findings += intensity_findings(bright, reason, sensor, trained, fitting)
-    traits = traits_of(sines, bright, len(scan) * (1 - ego_share) * share / count)
+    traits = ScanTraits.of(sines, bright, len(scan) * (1 - ego_share) * share / count)
     return ScanCheck(tuple(findings), traits, ego_share)
 
 
@@ -301,8 +277,7 @@ def _of_units(
 
 
 def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
-    lowest, highest = np.sin(np.radians((sensor.fov_down, sensor.fov_up)))
-    outside = float(((sines < lowest) | (sines > highest)).mean())
+    outside = share_outside(sines, sensor)
     if outside > LARGEST_SHARE_OUTSIDE:
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
         found = f"{outside:.0%} of the points lie outside the view of {view}"
@@ -334,3 +309,75 @@ def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
         height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"
         found = f"the origin of the points is {height} the ground"
         yield Finding("height", found, f"{fit}; or {ORIGIN}")
+
+
+DENSITY_FACTOR = 1.5
+"""Least factor between the numbers of points that two sensors have around an elevation; scans of
+one sensor had up to 1.27, the two most similar sensors 1.77."""
+POINTS_FACTOR = 4.0
+"""The same for all their points, of which the sky leaves more or less."""
+LEAST_SHARE = 0.02
+"""Points around an elevation, as a share of those of the largest scan, up to which they do not
+count."""
+
+
+def mixed_sensors(
+    traits: Mapping[ScanFile, ScanTraits], *, selectable: bool = True
+) -> dict[ScanFile, Finding]:
+    """Return the scans of other sensors than most, with the reason.
+
+    Scans differ if a gap of `DENSITY_FACTOR` divides them when all are sorted by one trait; a gap
+    of the other factors for all points and for the intensity. `selectable` says whether the
+    command takes any SCANS.
+    """
+    files = sorted(traits, key=lambda file: (file.sequence, file.stem))
+    if len(files) < 2:
+        return {}
+    least = LEAST_SHARE * max(traits[file].points for file in files)
+    below = np.maximum([traits[file].below for file in files], least)
+    points = np.array([traits[file].points for file in files])
+    bright = np.array([traits[file].bright for file in files])
+    columns = [_groups(column, DENSITY_FACTOR) for column in below.T]
+    columns += [_groups(points, POINTS_FACTOR), _groups(bright, INTENSITY_FACTOR)]
+    keys = list(zip(*(column.tolist() for column in columns), strict=True))
+    # Of equally many, those of the first scan.
+    usual = Counter(keys).most_common(1)[0][0]
+    others = [file for file, key in zip(files, keys, strict=True) if key != usual]
+    most = [file for file, key in zip(files, keys, strict=True) if key == usual]
+    remedy = _remedy(others, most, selectable)
+    usual_scan = f"{most[0].sequence}/{most[0].stem} ({_description(traits[most[0]])})"
+    findings = {}
+    for file in others:
+        own = f"seems to be of another sensor ({_description(traits[file])})"
+        found = f"{own} than the others of the run, such as {usual_scan}"
+        findings[file] = Finding("mixed-sensors", found, remedy)
+    return findings
+
+
+def _groups(values: npt.NDArray[Any], factor: float) -> npt.NDArray[np.int64]:
+    """Return the numbers (F,) of the groups of values that gaps of a factor divide, from 0.
+
+    A value of 0 is unknown and in the first group.
+    """
+    groups = np.zeros(len(values), np.int64)
+    known = np.flatnonzero(values > 0)
+    order = known[np.argsort(values[known], kind="stable")]
+    gaps = values[order][1:] > factor * values[order][:-1]
+    groups[order[1:]] = np.cumsum(gaps)
+    return groups
+
+
+def _remedy(others: Sequence[ScanFile], most: Sequence[ScanFile], selectable: bool) -> str:
+    """Return what divides a run, if whole sequences do, else other advice."""
+    sequences = [sorted({file.sequence for file in files}) for files in (others, most)]
+    if not selectable or {*sequences[0]} & {*sequences[1]}:
+        return "put the scans of each sensor into a folder of their own"
+    apart = " and ".join(first_few(names) for names in sequences)
+    # A selection from the whole data set would be fitted to all of it.
+    return f"give {apart} as SCANS of their own, such as {most[0].path.parent}"
+
+
+def _description(traits: ScanTraits) -> str:
+    view = f"{traits.fov_up:+.0f}° to {traits.fov_down:+.0f}°"
+    bright = f", intensities to {traits.bright:.2g}" if traits.bright else ""
+    return f"{traits.points:,} points, {view}{bright}"

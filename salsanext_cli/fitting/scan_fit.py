@@ -1,6 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Fit of a network to the scans at hand: what their sensor does otherwise than that of training."""
+"""Network of a run: fitted to the scans at hand, and adapted to them if asked for.
 
+A fit is what their sensor does otherwise than that of training. An adapted network is a weights
+file in the output folder, ``OUT/adapted-<digest>.safetensors``: the weights asked for, with
+batch-norm statistics moved towards those of the scans. The digest is that of the weights and of the
+range images that the statistics were made of, so that shards of a run agree on it, and no other
+network ever takes its place.
+"""
+
+import hashlib
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -11,7 +19,19 @@ from typing import Any, TypeVar
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
+from salsanext_cli.errors import (
+    NOTICE,
+    NoInputError,
+    OutputError,
+    SalsanextError,
+    UsageError,
+    counted,
+)
+from salsanext_cli.files.atomic import WEIGHTS_SUFFIX
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.locks import locked
+from salsanext_cli.files.reading import filled
+from salsanext_cli.fitting.label_scan import project_for
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.view_fit import fit_ego, fit_view, view_text
 from salsanext_cli.formats import read_scan
@@ -22,9 +42,12 @@ from salsanext_cli.geometry.network_input import (
     row_gaps,
 )
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.network.card import require_tensors
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.selection import evenly_spaced
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 
 log = logging.getLogger(__name__)
@@ -39,6 +62,12 @@ FITTED = ("name", "fov_up", "fov_down", "up", "origin")
 EGO = ("min_range", "ego_box")
 """Fields that it finds unless they are told."""
 INTENSITIES = ("auto", "match", "raw", "none")
+ADAPTED_SHARE = 0.1
+"""Share of the statistics of the scans: larger ones lower the accuracy or the mean IoU on one of
+three sensors (docs/tune.md)."""
+LOCK_TIMEOUT_S = 1800.0
+"""Another shard adapts in a minute or two, on a slow processor in some more."""
+ADAPTED_NAME = f"adapted-{{}}{WEIGHTS_SUFFIX}"
 
 
 def fit_network(
@@ -77,38 +106,35 @@ def fit_network(
 class ScanSample:
     """Up to 16 scans of a source, evenly spaced; each is read and projected once for all fits.
 
-    `files`: all scans of the source, whichever of them a run is about, so that runs over parts of
-    it agree; unreadable ones do not count, since the run itself names them; `sensor`: tells how to
-    read them; `image_of`: returns the range image of a scan, (5, H, W) float32, of those that were
-    projected before.
+    They are of all scans of the source, whichever of them a run is about, so that runs over parts
+    of it agree; unreadable ones do not count, since the run itself names them. `image_of` returns
+    the range image (5, H, W) of a scan, of those that were projected before.
     """
 
     def __init__(
-        self,
-        files: Scans,
-        sensor: Sensor,
-        image_of: Callable[[ScanFile], Float] | None = None,
+        self, files: Scans, sensor: Sensor, image_of: Callable[[ScanFile], Float] | None = None
     ) -> None:
         self.files, self.sensor, self.image_of = evenly_spaced(files, MAX_SCANS), sensor, image_of
-        self._images: list[tuple[dict[str, Any], list[Float]]] = []
+        self._view: dict[str, Any] | None = None
+        self._images: list[Float] = []
 
     @cached_property
     def scans(self) -> list[Scan]:
         """Scans that could be read; none if there are range images instead."""
-        return [] if self.image_of else _usable(lambda file: _read(file, self.sensor), self.files)
+        return [] if self.image_of else _usable(self._read, self.files)
+
+    def _read(self, file: ScanFile | Scan) -> Scan:
+        return file if isinstance(file, Scan) else read_scan(file.path, self.sensor)
 
     def images(self, sensor: Sensor) -> list[Float]:
         """Range images (5, H, W) float32, for a view, of the scans that would get labels."""
-        view = sensor.view()
-        for known, images in self._images:
-            if known == view:
-                return images
-        if self.image_of:
-            images = _usable(self.image_of, self.files)
-        else:
-            images = _usable(lambda scan: _checked_image(scan, sensor), self.scans)
-        self._images = [(view, images)]
-        return images
+        if (view := sensor.view()) != self._view:
+            if self.image_of:
+                self._images = _usable(self.image_of, self.files)
+            else:
+                self._images = _usable(lambda scan: _checked_image(scan, sensor), self.scans)
+            self._view = view
+        return self._images
 
 
 def _checked_image(scan: Scan, sensor: Sensor) -> Float:
@@ -145,14 +171,14 @@ def fit_scans(
         # Earlier results without intensity tell nothing about that of the scans; nor does the
         # sensor of the weights, which was named for its columns, say.
         others = ((), NO_INTENSITY, trained.intensity_quantiles)
-        measured = (sensor.intensity_quantiles for sensor in known)
-        usable = (found for found in measured if found not in others)
-        quantiles = next(usable, ()) or intensity_quantiles(sample.images(network.sensor))
+        told = [
+            each.intensity_quantiles for each in known if each.intensity_quantiles not in others
+        ]
+        quantiles = told[0] if told else intensity_quantiles(sample.images(network.sensor))
     gaps = None
     if trained.row_gaps is not None:
-        others_gaps = (each.row_gaps for each in known)
-        gaps = next((each for each in others_gaps if each not in (None, trained.row_gaps)), None)
-        gaps = row_gaps(sample.images(network.sensor)) if gaps is None else gaps
+        shares = [each.row_gaps for each in known if each.row_gaps not in (None, trained.row_gaps)]
+        gaps = shares[0] if shares else row_gaps(sample.images(network.sensor))
     seen = replace(network.sensor, intensity_quantiles=quantiles, row_gaps=gaps)
     network = network.for_sensor(seen)
     if fills_rows(seen, trained):
@@ -194,16 +220,97 @@ def with_image_statistics(sensor: Sensor, images: Sequence[Float]) -> Sensor:
 
 def _method(settings: NetworkSettings, network: Network) -> str:
     """Return "match" or "none", or nothing where the intensity stays as it is."""
-    method = settings.intensity
+    method, known = settings.intensity, bool(network.card.sensor.intensity_quantiles)
     if method not in INTENSITIES:
         raise UsageError("--intensity", method, ", ".join(INTENSITIES))
-    if method == "raw" or network.card.sensor.intensity_quantiles:
-        return {"raw": "", "auto": "match"}.get(method, method)
-    if method == "auto":
+    if method in ("match", "none") and not known:
+        found = f"{method}, but these weights do not know the intensity of their training"
+        raise UsageError("--intensity", found, "auto or raw")
+    if method == "raw" or not known:
         return ""
-    found = f"{method}, but these weights do not know the intensity of their training"
-    raise UsageError("--intensity", found, "auto or raw")
+    return "none" if method == "none" else "match"
 
 
-def _read(file: ScanFile | Scan, sensor: Sensor) -> Scan:
-    return file if isinstance(file, Scan) else read_scan(file.path, sensor)
+def network_of_run(
+    settings: NetworkSettings,
+    network: Network,
+    files: Sequence[ScanFile],
+    out: Path,
+    *,
+    overwrite: bool = False,
+    image_of: Callable[[ScanFile], Float] | None = None,
+) -> tuple[NetworkSettings, Network]:
+    """Return a network fitted to the scans of a run, and adapted if asked for, and its settings.
+
+    `files` and `image_of` are as `ScanSample` takes them. What earlier results in the output folder
+    were made with stays, unless they are to be replaced.
+    """
+    earlier = None if overwrite else StageRecords(out).settings_with(network.engine.sha256)
+    sensor = Sensor.from_dict(earlier.table("sensor"), earlier.path) if earlier else None
+    sample = ScanSample(files, network.sensor, image_of)
+    network = fit_scans(settings, network, sample, sensor)
+    if not settings.adapt:
+        return settings, network
+    require_tensors(settings.path)
+    if earlier is None:
+        made = _adapted_to(network, settings.path, files, sample, out)
+    elif "adapted" in earlier:
+        made = _as_before(out, earlier["adapted"])
+    else:
+        remedy = "use another output folder, or --overwrite to replace all its results"
+        raise OutputError(earlier.path, "made without --adapt", remedy=remedy)
+    settings = replace(settings, adapted=made)
+    return settings, settings.load().for_sensor(network.sensor)
+
+
+def _as_before(out: Path, digest: object) -> Path:
+    """Return the adapted weights of this SHA-256 in an output folder."""
+    for path in sorted(out.glob(ADAPTED_NAME.format("*"))):
+        if fingerprint(path) == digest:
+            return path
+    raise OutputError(
+        out,
+        "the adapted weights of its results were removed or changed",
+        f"{ADAPTED_NAME.format('…')} as it was",
+        "use another output folder, or --overwrite to replace all its results",
+    )
+
+
+def _adapted_to(
+    network: Network, weights: Path, files: Sequence[ScanFile], sample: ScanSample, out: Path
+) -> Path:
+    """Adapt weights to a sample of the files, unless another shard did; return the file."""
+    from salsanext_cli.fitting.batch_norm import require_norms
+
+    require_norms(network)
+    images = [channels for channels in sample.images(network.sensor) if channels[0].any()]
+    if not images:
+        # These raise what is wrong with the first scan, if anything is.
+        if sample.image_of:
+            sample.image_of(files[0])
+        else:
+            project_for(network, files[0])
+        found = f"no point of {counted(len(files), 'scan')} is in view of the sensor"
+        raise NoInputError("--adapt", found, "scans to adapt to")
+    digest = hashlib.sha256(f"{network.engine.sha256} {ADAPTED_SHARE}".encode())
+    for channels in images:
+        digest.update(network.input(channels).tobytes())
+    path = out / ADAPTED_NAME.format(digest.hexdigest()[:12])
+    with locked(out / ".adapted.lock", LOCK_TIMEOUT_S):
+        OwnedFolder(out).require_own([path])
+        if not filled(path):
+            log.log(NOTICE, "adapting to %s: %s", counted(len(images), "scan"), path)
+            OwnedFolder(out).write(path, _adapted(network, weights, images), durable=True)
+    return path
+
+
+def _adapted(network: Network, weights: Path, images: Sequence[Float]) -> bytes:
+    """Return a weights file's content with batch-norm statistics moved towards those of images."""
+    from salsanext_cli.fitting.batch_norm import PooledStatistics, as_tensors
+    from salsanext_cli.network.weights import with_card
+
+    pooled = PooledStatistics(network, ADAPTED_SHARE)
+    for channels in images:
+        pooled.add(channels)
+    done = f"Batch norm re-estimated on {counted(len(images), 'scan')}, share {ADAPTED_SHARE:g}."
+    return with_card(weights, network.card.changed(done), as_tensors(pooled.moved()))

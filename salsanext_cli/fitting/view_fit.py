@@ -8,16 +8,15 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.fitting.mounting_fit import fit_mounting, ground_of
-from salsanext_cli.fitting.scan_checks import (
-    LARGEST_SHARE_OUTSIDE,
-    FieldOfViewCoverage,
-    field_of_view_coverage,
+from salsanext_cli.fitting.scan_checks import LARGEST_SHARE_OUTSIDE, share_outside
+from salsanext_cli.geometry.projection import (
+    in_sensor_frame,
+    measured_ranges,
+    medians_of_rings,
+    without_ego,
 )
-from salsanext_cli.geometry.points import LARGEST, in_sensor_frame, measured_ranges, without_ego
-from salsanext_cli.geometry.projection import medians_of_rings
-from salsanext_cli.records import Float, Scan
-from salsanext_cli.sensors.limits import MAX_BEAMS
-from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
+from salsanext_cli.records import LARGEST, Float, Scan
+from salsanext_cli.sensors.sensor import FITTED_NAME, MAX_BEAMS, ORIGIN, UP, Sensor
 
 MIN_RANGE_OF_BEAMS_M = 1.0
 """Nearest range that counts: beams start some centimetres beside the origin."""
@@ -46,30 +45,37 @@ def fit_beams(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
     histogram of elevations; points count by their range, since near ones are seen from beside the
     origin. Scans whose motion was taken out, or whose beams start far from the origin as those of
     an HDL-64, have no clear maxima.
-
-    `scans`: of one sensor; `sensor`: its direction up.
     """
     elevations, ranges, rings = [np.empty(0)], [np.empty(0)], [np.empty(0, np.int32)]
     for scan in scans:
-        points = without_ego(scan, sensor).points
-        distance, measured = measured_ranges(points, float(LARGEST))
-        measured &= distance > MIN_RANGE_OF_BEAMS_M
-        ranges.append(distance[measured])
-        elevations.append(np.degrees(np.arcsin(points[measured, 2] / distance[measured])))
+        sines, distance, measured = _sines(scan, sensor)
+        far = distance > MIN_RANGE_OF_BEAMS_M
+        ranges.append(distance[far])
+        elevations.append(np.degrees(np.arcsin(sines[far])))
         if scan.ring is not None:
-            rings.append(scan.ring[measured])
+            rings.append(scan.ring[measured][far])
     elevation, ring = np.concatenate(elevations), np.concatenate(rings)
-    found = _of_rings(elevation, ring) if len(ring) == len(elevation) else np.empty(0)
-    if not len(found):
-        found = _of_histogram(elevation, np.concatenate(ranges))
-    beams = tuple(dict.fromkeys(found[::-1].round(DIGITS).tolist()))
+    rising = _of_rings(elevation, ring) if len(ring) == len(elevation) else np.empty(0)
+    if not len(rising):
+        rising = _of_histogram(elevation, np.concatenate(ranges))
+    beams = tuple(dict.fromkeys(rising[::-1].round(DIGITS).tolist()))
     return beams if 2 <= len(beams) <= MAX_BEAMS else ()
+
+
+def _sines(scan: Scan, sensor: Sensor) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """Return sine of elevation and range (M,) of points with a measurement; which these are, (N,).
+
+    Points of housing and vehicle are none.
+    """
+    points = without_ego(scan, sensor).points
+    ranges, measured = measured_ranges(points, float(LARGEST))
+    return points[measured, 2] / ranges[measured], ranges[measured], measured
 
 
 def _of_rings(elevation: Array, ring: npt.NDArray[np.int32]) -> Array:
     """Return the medians of rings, rising; none if the points of a ring differ too much.
 
-    So it is with columns of that name, or rows of organised clouds, that hold something else.
+    Columns of that name, or rows of organised clouds, may hold something else.
     """
     elevation, ring = elevation[ring >= 0], ring[ring >= 0]
     medians = medians_of_rings(elevation, ring)
@@ -89,9 +95,9 @@ def _of_histogram(elevation: Array, weight: Array) -> Array:
         window = np.hanning(2 * round(half_width / STEP_DEG) + 1)
         places = _maxima(np.convolve(histogram, window, "same"))
         maxima = ((places + 0.5) * STEP_DEG - 90).astype(np.float64)
-        share, found = _of_maxima(maxima, elevation, weight)
+        share, strong = _of_maxima(maxima, elevation, weight)
         if share >= best + MIN_GAIN:
-            best, beams = share, found
+            best, beams = share, strong
     return beams
 
 
@@ -114,19 +120,19 @@ def _of_maxima(beams: Array, elevation: Array, weight: Array) -> tuple[float, Ar
 def _maxima(values: Array) -> npt.NDArray[np.intp]:
     """Return the places of maxima between which the values fall to `MAX_VALLEY` of the lower."""
     rises = (values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:])
-    found: list[int] = []
+    places: list[int] = []
     for place in (np.flatnonzero(rises) + 1).tolist():
-        while found:
-            lower = min(values[found[-1]], values[place])
-            if values[found[-1] : place].min() <= MAX_VALLEY * lower:
-                found.append(place)
+        while places:
+            lower = min(values[places[-1]], values[place])
+            if values[places[-1] : place].min() <= MAX_VALLEY * lower:
+                places.append(place)
                 break
-            if values[place] <= values[found[-1]]:
+            if values[place] <= values[places[-1]]:
                 break
-            found.pop()
+            places.pop()
         else:
-            found.append(place)
-    return np.array(found, np.intp)
+            places.append(place)
+    return np.array(places, np.intp)
 
 
 MIN_RANGE_M = 1.0
@@ -156,17 +162,14 @@ MARGIN_M = 0.05
 WIDEST_M = 2.6
 """Largest of the lesser of length and width of a vehicle; wider is something beside it, and so is
 what begins more than `MIN_RANGE_M` from the axis of the sensor."""
-Cells = npt.NDArray[np.float64]
 
 
 def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     """Return the sensor with `min_range` and `ego_box` where they are None: to be found.
 
     The minimum range is `MIN_RANGE_M`, less where the sensor is lower than usual above the ground.
-    The box is empty where the scans do not tell it.
-
-    `scans`: of one sensor and drive, some time apart; fewer than `MIN_SCANS` tell no box, nor do
-    those of a vehicle that stands; `sensor`: its mounting.
+    The box is empty where the scans do not tell it: fewer than `MIN_SCANS` of one drive, or those
+    of a vehicle that stands.
     """
     least, box = sensor.min_range, sensor.ego_box
     if least is not None and box is not None:
@@ -186,7 +189,9 @@ def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
 def _ego_box(scans: Sequence[Scan], height: float) -> tuple[float, ...]:
     """Return the box of upright scans of a sensor at a height in metres, empty without one."""
     least_z = ABOVE_GROUND_M - height
-    nearest = np.array([_nearest(*_in_cells(scan.points)) for scan in scans])
+    nearest = np.full((len(scans), AZIMUTHS * ELEVATIONS), np.inf)
+    for scan, of_scan in zip(scans, nearest, strict=True):
+        np.minimum.at(of_scan, *_in_cells(scan.points))
     seen = np.isfinite(nearest).mean(axis=0)
     with np.errstate(invalid="ignore"):  # of a cell that no scan has a point in
         usual = np.sort(nearest, axis=0)[(seen * len(scans) / 2).astype(int), np.arange(len(seen))]
@@ -225,13 +230,6 @@ def _in_cells(points: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float
     return cells, np.where(usable, ranges, np.inf)
 
 
-def _nearest(cells: npt.NDArray[np.intp], ranges: npt.NDArray[np.float64]) -> Cells:
-    """Return the nearest range of each cell, infinite without a point."""
-    nearest = np.full(AZIMUTHS * ELEVATIONS, np.inf)
-    np.minimum.at(nearest, cells, ranges)
-    return nearest
-
-
 OUTLIERS = 0.001
 """Share of the points above, and of those below, that no view needs to show."""
 SHOWN = 0.85
@@ -248,26 +246,19 @@ MIN_POINTS = 1000
 
 
 def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor with the view and the mounting of scans where they differ much.
+    """Return the sensor of weights with the view and mounting of scans where they differ much.
 
     Points of housing and vehicle are left out, as `fit_ego` finds them. The mounting changes as
-    `fit_mounting` says, the view where more than `LARGEST_SHARE_OUTSIDE` of
-    all points lie outside. Size and normalisation of the range images stay. Of the labelled scans
-    of three sensors, this was never worse than the view of the weights.
-
-    `scans`: of one sensor; `sensor`: that of the weights.
+    `fit_mounting` says, the view where more than `LARGEST_SHARE_OUTSIDE` of all points lie
+    outside. Size and normalisation of the range images stay. Of the labelled scans of three
+    sensors, this was never worse than the view of the weights.
     """
     sensor = fit_ego(scans, fit_mounting(scans, sensor))
-    coverages = (field_of_view_coverage(scan, sensor) for scan in scans)
-    coverage = sum(coverages, start=FieldOfViewCoverage())
-    if coverage.share <= LARGEST_SHARE_OUTSIDE or coverage.points < MIN_POINTS:
+    sines = np.concatenate([np.empty(0), *(_sines(scan, sensor)[0] for scan in scans)])
+    if share_outside(sines, sensor) <= LARGEST_SHARE_OUTSIDE or len(sines) < MIN_POINTS:
         return sensor
-    elevations = []
-    for scan in scans:
-        points = without_ego(scan, sensor).points
-        ranges, measured = measured_ranges(points)
-        elevations.append(np.degrees(np.arcsin(points[measured, 2] / ranges[measured])))
-    lower, upper = _view(np.sort(np.concatenate(elevations)), sensor.fov_up - sensor.fov_down)
+    elevations = np.degrees(np.arcsin(np.sort(sines)))
+    lower, upper = _view(elevations, sensor.fov_up - sensor.fov_down)
     if upper - lower < MIN_VIEW_DEG:
         return sensor
     return replace(sensor, name=FITTED_NAME, fov_up=round(upper, 2), fov_down=round(lower, 2))

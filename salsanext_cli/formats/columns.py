@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted, shortened
 from salsanext_cli.records import Float, Int, Scan
-from salsanext_cli.sensors.limits import MAX_BEAMS, UNUSED_COLUMN
+from salsanext_cli.sensors.sensor import MAX_BEAMS, UNUSED_COLUMN
 
 Columns = Mapping[str, npt.NDArray[Any]]
 """Values by name, each (N,)."""

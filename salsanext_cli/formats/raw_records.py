@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.records import Float
-from salsanext_cli.sensors.limits import UNUSED_COLUMN
+from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
 MAGIC = {
     b"ply": ".ply",

@@ -1,13 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Points to pixels and back: pure functions.
-
-::
-
-    projection              a scan seen from the sensor (paper eq. 1)
-    └── projection_torch        … on a torch device, the same bits
-    network_input           … as input of a network: intensity, gaps between rows, normalisation
-    knn                     labels of pixels to labels of points
-    └── knn_torch               … on a torch device, the same labels
-    points                  ranges, a sample, the frame of the sensor, values of pixels
-    label_transfer          labels of one scan onto another
-"""
+"""Points to pixels and back: pure functions, the same bits on a CPU and in torch."""

@@ -87,21 +87,37 @@ def knn_refine(
     half, width = parameters.window // 2, image.width
     empty = image.channels[0] <= 0
     ranges = _framed(np.where(empty, np.float32(np.inf), image.channels[0]), half, np.inf)
-    framed_labels = _framed(np.where(empty, np.uint8(0), labels), half, 0)
-    points = (image.pixel_of_point, image.point_range)
-    others = candidates(parameters, width)
-    votes = (parameters.k, parameters.cutoff)
-    if device == "cpu":
-        return _refine_on_cpu(*points, ranges, framed_labels, width, half, *others, *votes)
-    from salsanext_cli.geometry import knn_torch
+    labels = _framed(np.where(empty, np.uint8(0), labels), half, 0)
+    offsets, weights = candidates(parameters, width)
+    framed, votes = (ranges, labels, width, half), (offsets, weights, parameters.k)
+    if device != "cpu":
+        from salsanext_cli.geometry import knn_torch
 
-    return knn_torch.refine(
-        *points, ranges, framed_labels, width, half, *others, *votes, device=device
-    )
+        points = (image.pixel_of_point, image.point_range)
+        return knn_torch.refine(*points, *framed, *votes, parameters.cutoff, device)
+    pixel_of_point = argument(image.pixel_of_point, np.int32)
+    point_range = argument(image.point_range, np.float32)
+    frame = half * (width + 2 * half) + half
+    mixed = np.empty(labels.size - 2 * frame, np.bool_)
+    refined = np.empty(len(pixel_of_point), np.uint8)
+    view, vote = (ranges, labels, mixed, width, half), (*votes, np.float32(parameters.cutoff))
+
+    def mark(part: slice) -> None:
+        mark_mixed(labels, frame + part.start, offsets, mixed[part])
+
+    def refine(part: slice) -> None:
+        refine_points(pixel_of_point[part], point_range[part], *view, *vote, refined[part])
+
+    parallel_for_slices(mark, mixed.size)
+    parallel_for_slices(refine, len(refined))
+    return refined
 
 
 def _framed(image: npt.NDArray[Scalar], half: int, beyond: float) -> npt.NDArray[Scalar]:
-    """Return the flattened image with a frame of `half` pixels, periodic in azimuth."""
+    """Return the flattened image in a frame of `half` pixels, periodic in azimuth.
+
+    With it no step has to test for the border.
+    """
     wide = np.pad(image, ((0, 0), (half, half)), mode="wrap")
     return np.pad(wide, ((half, half), (0, 0)), constant_values=beyond).reshape(-1)
 
@@ -110,56 +126,18 @@ def _checked_labels(image: RangeImage, labels: npt.NDArray[np.generic], count: i
     """Return uint8 labels that fit the image; neither kernel checks bounds."""
     if not 1 <= count <= 256:
         raise UsageError("knn", f"{count} classes", "1 to 256 classes")
-    if labels.shape != (image.height, image.width):
-        raise LabelError(
-            "pixel labels", f"shape {labels.shape}", f"({image.height}, {image.width})"
-        )
+    size = (image.height, image.width)
+    if labels.shape != size:
+        raise LabelError("pixel labels", f"shape {labels.shape}", f"{size}")
     if not np.issubdtype(labels.dtype, np.integer):
         raise LabelError("pixel labels", f"dtype {labels.dtype}", "integer train ids")
     if labels.min() < 0 or labels.max() >= count:
         raise LabelError("pixel labels", f"{labels.min()} … {labels.max()}", f"0 … {count - 1}")
     pixels = image.pixel_of_point
     if len(pixels) and (pixels.min() < -1 or pixels.max() >= labels.size):
-        raise LabelError(
-            "pixels of points", f"{pixels.min()} … {pixels.max()}", f"-1 … {labels.size - 1}"
-        )
+        found = f"{pixels.min()} … {pixels.max()}"
+        raise LabelError("pixels of points", found, f"-1 … {labels.size - 1}")
     return labels.astype(np.uint8, copy=False)
-
-
-def _refine_on_cpu(
-    pixel_of_point: Int,
-    point_range: Float,
-    ranges: Float,
-    labels: TrainIds,
-    width: int,
-    half: int,
-    offsets: Int,
-    weights: Float,
-    k: int,
-    cutoff: float,
-) -> TrainIds:
-    """Return the label of every point.
-
-    Ranges and labels are those of an image of this width, flattened after a frame of `half` pixels
-    was added, so that no step has to test for its border; see `candidates`.
-    """
-    pixel_of_point = argument(pixel_of_point, np.int32)
-    point_range = argument(point_range, np.float32)
-    frame = half * (width + 2 * half) + half
-    mixed = np.empty(labels.size - 2 * frame, np.bool_)
-    refined = np.empty(len(pixel_of_point), np.uint8)
-    image = (ranges, labels, mixed, width, half)
-    votes = (offsets, weights, k, np.float32(cutoff))
-
-    def mark(part: slice) -> None:
-        mark_mixed(labels, frame + part.start, offsets, mixed[part])
-
-    def vote(part: slice) -> None:
-        refine_points(pixel_of_point[part], point_range[part], *image, *votes, refined[part])
-
-    parallel_for_slices(mark, mixed.size)
-    parallel_for_slices(vote, len(refined))
-    return refined
 
 
 @compiled

@@ -24,7 +24,7 @@ def refine(
     cutoff: float,
     device: str,
 ) -> TrainIds:
-    """Return the label of every point; see `knn_numba.refine`."""
+    """Return the label of every point; see `knn.knn_refine`."""
     framed_ranges = torch.tensor(ranges, device=device)
     framed_labels = torch.tensor(labels, device=device)
     neighbours = torch.tensor(offsets.astype(np.int64), device=device)
@@ -51,8 +51,7 @@ def nearest_labels(
 ) -> torch.Tensor:
     """Return the labels of the point itself and its nearest candidates, (N, ≤ k) int64.
 
-    A candidate is one integer: from the highest bit its distance (the bits of a float ≥ 0 are in
-    its order), its place in the window, its label; so no two are equally near.
+    A candidate is one integer as in `knn.vote_of_block`, so that no two are equally near.
     """
     place = torch.arange(distance.shape[1], device=distance.device) << 8
     keys = (distance.view(torch.int32).long() << 32) | place | labels.long()

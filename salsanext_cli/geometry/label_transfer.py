@@ -57,13 +57,10 @@ class LabelTransfer:
 
 
 def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfer:
-    """Give each point the label of its copy in a cloud.
+    """Give each point (N, 3) the label of its copy in a cloud (M, 3), in any order.
 
     Copies have the same coordinates; of a point without any, all places of the cloud within
     `TOLERANCE_M` are. If copies have different labels, the point has none.
-
-    `points` (N, 3) float32, metres. Points that are not finite have no copy; `cloud` (M, 3)
-    float32, metres, in any order; `labels` (M,) uint32, of the cloud.
     """
     finite = np.isfinite(points).all(axis=1)
     of_cloud = np.isfinite(cloud).all(axis=1)
@@ -95,9 +92,6 @@ def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTr
     Labels of different classes leave a point without any, unless one of them is `unlabelled`; of
     the same class with different instances it has instance 0. Where a point has a copy of the same
     coordinates in some cloud, neighbours of it in a cloud that is not rounded are no copies.
-
-    `parts`: one at least; `unlabelled`: label, in the lower 16 bits, of points that a cloud leaves
-    open.
     """
     if len(parts) == 1:
         return parts[0]
@@ -148,11 +142,9 @@ def _nearby(points: Float, others: Float) -> npt.NDArray[np.int64]:
         return np.empty((len(points), 0), np.int64)
     search = _search(others)
     search.hybrid_index(TOLERANCE_M)
-    wanted = import_open3d().core.Tensor(points.astype(np.float64))
-    index: npt.NDArray[np.int64] = search.hybrid_search(wanted, TOLERANCE_M, MAX_NEIGHBOURS)[
-        0
-    ].numpy()
-    return index
+    index, *_ = search.hybrid_search(_tensor(points), TOLERANCE_M, MAX_NEIGHBOURS)
+    neighbours: npt.NDArray[np.int64] = index.numpy()
+    return neighbours
 
 
 def _nearest(points: Float, others: Float) -> npt.NDArray[np.float64]:
@@ -161,11 +153,13 @@ def _nearest(points: Float, others: Float) -> npt.NDArray[np.float64]:
         return np.full(len(points), np.inf)
     search = _search(others)
     search.knn_index()
-    wanted = import_open3d().core.Tensor(points.astype(np.float64))
-    squared: npt.NDArray[np.float64] = search.knn_search(wanted, 1)[1].numpy()[:, 0]
+    squared: npt.NDArray[np.float64] = search.knn_search(_tensor(points), 1)[1].numpy()[:, 0]
     return np.sqrt(squared)
 
 
 def _search(points: Float) -> Any:
-    open3d = import_open3d()
-    return open3d.core.nns.NearestNeighborSearch(open3d.core.Tensor(points.astype(np.float64)))
+    return import_open3d().core.nns.NearestNeighborSearch(_tensor(points))
+
+
+def _tensor(points: Float) -> Any:
+    return import_open3d().core.Tensor(points.astype(np.float64))

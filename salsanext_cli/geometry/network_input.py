@@ -6,16 +6,14 @@ that sparser beams leave between rows are filled.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.geometry.points import LARGEST, drawn, measured_ranges
-from salsanext_cli.records import Float
-from salsanext_cli.sensors.limits import INTENSITY_LEVELS
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.geometry.projection import drawn, measured_ranges
+from salsanext_cli.records import LARGEST, Float
+from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
 
 QUANTILE_DIGITS = 6
 """Significant digits of a quantile."""
@@ -48,65 +46,26 @@ MORE_GAPS = 0.08
 GAP_DIGITS = 4
 
 
-@dataclass(frozen=True, slots=True)
-class ScanFit:
-    """Sensor of the scans at hand, and that of training."""
+def network_input(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
+    """Return channels (5, H, W) of a sensor as weights that were trained on another take them.
 
-    sensor: Sensor
-    trained: Sensor
-
-    def filled(self, channels: Float) -> Float:
-        """Return (5, H, W) channels with gaps between rows as in training, if both are known."""
-        return with_filled_gaps(channels, self.sensor, self.trained)
-
-    def input(self, channels: Float) -> Float:
-        """Return (5, H, W) channels as the network takes them, (1, 5, H, W) float32.
-
-        Gaps and intensity become those of training where both sensors know theirs.
-        """
-        own, trained = self.sensor.intensity_quantiles, self.trained.intensity_quantiles
-        if own and trained:
-            channels = match_intensity(channels, own, trained)
-        return normalise(self.filled(channels), self.sensor)[None]
+    Gaps and intensity become those of training where both sensors know theirs. Returns (1, 5, H, W)
+    float32.
+    """
+    own, of_training = sensor.intensity_quantiles, trained.intensity_quantiles
+    if own and of_training:
+        channels = match_intensity(channels, own, of_training)
+    return normalise(with_filled_gaps(channels, sensor, trained), sensor)[None]
 
 
 def normalise(channels: Float, sensor: Sensor) -> Float:
-    """Return ``(channel − mean) / std`` where a pixel holds a point, and 0 where it is empty.
-
-    `channels` (5, H, W) float32, range, x, y, z in metres and intensity; a pixel of range 0 is
-    empty; `sensor`: sensor with the means and standard deviations.
-
-    Returns (5, H, W) float32, a new array.
-    """
+    """Return ``(channel − mean) / std``, (5, H, W) float32; 0 where the range is 0: empty."""
     means = np.asarray(sensor.means, np.float32).reshape(-1, 1, 1)
     stds = np.asarray(sensor.stds, np.float32).reshape(-1, 1, 1)
     normal = channels - means
     normal /= stds
     normal[:, channels[0] <= 0] = 0
     return normal
-
-
-def input_variance(channels: Float, sensor: Sensor) -> Float:
-    """Return the variance of every number of a normalised range image.
-
-    A range that is wrong by δ moves the point along its ray: x by δ x/r, y and z alike. Empty
-    pixels are certain.
-
-    `channels` (5, H, W) float32, range, x, y, z in metres and intensity; a pixel of range 0 is
-    empty; `sensor`: its noise in metres and units of intensity, its stds.
-
-    Returns (5, H, W) float32, in squared units of the normalised channels.
-    """
-    range_noise, intensity_noise = noise_of(sensor)
-    occupied = channels[0] > 0
-    deviations = np.zeros_like(channels)
-    deviations[0] = 1
-    np.divide(channels[1:4], channels[0], out=deviations[1:4], where=occupied)
-    deviations[:4] *= range_noise
-    deviations[4] = intensity_noise
-    deviations /= np.asarray(sensor.stds, np.float32).reshape(-1, 1, 1)
-    variance: Float = np.where(occupied, np.square(deviations), np.float32(0))
-    return variance
 
 
 def noise_of(sensor: Sensor) -> tuple[float, float]:
@@ -122,15 +81,11 @@ def noise_of(sensor: Sensor) -> tuple[float, float]:
 
 
 def match_intensity(channels: Float, source: Sequence[float], target: Sequence[float]) -> Float:
-    """Return a range image with the quantiles of its intensity mapped to others, linearly between.
+    """Return a range image (5, H, W) with the quantiles of its intensity mapped to others.
 
-    A value at which several quantiles lie becomes the mean of theirs; `NO_INTENSITY` makes
-    everything the mean of the target. So is an image `without_intensity`, whatever the source.
-
-    `channels` (5, H, W) float32, empty pixels, of range 0, stay 0; `source`, `target`: quantiles of
-    the sensor and of the scale wanted, at the same levels.
-
-    Returns (5, H, W) float32, a new array, unless nothing changes.
+    Linearly between; a value at which several quantiles lie becomes the mean of theirs, so that
+    `NO_INTENSITY` makes everything the mean of the target. That is what becomes of an image
+    `without_intensity`, whatever the source. Empty pixels stay 0.
     """
     occupied = np.flatnonzero(channels[0] > 0)
     if without_intensity(*_pixels(channels, occupied[drawn(len(occupied), SAMPLE)])):
@@ -154,12 +109,9 @@ def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
     """Return the quantiles of intensity, the mean of those of each range image.
 
     Images of another scale than most, without intensity, and of fewer than `MIN_PIXELS` pixels
-    do not count beside others, so that a few odd scans leave the result as it is.
-
-    `images`: channels; pixels of range 0 are empty and do not count.
-
-    Returns `INTENSITY_LEVELS` floats, from the smallest to the largest value;
-    `NO_INTENSITY` if no image has an intensity, empty if none has a pixel.
+    do not count beside others, so that a few odd scans leave the result as it is. Returns
+    `INTENSITY_LEVELS` floats that rise, `NO_INTENSITY` if no image has an intensity, nothing if
+    none has a pixel.
     """
     seen = [_pixels(channels, np.flatnonzero(channels[0] > 0)) for channels in images]
     if not any(len(values) for _, values in seen):
@@ -191,10 +143,9 @@ def bright_intensity(sensor: Sensor) -> float:
 
 
 def without_intensity(points: Float, intensity: Float) -> str:
-    """Say why the intensities of a scan tell nothing about its surfaces; nothing if they do.
+    """Say why the intensities (N,) of a scan tell nothing about its surfaces; nothing if they do.
 
-    `points` (N, 3) float32, metres, in the frame of the sensor, in the order of the file;
-    `intensity` (N,) float32, of any scale; NaN, infinity and values beyond `LARGEST` are unusable.
+    `points` (N, 3), metres, are in the frame of the sensor, in the order of the file.
     """
     places = drawn(len(points), SAMPLE)
     points, intensity = points[places], intensity[places]
@@ -229,7 +180,7 @@ def without_intensity(points: Float, intensity: Float) -> str:
 
 
 def _ranks(values: Float) -> npt.NDArray[np.int64]:
-    """Return how many of the values (N,) are up to each, and how many from it on, (2, N)."""
+    """Return how many values (N,) are up to each, and how many from it on, (2, N)."""
     ordered, count = np.sort(values), len(values)
     below = np.searchsorted(ordered, values, "left")
     return np.stack([np.searchsorted(ordered, values, "right"), count - below])
@@ -239,10 +190,8 @@ def dependence(ranks: npt.NDArray[np.int64], on: npt.NDArray[np.number]) -> floa
     """Return how far values, not all equal, are a function of others (N,), of whatever form.
 
     Chatterjee's coefficient (arXiv 1909.10140), about 0 for independent values and 1 for a
-    function: 1 - N Σ |r(i+1) - r(i)| / (2 Σ l(i) (N - l(i))), the values ordered by the others.
-
-    `ranks` (2, N) int64, for each value the number of those up to it, r, and of those from it on,
-    l; `on` (N,), the others.
+    function: 1 - N Σ |r(i+1) - r(i)| / (2 Σ l(i) (N - l(i))), the values ordered by the others; r
+    and l are the `_ranks`.
     """
     (up_to, from_on), count = ranks, len(on)
     steps = np.abs(np.diff(up_to[np.argsort(on, kind="stable")])).sum()
@@ -253,8 +202,6 @@ def row_gaps(images: Iterable[Float]) -> float | None:
     """Return the share of gaps among the pixels of points and gaps, None without a point.
 
     A gap are up to `MAX_GAP` empty pixels between two of points in a column.
-
-    `images`: channels; a pixel of range 0 is empty.
     """
     gaps = occupied = 0
     for channels in images:
@@ -274,17 +221,12 @@ def fills_rows(sensor: Sensor, trained: Sensor) -> bool:
 
 
 def with_filled_gaps(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
-    """Return a range image with its gaps filled where `fills_rows` says so, as `fill_rows` does."""
+    """Return channels (5, H, W) with their gaps filled where `fills_rows` says so."""
     return fill_rows(channels) if fills_rows(sensor, trained) else channels
 
 
 def fill_rows(channels: Float) -> Float:
-    """Return a range image whose empty pixels hold the next point below, within `FILLED_ROWS`.
-
-    `channels` (5, H, W) float32, a pixel of range 0 is empty.
-
-    Returns (5, H, W) float32, a new array.
-    """
+    """Return channels (5, H, W) whose empty pixels hold the next point below."""
     filled = channels.copy()
     for rows in range(1, FILLED_ROWS + 1):
         here, below = filled[:, :-rows], channels[:, rows:]

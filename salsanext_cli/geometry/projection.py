@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A scan seen from the sensor: the range image (paper eq. 1).
+"""A scan seen from its sensor: the frame of the sensor, and the range image (paper eq. 1).
 
 ::
 
@@ -7,24 +7,32 @@
     v = [1 − (asin(z/r) − f_down)/(f_up − f_down)] H
 
 Both are rounded down and clamped to the image. Where the sensor names its beams, the row is that of
-the point's beam instead (`beam_rows`). The nearest point wins a pixel; of equally near ones the
+the point's beam instead (`rows_of`). The nearest point wins a pixel; of equally near ones the
 first in the scan. All arithmetic after the arctangents is float32, as in the published
 code, so that points on a pixel border fall to the same side.
+
+In the frame of the sensor, points are relative to its place, with z up, and without its vehicle.
 """
 
 import math
+import sys
+from dataclasses import replace
+from functools import cache
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices
-from salsanext_cli.geometry.points import LARGEST, measured_ranges, without_ego
-from salsanext_cli.records import CHANNELS, Float, Int, RangeImage, Scan
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.records import CHANNELS, LARGEST, Float, Int, RangeImage, Scan
+from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
 PI = np.float32(math.pi)
 TAN_22_5 = math.sqrt(2) - 1
+MAX_POINTS = 4096
+"""Points of a scan in a sample."""
+Value = TypeVar("Value", bound=np.generic)
 
 
 def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
@@ -50,68 +58,14 @@ def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
     """
     scan = without_ego(scan, sensor)
     up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
-    view = (np.float32(down), np.float32(up - down), sensor.height, sensor.width)
+    height, width, count = sensor.height, sensor.width, len(scan)
+    fov_down, fov = np.float32(down), np.float32(up - down)
     drop, rows = sensor.out_of_view == "drop", rows_of(scan, sensor)
-    if device == "cpu":
-        return _project_on_cpu(scan, *view, drop, rows)
-    from salsanext_cli.geometry import projection_torch
+    if device != "cpu":
+        from salsanext_cli.geometry import projection_torch
 
-    return projection_torch.project(scan, *view, drop, rows, device)
-
-
-def rows_of(scan: Scan, sensor: Sensor) -> Int | None:
-    """Return the row of each point, that of its beam; None where the sensor knows no beams.
-
-    Of B beams, number b from the top has row ``floor((b + ½) H / B)``: with as many beams as rows
-    each has its own, with fewer some rows stay empty, with more some share one.
-
-    `scan`: upright. Points of one ring are of one beam, that nearest to the median of their
-    elevations; points without a ring are of the beam nearest to their own; `sensor`: its beams and
-    the rows of its range image.
-
-    Returns (N,) int32 or None, from 0 at the top; points without a measurement have any row.
-    """
-    if not sensor.beams:
-        return None
-    ranges, measured = measured_ranges(scan.points, float(LARGEST))
-    slopes = np.zeros(len(scan))
-    np.divide(scan.points[:, 2], ranges, out=slopes, where=measured)
-    beams = np.radians(sensor.beams)
-    borders = -np.sin((beams[1:] + beams[:-1]) / 2)
-    beam = np.searchsorted(borders, -slopes)
-    if scan.ring is not None:
-        known = measured & (scan.ring >= 0)
-        medians = medians_of_rings(slopes[known], scan.ring[known])
-        beam[known] = np.searchsorted(borders, -medians)[scan.ring[known]]
-    rows: Int = ((2 * beam + 1) * sensor.height // (2 * len(beams))).astype(np.int32)
-    return rows
-
-
-def medians_of_rings(values: npt.NDArray[np.float64], ring: Int) -> npt.NDArray[np.float64]:
-    """Return the median of the values (N,) of each ring, by number; NaN where it has none."""
-    order = np.argsort(ring, kind="stable")
-    numbers, starts = np.unique(ring[order], return_index=True)
-    medians = np.full(ring.max(initial=-1) + 1, np.nan)
-    for number, part in zip(numbers, np.split(values[order], starts[1:]), strict=False):
-        medians[number] = np.median(part)
-    return medians
-
-
-def _project_on_cpu(
-    scan: Scan,
-    fov_down: np.float32,
-    fov: np.float32,
-    height: int,
-    width: int,
-    drop: bool,
-    rows: Int | None,
-) -> RangeImage:
-    """Project a scan as `project` says.
-
-    `fov_down` and `fov` are lower edge and extent of the field of view in radians; `rows` (N,) are
-    those of the points, if they are known.
-    """
-    view, count = (fov_down, fov, np.float32(height), np.float32(width), drop), len(scan)
+        return projection_torch.project(scan, fov_down, fov, height, width, drop, rows, device)
+    view = (fov_down, fov, np.float32(height), np.float32(width), drop)
     points = argument(scan.points, np.float32).reshape(-1)
     intensity = argument(scan.intensity, np.float32)
     pixel_of_point = np.empty(count, np.int32)
@@ -140,6 +94,40 @@ def _project_on_cpu(
         point_of_pixel.reshape(height, width),
         point_range,
     )
+
+
+def rows_of(scan: Scan, sensor: Sensor) -> Int | None:
+    """Return the row of each point, that of its beam; None where the sensor knows no beams.
+
+    Of B beams, number b from the top has row ``floor((b + ½) H / B)``. Points of one ring are of
+    the beam nearest to the median of their elevations; points without a ring are of the beam
+    nearest to their own. Returns (N,) int32 from 0 at the top, of an upright scan; points without
+    a measurement have any row.
+    """
+    if not sensor.beams:
+        return None
+    ranges, measured = measured_ranges(scan.points, float(LARGEST))
+    slopes = np.zeros(len(scan))
+    np.divide(scan.points[:, 2], ranges, out=slopes, where=measured)
+    beams = np.radians(sensor.beams)
+    borders = -np.sin((beams[1:] + beams[:-1]) / 2)
+    beam = np.searchsorted(borders, -slopes)
+    if scan.ring is not None:
+        known = measured & (scan.ring >= 0)
+        medians = medians_of_rings(slopes[known], scan.ring[known])
+        beam[known] = np.searchsorted(borders, -medians)[scan.ring[known]]
+    rows: Int = ((2 * beam + 1) * sensor.height // (2 * len(beams))).astype(np.int32)
+    return rows
+
+
+def medians_of_rings(values: npt.NDArray[np.float64], ring: Int) -> npt.NDArray[np.float64]:
+    """Return the median of the values (N,) of each ring, by number; NaN where it has none."""
+    order = np.argsort(ring, kind="stable")
+    numbers, starts = np.unique(ring[order], return_index=True)
+    medians = np.full(ring.max(initial=-1) + 1, np.nan)
+    for number, part in zip(numbers, np.split(values[order], starts[1:]), strict=False):
+        medians[number] = np.median(part)
+    return medians
 
 
 @compiled
@@ -230,3 +218,113 @@ def fill_channels(
             channels[3, pixel] = points[3 * i + 2]
             usable = abs(intensity[i]) <= LARGEST
             channels[4, pixel] = intensity[i] if usable else ZERO
+
+
+def points_from_pixels(
+    of_pixels: npt.NDArray[Value], pixel_of_point: Int, empty: npt.ArrayLike
+) -> npt.NDArray[Value]:
+    """Give every point its pixel's value: (H, W) or (C, H, W) to (N,) or (N, C); else `empty`."""
+    flat = of_pixels.reshape(*of_pixels.shape[:-2], -1)
+    of_points: npt.NDArray[Value] = flat.T[pixel_of_point]
+    of_points[pixel_of_point < 0] = empty
+    return of_points
+
+
+def pixels_from_points(
+    of_points: npt.NDArray[Value], point_of_pixel: Int, empty: npt.ArrayLike = 0
+) -> npt.NDArray[Value]:
+    """Give every pixel its nearest point's value: (N, …) to (H, W, …); else `empty`."""
+    # Index -1 finds the value that is appended.
+    last = np.full((1, *of_points.shape[1:]), empty, of_points.dtype)
+    of_pixels: npt.NDArray[Value] = np.concatenate([of_points, last])[point_of_pixel]
+    return of_pixels
+
+
+def measured_ranges(
+    points: Float, farthest: float = sys.float_info.max
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """Return the ranges (N,) float64 of points in metres, and which hold a measurement, (N,) bool.
+
+    The origin, NaN, infinity and ranges beyond the farthest are none.
+    """
+    with np.errstate(invalid="ignore"):  # of a signalling NaN
+        x, y, z = np.square(points.T, dtype=np.float64)
+        ranges = np.sqrt(x + y + z)
+    return ranges, (ranges > 0) & (ranges <= farthest)
+
+
+def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
+    """Return a number of points of a scan in their order, drawn alike; all if there are no more.
+
+    Of points in the order of a grid, every n-th could be of few beams or in few directions.
+    """
+    if len(scan) <= count:
+        return scan
+    places = drawn(len(scan), count)
+    return Scan(scan.points[places], scan.intensity[places])
+
+
+def drawn(length: int, count: int) -> npt.NDArray[np.intp]:
+    """Return (count,) places in an array, rising, drawn alike; all if there are no more."""
+    return np.arange(length) if length <= count else (_uniform(count) * length).astype(np.intp)
+
+
+@cache
+def _uniform(count: int) -> npt.NDArray[np.float64]:
+    return np.sort(np.random.default_rng(0).random(count))
+
+
+def in_sensor_frame(scan: Scan, sensor: Sensor) -> Scan:
+    """Return the scan moved from the sensor's `origin`, and turned so that its `up` is the z axis.
+
+    Points at the origin of the files are no measurements and stay none.
+    """
+    points = scan.points
+    if sensor.origin != ORIGIN:
+        points = points - np.array(sensor.origin, np.float32)
+        points[~scan.points.any(axis=1)] = 0
+    if sensor.up != UP:
+        x, y, z = points.T.astype(np.float64)
+        # A matrix product would leave threads behind that take the processors from the network.
+        rows = [a * x + b * y + c * z for a, b, c in upright_rotation(np.asarray(sensor.up))]
+        points = np.stack(rows, axis=1).astype(np.float32)
+    return scan if points is scan.points else replace(scan, points=points)
+
+
+def without_ego(scan: Scan, sensor: Sensor) -> Scan:
+    """Return the scan in the sensor's frame, with the points of its vehicle at the origin."""
+    scan = in_sensor_frame(scan, sensor)
+    own = ego_points(scan.points, sensor)
+    if not len(own):
+        return scan
+    points = scan.points.copy()
+    points[own] = 0
+    return replace(scan, points=points)
+
+
+def ego_points(points: Float, sensor: Sensor) -> npt.NDArray[np.intp]:
+    """Return the indices of points (N, 3), in the sensor's frame, in `min_range` or `ego_box`."""
+    nearest, box = sensor.min_range or 0.0, np.array(sensor.ego_box or ()).reshape(2, -1)
+    reach = max(nearest, float(np.linalg.norm(np.abs(box).max(axis=0, initial=0))))
+    if not reach:
+        return np.empty(0, np.intp)
+    squares = np.einsum("nk,nk->n", points, points)
+    near = np.flatnonzero((squares < np.float32(reach) ** 2) & (squares > 0))
+    own = squares[near] < np.float32(nearest) ** 2
+    if box.size:
+        own |= ((points[near] >= box[0]) & (points[near] <= box[1])).all(axis=1)
+    of_vehicle: npt.NDArray[np.intp] = near[own]
+    return of_vehicle
+
+
+def upright_rotation(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the rotation that turns a direction (3,) to z and the direction ahead to x, (3, 3).
+
+    Ahead is the level part of x; of z in frames of cameras, with y down, and with x up or down.
+    """
+    up = up / np.linalg.norm(up)
+    largest = int(np.abs(up).argmax())
+    ahead = np.eye(3)[2 if largest == 0 or (largest == 1 and up[1] < 0) else 0]
+    level = ahead - (ahead @ up) * up
+    level /= np.linalg.norm(level)
+    return np.stack([level, np.cross(up, level), up])

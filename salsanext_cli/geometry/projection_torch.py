@@ -10,8 +10,7 @@ import math
 import numpy as np
 import torch
 
-from salsanext_cli.geometry.points import LARGEST
-from salsanext_cli.records import Int, RangeImage, Scan
+from salsanext_cli.records import LARGEST, Int, RangeImage, Scan
 
 PI = float(np.float32(math.pi))
 NO_POINT = 2**63 - 1
@@ -27,7 +26,7 @@ def project(
     rows: Int | None,
     device: str,
 ) -> RangeImage:
-    """Project a scan on a device and copy the result back; see `projection_numba.project`."""
+    """Project a scan on a device and copy the result back; see `projection.project`."""
     points = torch.tensor(scan.points, device=device)
     intensity = torch.tensor(scan.intensity, device=device)
     pixel_of_point, point_range = find_pixels(points, fov_down, fov, height, width, drop)
@@ -49,7 +48,7 @@ def project(
 
 
 def arctan2(y: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
-    """Return atan2(y, x) of float64 tensors; see `projection_numba.arctan2`."""
+    """Return atan2(y, x) of float64 tensors; see `projection.arctan2`."""
     steep = y.abs() > x.abs()
     small = torch.where(steep, x.abs(), y.abs())
     large = torch.where(steep, y.abs(), x.abs())

@@ -19,7 +19,7 @@ from salsanext_cli.files.reading import present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_probabilities
-from salsanext_cli.geometry.points import in_sensor_frame, measured_ranges
+from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.measures.confusion import Confusion, Mask
 from salsanext_cli.measures.histograms import (

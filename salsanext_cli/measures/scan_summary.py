@@ -16,13 +16,13 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import printable
 from salsanext_cli.files.reading import present
-from salsanext_cli.fitting.mixed_sensors import mixed_sensors
 from salsanext_cli.fitting.scan_checks import (
     MIN_POINTS,
     UNCHECKED,
     Finding,
     ScanCheck,
     ScanTraits,
+    mixed_sensors,
 )
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.output_run import OutputRun

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.fitting.view_fit import OUTLIERS
-from salsanext_cli.geometry.points import measured_ranges
+from salsanext_cli.geometry.projection import measured_ranges
 from salsanext_cli.records import CHANNELS, RangeImage, Scan
 
 ELEVATION_STEP_DEG = 0.05

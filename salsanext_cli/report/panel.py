@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from salsanext_cli.geometry.points import pixels_from_points
+from salsanext_cli.geometry.projection import pixels_from_points
 from salsanext_cli.records import RangeImage
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import MARGIN_PX

@@ -16,7 +16,7 @@ from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import counted, printable
 from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.formats.ply import encode_ply
-from salsanext_cli.geometry.points import pixels_from_points, points_from_pixels
+from salsanext_cli.geometry.projection import pixels_from_points, points_from_pixels
 from salsanext_cli.labelling.picked_data_set import PickedScan
 from salsanext_cli.labelling.scan_choice import Choice
 from salsanext_cli.records import Float

@@ -7,8 +7,7 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, printable
-from salsanext_cli.geometry.points import in_sensor_frame
-from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.projection import in_sensor_frame, project
 from salsanext_cli.records import Float
 from salsanext_cli.report import birds_eye, canvas, panel
 from salsanext_cli.report.canvas import MARGIN_PX

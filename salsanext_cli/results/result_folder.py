@@ -19,7 +19,7 @@ from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_uncertainty
 from salsanext_cli.formats.recordings import recording_of
-from salsanext_cli.geometry.points import in_sensor_frame, measured_ranges
+from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import (

@@ -9,9 +9,8 @@ from typing import Any
 
 from salsanext_cli.engines.device import openvino_core
 from salsanext_cli.engines.graphs import Graph
-from salsanext_cli.engines.loading import network_of_module
+from salsanext_cli.engines.loading import network_of_module, read_onnx
 from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.onnx_engine import read_model
 from salsanext_cli.engines.onnx_export import difference, exported, quantised
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import UsageError, counted
@@ -116,11 +115,11 @@ def _int8(model: Any, network: Network, scans: list[ScanFile]) -> tuple[bytes, f
 def _input(file: ScanFile, network: Network) -> Float:
     """Return what the network sees of a scan, (1, 5, H, W)."""
     image = project(read_scan(file.path, network.sensor), network.sensor, "cpu")
-    return network.fit.input(image.channels)
+    return network.input(image.channels)
 
 
 def _graph(content: bytes, card: WeightsCard) -> Graph:
     size = (card.sensor.height, card.sensor.width)
-    model = read_model(content, "the ONNX model", card, size)
+    model = read_onnx(content, "the ONNX model", card, size)
     hints = {"INFERENCE_PRECISION_HINT": "f32"}
     return Graph(openvino_core().compile_model(model, "CPU", hints))

@@ -12,8 +12,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.knn import knn_refine
-from salsanext_cli.geometry.points import pixels_from_points
-from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.projection import pixels_from_points, project
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans

@@ -13,7 +13,6 @@ from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError, UsageError
-from salsanext_cli.fitting.adaptation import network_of_run
 from salsanext_cli.fitting.label_scan import (
     LabelledScan,
     ProjectedScan,
@@ -25,8 +24,8 @@ from salsanext_cli.fitting.label_scan import (
     sensor_of_images,
 )
 from salsanext_cli.fitting.scan_checks import check_image
-from salsanext_cli.fitting.scan_fit import fitted_view
-from salsanext_cli.geometry.points import points_from_pixels
+from salsanext_cli.fitting.scan_fit import fitted_view, network_of_run
+from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask, Steps, named_if_too_large

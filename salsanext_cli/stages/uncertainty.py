@@ -11,10 +11,10 @@ import numpy as np
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, UsageError, counted
-from salsanext_cli.fitting.adaptation import network_of_run
 from salsanext_cli.fitting.label_scan import labelled, project_for
 from salsanext_cli.fitting.recorded_network import network_of_labels, require_network_of_labels
-from salsanext_cli.geometry.points import points_from_pixels
+from salsanext_cli.fitting.scan_fit import network_of_run
+from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask, Steps

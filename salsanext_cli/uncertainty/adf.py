@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
@@ -44,27 +44,21 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
         mean     = LeakyReLU(m) + (1 − a) √v e
         variance = v [a² + (1 − a²) p − (1 − a)² e (τ + e)]     p = 1 − q if m > 0, else q
 
-    Nothing cancels, as it does in E[y²] − E[y]², which is 0 in float32 for m = 10, v = 10⁻⁶.
-
-    `mean`, `variance`: float32 or float64; of a half precision, float32 is used in between;
-    `slope`: a, 0 ≤ a ≤ 1.
+    Nothing cancels, as it does in E[y²] − E[y]², which is 0 in float32 for m = 10, v = 10⁻⁶. The
+    slope a is from 0 to 1; of a half precision, float32 is used in between.
     """
-    wide = torch.promote_types(mean.dtype, torch.float32)
-    found = _rectified(mean.to(wide), variance.to(wide), slope)
-    return found[0].to(mean.dtype), found[1].to(mean.dtype)
-
-
-def _rectified(m: Tensor, v: Tensor, slope: float) -> tuple[Tensor, Tensor]:
+    dtype, wide = mean.dtype, torch.promote_types(mean.dtype, torch.float32)
+    m, v = mean.to(wide), variance.to(wide)
     deviation = v.sqrt()
     far = m.abs().div_(deviation.clamp(min=SMALLEST_DIVISOR)).clamp_(max=MAX_DEVIATIONS)
     beyond = torch.special.erfc(far * math.sqrt(0.5)).mul_(0.5)
     density = far.square().mul_(-0.5).exp_().mul_(1 / math.sqrt(2 * math.pi))
     excess = density.addcmul_(far, beyond, value=-1).clamp_(min=0)
-    mean = torch.where(m > 0, m, m * slope).addcmul_(deviation, excess, value=1 - slope)
+    shifted = torch.where(m > 0, m, m * slope).addcmul_(deviation, excess, value=1 - slope)
     passed = torch.where(m > 0, 1 - beyond, beyond)
     lost = excess.mul_(far.add_(excess))
     share = passed.mul_(1 - slope**2).add_(slope**2).sub_(lost, alpha=(1 - slope) ** 2)
-    return mean, share.clamp_(min=0).mul_(v)
+    return shifted.to(dtype), share.clamp_(min=0).mul_(v).to(dtype)
 
 
 def softmax_moments(
@@ -80,18 +74,11 @@ def softmax_moments(
     by a factor of hundreds.
 
     The means p are divided by their sum; each variance keeps its share of p (1 − p), which no
-    variable between 0 and 1 exceeds.
+    variable between 0 and 1 exceeds. Of variance 0, they are the plain softmax.
 
     Of merged classes, the mean is the sum of theirs. For the variance they have one logit, the
     logarithm of the sum of their exponentials, taken as log-normal like that of the others; logits
-    of groups without a common class are independent.
-
-    `mean`, `variance`: of the logits; float32 or float64, a half precision is widened in between;
-    `dim`: the classes; `groups`: the classes that are merged into each; every class is in one
-    group.
-
-    Returns `mean, variance`, the means sum to 1; of variance 0, they are the plain softmax, or its
-    sums over groups.
+    of groups without a common class are independent. Every class is in one group.
     """
     wide = torch.promote_types(mean.dtype, torch.float32)
     m, v = (t.to(wide).movedim(dim, 0) for t in (mean, variance))
@@ -220,8 +207,8 @@ def _sum_of_others(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:
 class Gaussian:
     """Independent Gaussians in place of a tensor's numbers.
 
-    PyTorch asks such a stand-in what each function of a network does to it. A function without a
-    rule is an error, so that the moments cannot drift apart from the network.
+    PyTorch asks it what each function of a network does to it. A function without a rule is an
+    error, so that the moments cannot drift apart from the network.
     """
 
     # From a function to what it does to moments (Gast & Roth 2018), with the same arguments
@@ -279,15 +266,6 @@ class Gaussian:
     def softmax(self, dim: int, groups: Groups | None = None) -> Self:
         """Return the moments of the softmax over a dimension, of classes merged into groups."""
         return self.like(*softmax_moments(self.mean, self.variance, dim, groups))
-
-
-Kind = TypeVar("Kind", bound=Gaussian)
-
-
-def propagate(network: Callable[..., Any], *inputs: Kind) -> Kind:
-    """Run on Gaussians what is written for tensors."""
-    outputs: Kind = network(*inputs)
-    return outputs
 
 
 def _linear(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:

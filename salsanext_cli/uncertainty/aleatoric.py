@@ -9,15 +9,24 @@ from torch import Tensor
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.torch_engine import inference_mode
-from salsanext_cli.geometry.network_input import input_variance, noise_of
+from salsanext_cli.geometry.network_input import noise_of, with_filled_gaps
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors.sensor import Sensor
-from salsanext_cli.uncertainty.adf import Gaussian, propagate
+from salsanext_cli.uncertainty.adf import Gaussian
 from salsanext_cli.uncertainty.monte_carlo import PassStatistics
 
 COPIES = 8
 """Copies of a scan; their deviations rank pixels as those of 256 others do (correlation 0.97)."""
+
+
+def _along_ray(channels: Float) -> Float:
+    """Return the change (4, H, W) of range, x, y, z by a metre of range; 0 of empty pixels."""
+    occupied = channels[0] > 0
+    change = np.zeros_like(channels[:4])
+    change[0] = occupied
+    np.divide(channels[1:4], channels[0], out=change[1:], where=occupied)
+    return change
 
 
 def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float]:
@@ -28,10 +37,7 @@ def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float
     """
     range_noise, intensity_noise = noise_of(sensor)
     random = np.random.default_rng(seed)
-    occupied = image.channels[0] > 0
-    step = np.zeros_like(image.channels[:4])
-    step[0] = occupied
-    np.divide(image.channels[1:4], image.channels[0], out=step[1:], where=occupied)
+    occupied, step = image.channels[0] > 0, _along_ray(image.channels)
     while True:
         along, bright = random.standard_normal((2, *occupied.shape), np.float32)
         copy = image.channels.copy()
@@ -40,14 +46,27 @@ def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float
         yield copy
 
 
+def input_variance(channels: Float, sensor: Sensor) -> Float:
+    """Return the variance (5, H, W) float32 of every number of a normalised range image.
+
+    A range that is wrong by δ moves the point along its ray: x by δ x/r, y and z alike. Empty
+    pixels are certain. `channels` (5, H, W) are not normalised.
+    """
+    range_noise, intensity_noise = noise_of(sensor)
+    deviations = np.zeros_like(channels)
+    deviations[:4] = _along_ray(channels)
+    deviations[:4] *= range_noise
+    deviations[4] = (channels[0] > 0) * np.float32(intensity_noise)
+    deviations /= np.asarray(sensor.stds, np.float32).reshape(-1, 1, 1)
+    variance: Float = np.square(deviations)
+    return variance
+
+
 def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
-    """Return the variance of every pixel's softmax over noisy copies, dropout off.
+    """Return the variance (C, H, W) of every pixel's softmax over noisy copies, dropout off.
 
-    Without the temperature, as in `sample`.
-
-    `network`: whose sensor knows its noise; `image`: one scan; `seed`: of the noise.
-
-    Returns (C, H, W) float32, without bias: divided by the number of copies less one.
+    It is without bias: divided by the number of copies less one; and without the temperature, as
+    in `sample`.
     """
     statistics = PassStatistics((network.space.class_count, image.height, image.width))
     copies = noisy_copies(image, network.sensor, seed)
@@ -58,16 +77,13 @@ def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
 
 
 def aleatoric(network: Network, image: RangeImage) -> Float:
-    """Return the variance of every pixel's softmax that comes from noise of the input.
+    """Return the variance (C, H, W) of every pixel's softmax that comes from noise of the input.
 
     One pass of assumed density filtering, dropout off, without the temperature, as in `sample`.
-
-    `network`: whose sensor knows its noise; `image`: one scan.
-
-    Returns (C, H, W) float32, at least 0; its mean over the classes is the aleatoric uncertainty.
     """
-    engine, mean = network.engine, network.fit.input(image.channels)
-    variance = input_variance(network.fit.filled(image.channels), network.sensor)[None]
+    engine, mean = network.engine, network.input(image.channels)
+    filled = with_filled_gaps(image.channels, network.sensor, network.card.sensor)
+    variance = input_variance(filled, network.sensor)[None]
     with inference_mode(engine.device):
         if engine.library == "openvino":
             inputs = [engine.example_input()] * 2
@@ -83,5 +99,5 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
 
 def _moments(module: SegmentationNetwork, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
     """Return mean and variance of the logits from those of the input, (B, 5, H, W)."""
-    logits = propagate(module, Gaussian(mean, variance))
+    logits: Gaussian = module(Gaussian(mean, variance))
     return logits.mean, logits.variance

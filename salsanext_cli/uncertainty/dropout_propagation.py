@@ -19,7 +19,7 @@ from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import RangeImage
-from salsanext_cli.uncertainty.adf import Gaussian, propagate
+from salsanext_cli.uncertainty.adf import Gaussian
 from salsanext_cli.uncertainty.estimate import Estimate, entropy
 
 SMALLEST_MEAN = 1e-12
@@ -29,10 +29,9 @@ SMALLEST_MEAN = 1e-12
 class ChannelCorrelatedGaussian(Gaussian):
     """Gaussians that are independent between channels, but move together within one.
 
-    `mean`, `variance` (B, C, H, W) Tensor, as of `Gaussian`. At a pixel, the neighbours of its
-    window are taken to have its window's mean variance, and the image to go on beyond its border;
-    the numbers that a pixel shuffle makes neighbours are taken to move together too. It is an
-    estimate, to be judged by how it ranks.
+    At a pixel, the neighbours of its window are taken to have its window's mean variance, and the
+    image to go on beyond its border; the numbers that a pixel shuffle makes neighbours are taken
+    to move together too. It is an estimate, to be judged by how it ranks.
     """
 
     __slots__ = ()
@@ -127,12 +126,9 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
     """Estimate what `sample` would tend to with ever more passes.
 
     The mutual information is that of a small spread of the softmax around its mean, ½ Σ v / p, and
-    at most the entropy.
-
-    `network`: with at least one dropout of a rate above 0; its temperature is left out, as in
-    `sample`; `image`: one scan.
+    at most the entropy. The temperature is left out, as in `sample`.
     """
-    engine, given = network.engine, network.fit.input(image.channels)
+    engine, given = network.engine, network.input(image.channels)
     rate = require_dropout(engine.module)
     with inference_mode(engine.device):
         if engine.library == "openvino":
@@ -151,5 +147,5 @@ def _moments(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor, Tensor
     """Return mean and variance of the logits of an image (B, 5, H, W), with the padding."""
     features = module.padded_trunk(image)
     certain = (ChannelCorrelatedGaussian(f, torch.zeros_like(f)) for f in features)
-    logits = propagate(module.rest, *certain)
+    logits: Any = module.rest(*certain)
     return logits.mean, logits.variance

@@ -25,15 +25,10 @@ COST = 8
 
 
 def label_support(image: RangeImage, probabilities: Float, labels: TrainIds, pixels: Int) -> Float:
-    """Return the mean probability of a label among a pixel and those around it at its range.
+    """Return the mean probability (M,) of labels (M,) of pixels among those around at their range.
 
     Of a window of 9 × 17 pixels, which goes on around the image, every second row and column
-    counts; in an image that is narrower, a column may count twice.
-
-    `probabilities` (C, H, W) float32; `labels` (M,) uint8, train ids; `pixels` (M,) int32, occupied
-    pixels, v · W + u, that the labels are of.
-
-    Returns (M,) float32.
+    counts; in an image that is narrower, a column may count twice. `pixels` (M,) are occupied.
     """
     ranges, softmax = argument(image.channels[0], np.float32), argument(probabilities, np.float32)
     labels, pixels = argument(labels, np.uint8), argument(pixels, np.int32)
@@ -69,19 +64,15 @@ def mean_in_windows(
 
 
 def region_means(image: RangeImage, classes: TrainIds, values: Float) -> Float:
-    """Return the mean of a value over the region that each pixel belongs to.
+    """Return the mean (H, W) of a value over the region that each pixel belongs to.
 
     A region is of occupied pixels of one class, each beside the next, in eight directions, or the
-    next but one in its row or column. Regions go on around the image.
-
-    `classes` (H, W) uint8; `values` (H, W) float32.
-
-    Returns (H, W) float32, of empty pixels their own value.
+    next but one in its row or column. Regions go on around the image. Empty pixels keep their own.
     """
-    found = np.empty(values.shape, np.float32)
+    means = np.empty(values.shape, np.float32)
     given = argument(classes, np.uint8), argument(values, np.float32)
-    mean_of_regions(argument(image.channels[0] > 0, np.bool_), *given, found)
-    return found
+    mean_of_regions(argument(image.channels[0] > 0, np.bool_), *given, means)
+    return means
 
 
 @compiled
@@ -135,8 +126,7 @@ NEAREST_M = 0.5
 def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) -> Float:
     """Return the features of every point, (N, 9) float32; NaN where it has no pixel.
 
-    `image`: of the scan; `probabilities` (C, H, W) float32, softmax of a single pass; `labels` (N,)
-    uint8, train ids of the points, after kNN.
+    `probabilities` (C, H, W) are the softmax of a single pass, `labels` (N,) those after kNN.
     """
     # Most points have the label of their pixel: described once per pixel, the others on their own.
     classes, table = _of_pixels(image, probabilities)
@@ -196,16 +186,12 @@ def knows_error(network: Network) -> bool:
 
 def error_model(network: Network) -> ErrorModel:
     """Return the model of errors of weights."""
-    model = network.card.error
+    model, weights = network.card.error, network.engine.name
     remedy = "`salsanext tune error DATASET WEIGHTS_OUT` fits one to labelled scans"
     if model is None:
-        raise WeightsError(
-            network.engine.name, "no probability of errors", "weights with one", remedy
-        )
+        raise WeightsError(weights, "no probability of errors", "weights with one", remedy)
     if model.features != FEATURES:
-        raise WeightsError(
-            network.engine.name, "errors by other features", ", ".join(FEATURES), remedy
-        )
+        raise WeightsError(weights, "errors by other features", ", ".join(FEATURES), remedy)
     if network.merging is not None:
         found = "the probability of errors is of labels before merging"
         raise UsageError("--classes", found, "the classes of the weights")
@@ -215,8 +201,5 @@ def error_model(network: Network) -> ErrorModel:
 def label_error(
     network: Network, image: RangeImage, probabilities: Float, labels: TrainIds
 ) -> Float:
-    """Return the probability that a point's label is wrong, (N,) float32, NaN without a pixel.
-
-    Parameters are those of `error_features`; it raises what `error_model` does.
-    """
+    """Return the probability that a point's label is wrong, (N,) float32, NaN without a pixel."""
     return error_model(network).probability(error_features(image, probabilities, labels))

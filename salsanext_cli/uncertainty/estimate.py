@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Estimate of epistemic uncertainty, however it is made."""
+"""Estimate of uncertainty, however it is made."""
 
 from __future__ import annotations
 
@@ -9,10 +9,28 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.records import Float, Uncertainty
+from salsanext_cli.records import Float
 
 Double = npt.NDArray[np.float64]
 Values = TypeVar("Values", Float, Double)
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """Uncertainty of the pixels of one scan, (H, W) float32 each."""
+
+    # Variance of the softmax over passes, mean over classes (paper III-C.2); 0…(1 - 1/C)/C
+    epistemic: Float
+    entropy: Float  # Of the mean softmax, in nats; 0…ln C
+    mutual_information: Float  # `entropy` minus the mean entropy of the passes in nats; 0…ln C
+    # Variance of the softmax by the sensor's noise, mean over classes; 0…(1 - 1/C)/C. It ranks
+    # points; its scale is far too small
+    aleatoric: Float | None = None
+
+    @property
+    def total(self) -> Float | None:
+        """Epistemic plus aleatoric, if that is known (paper III-C)."""
+        return None if self.aleatoric is None else self.epistemic + self.aleatoric
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,12 +58,8 @@ class UncertaintyMethod:
         """Return what the results depend on besides the network and what it sees."""
         numbers = _numbers(self.method, self.aleatoric)
         noise = {"noise": noise_of(sensor)} if self.aleatoric != "none" else {}
-        return {
-            "method": self.method,
-            "aleatoric": self.aleatoric,
-            **{key: getattr(self, key) for key in numbers},
-            **noise,
-        }
+        names = ("method", "aleatoric", *numbers)
+        return {name: getattr(self, name) for name in names} | noise
 
     def require(self, network: Network) -> None:
         """Raise what `estimate` raises, before any scan is read."""

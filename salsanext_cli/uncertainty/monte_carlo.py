@@ -11,8 +11,7 @@ from torch import Tensor
 
 from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices, thread_count
 from salsanext_cli.engines.device import MAX_BATCH_PIXELS
-from salsanext_cli.engines.engine import Engine
-from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.network import Engine, Network
 from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.dropout import drawn, require_dropout, sampling
@@ -25,10 +24,7 @@ PASSES_PER_THREAD = 4
 
 
 class PassStatistics:
-    """Running sums over passes, in float64 so that the variance does not cancel.
-
-    Added up element by element, so that no bit depends on the number of threads.
-    """
+    """Running sums over passes, in float64 so that the variance does not cancel."""
 
     def __init__(self, shape: tuple[int, int, int]) -> None:
         self.count = 0
@@ -95,7 +91,7 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     seeds = [pass_seed(seed, number) for number in range(samples)]
     passes = openvino_passes if network.engine.library == "openvino" else torch_passes
     with inference_mode(network.device):
-        for softmax, nats in passes(network.engine, network.fit.input(image.channels), seeds):
+        for softmax, nats in passes(network.engine, network.input(image.channels), seeds):
             inside = (..., slice(image.height), slice(image.width))
             softmax, nats = softmax[inside], nats[inside]
             if network.merging is not None:
@@ -191,7 +187,7 @@ def require_samples(samples: int) -> None:
 
 
 def pass_seed(seed: int, number: int) -> int:
-    """Return the seed of one pass: the sum of its parts would make neighbours share passes."""
+    """Return the seed of one pass; with the sum of its parts, neighbours would share passes."""
     return _hashed(f"{seed}/{number}")
 
 

@@ -36,8 +36,6 @@ def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> 
 
     The masks of dropout are those of the seed, the same for every scan: between masks the mutual
     information of a scan varies more than between scans of one drive.
-
-    `samples`, `seed`: as `sample` takes them.
     """
     projected = project_for(network, file)
     image = projected.image
@@ -54,10 +52,10 @@ def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> 
 def label_sampled(
     file: ScanFile, network: Network, samples: int, seed: int
 ) -> tuple[LabelledScan, Float]:
-    """Label a scan by the mean softmax of the passes; parameters as of `describe_scan`.
+    """Label a scan by the mean softmax of the passes.
 
-    Returns the mutual information of label and weights of each pixel, (H, W) float32, nats, too; it
-    is meaningless where the pixel is empty.
+    Returns the mutual information of label and weights of each pixel, (H, W), nats, too; it is
+    meaningless where the pixel is empty.
     """
     projected = project_for(network, file)
     estimate = _estimate(file, projected.image, network, samples, seed)
@@ -75,7 +73,7 @@ def _estimate(
 
 def pixel_features(network: Network, image: RangeImage) -> Float:
     """Return the features of every pixel of a scan, (D, H, W) float32, without dropout."""
-    engine, given = network.engine, network.fit.input(image.channels)
+    engine, given = network.engine, network.input(image.channels)
     if engine.library == "openvino":
         of_one: Float = engine.graph("features", _decoded)(given)[0][0]
         return of_one

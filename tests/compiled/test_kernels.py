@@ -13,12 +13,7 @@ import numba
 import pytest
 
 import salsanext_cli
-from salsanext_cli.compiled.kernels import (
-    KernelCache,
-    cache_folder,
-    compiled,
-    run_on_threads,
-)
+from salsanext_cli.compiled.kernels import KernelCache, cache_folder, compiled, parallel_for
 
 
 @pytest.fixture
@@ -143,10 +138,11 @@ def test_works_where_nothing_can_be_cached(kernel, tmp_path, monkeypatch, caplog
     assert len(caplog.records) == 1
 
 
-def test_an_error_of_any_thread_is_raised_after_all_are_done():
+def test_an_error_of_any_thread_is_raised_after_all_are_done(monkeypatch):
     together, arrived, done = threading.Barrier(3, timeout=10), iter(range(3)), []
+    monkeypatch.setattr("salsanext_cli.compiled.kernels.thread_count", lambda: 3)
 
-    def work():
+    def work(_):
         together.wait()
         if next(arrived) == 1:
             raise ValueError("no")
@@ -154,5 +150,5 @@ def test_an_error_of_any_thread_is_raised_after_all_are_done():
         done.append(1)
 
     with pytest.raises(ValueError, match="no"):
-        run_on_threads(work, 3)
+        parallel_for(work, range(3))
     assert len(done) == 2

@@ -10,7 +10,7 @@ from salsanext_cli.errors import MissingDependency, UsageError
 @pytest.fixture
 def fresh():
     """Forget what was found out about this machine, before and after."""
-    caches = (device.flags, device._openvino_fails, device._say_once)
+    caches = (device.flags, device._openvino_fails, device._warn_once)
     for cache in caches:
         cache.cache_clear()
     yield

@@ -18,7 +18,7 @@ from salsanext_cli.network.card import read_card
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_bin
-from salsanext_cli.sensors.limits import INTENSITY_LEVELS
+from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages import export_onnx as stage
 from salsanext_cli.stages.export_onnx import export_onnx
 
@@ -58,7 +58,7 @@ def test_openvino_computes_what_onnx_runtime_does(made):
     """Not so with signed feature maps, which lose half of the labels."""
     network = load_network(made[0], precision="float32")
     image = project(make_scan(), SMALL)
-    (expected,) = run(made[0].read_bytes(), [network.fit.input(image.channels)])
+    (expected,) = run(made[0].read_bytes(), [network.input(image.channels)])
     found = network.logits(image)
     assert np.abs(found - expected[0]).mean() < 0.03 * np.abs(expected).mean()
 
@@ -95,7 +95,7 @@ def test_it_sees_what_predict_sees(tmp_path, monkeypatch):
     assert network.sensor.up != SMALL.up
     for file, image in zip(files, seen, strict=True):
         upright = project(read_scan(file.path), network.sensor).channels
-        np.testing.assert_array_equal(image, network.fit.input(upright))
+        np.testing.assert_array_equal(image, network.input(upright))
     assert max(image[0, 4].max() for image in seen) == pytest.approx((1 - 0.21) / 0.16, abs=0.01)
     assert said["equal_labels"] == 1
     view = SMALL.resized(16, 64)

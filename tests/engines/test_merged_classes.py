@@ -56,7 +56,7 @@ def test_passes_are_added_before_they_are_counted(weights, image, engine):
     own, merged = both(weights, engine)
     with torch.inference_mode():
         seeds = [pass_seed(5, number) for number in range(4)]
-        drawn = torch_passes(own.engine, own.fit.input(image.channels), seeds)
+        drawn = torch_passes(own.engine, own.input(image.channels), seeds)
         passes = np.stack([summed(softmax) for softmax, _ in drawn]).astype(float)
     mean = passes.mean(axis=0)
     entropy = -(mean * np.log(mean)).sum(axis=0)

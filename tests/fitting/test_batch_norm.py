@@ -89,7 +89,7 @@ def test_one_scan_has_the_statistics_and_logits_of_batch_norm_in_training(module
     network, image = network_of(module, sensor), image_of(0, sensor)
     found = statistics_of_scan(network, image.channels)
     training = as_when_training(module)
-    logits = training(network.engine.tensor(network.fit.input(image.channels))).detach().numpy()
+    logits = training(network.engine.tensor(network.input(image.channels))).detach().numpy()
     assert list(found) == [name for name, _ in norms(training).items()]
     for name, layer in norms(training).items():
         count = found[name].count
@@ -107,7 +107,7 @@ def test_empty_pixels_count_and_padding_does_not():
     network, image = network_of(Normed(), sensor), image_of(0, sensor)
     assert (image.point_of_pixel < 0).mean() > 0.1
     found = statistics_of_scan(network, image.channels)
-    channels = network.engine.tensor(network.fit.input(image.channels))[0].double().numpy()
+    channels = network.engine.tensor(network.input(image.channels))[0].double().numpy()
     close(found["norm"], channels.mean(axis=(1, 2)), channels.var(axis=(1, 2)))
     assert found["norm"].count == 900
     training = as_when_training(network.module)
@@ -116,7 +116,7 @@ def test_empty_pixels_count_and_padding_does_not():
         layer.eval()
         layer.running_mean.copy_(found[name].mean)
         layer.running_var.copy_(found[name].variance)
-    values = inputs_of_norms(training, network.engine.tensor(network.fit.input(image.channels)))[0][
+    values = inputs_of_norms(training, network.engine.tensor(network.input(image.channels)))[0][
         "deep"
     ]
     weights = np.zeros((3, 23))

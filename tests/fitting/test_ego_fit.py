@@ -13,7 +13,7 @@ from scans import SMALL
 from salsanext_cli import Scan, read_labels, read_scan
 from salsanext_cli.fitting.scan_fit import MAX_SCANS
 from salsanext_cli.fitting.view_fit import MIN_RANGE_M, fit_ego
-from salsanext_cli.geometry.points import ego_points, without_ego
+from salsanext_cli.geometry.projection import ego_points, without_ego
 from salsanext_cli.results.selection import evenly_spaced
 
 ROOF = np.array([[-1.8, -0.7, -0.9], [0.6, 0.7, -0.4]])

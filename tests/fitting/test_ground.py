@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from streets import street_points
 
 from salsanext_cli.fitting.mounting_fit import find_ground
-from salsanext_cli.geometry.points import upright_rotation
+from salsanext_cli.geometry.projection import upright_rotation
 
 DIRECTION = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
 

@@ -7,14 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scans import SMALL
 
 from salsanext_cli import Scan, read_scan, sensor
-from salsanext_cli.fitting import mixed_sensors as module
-from salsanext_cli.fitting.mixed_sensors import mixed_sensors
-from salsanext_cli.fitting.scan_checks import ScanCheck, ScanTraits, check_scan
+from salsanext_cli.fitting.scan_checks import ScanCheck, ScanTraits, check_scan, mixed_sensors
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.results.layout import ScanFile
 
@@ -90,22 +86,6 @@ def test_intensities_of_two_scales_are_told_apart():
     assert file.stem == "000002"
     assert found[file].remedy.startswith("put the scans of each sensor into a folder of their own")
     assert "intensities to 1.3e+02" in found[file].found
-
-
-VALUES = st.lists(st.sampled_from([0.0, *np.geomspace(1, 300, 40).tolist()]), max_size=12)
-
-
-@given(VALUES, st.sampled_from([1.2, 1.6, 4.0]))
-def test_groups_are_those_linked_one_by_one(values, factor):
-    found = module._groups(np.array(values), factor)
-    slow = {number: {number} for number, value in enumerate(values) if value}
-    for a, b in combinations(slow, 2):
-        if max(values[a], values[b]) <= factor * min(values[a], values[b]):
-            joined = slow[a] | slow[b]
-            slow |= dict.fromkeys(joined, joined)
-    for a, b in combinations(slow, 2):
-        assert (found[a] == found[b]) == (b in slow[a])
-    assert all(found[number] == 0 for number, value in enumerate(values) if not value)
 
 
 def test_a_run_says_it_at_its_end(caplog):

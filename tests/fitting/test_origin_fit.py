@@ -14,7 +14,7 @@ from salsanext_cli.fitting.mounting_fit import (
     fit_mounting,
 )
 from salsanext_cli.fitting.view_fit import fit_view, view_text
-from salsanext_cli.geometry.points import in_sensor_frame, upright_rotation
+from salsanext_cli.geometry.projection import in_sensor_frame, upright_rotation
 
 HEIGHT = 1.7
 PLACES = [(1.3, 0, 1.9), (-1.1, 0.4, 0.9)]

@@ -12,8 +12,7 @@ from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
 from salsanext_cli.geometry.network_input import NO_INTENSITY, intensity_quantiles
-from salsanext_cli.sensors.limits import INTENSITY_LEVELS
-from salsanext_cli.sensors.sensor import sensor
+from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, sensor
 
 QUANTILES = tuple(np.linspace(0, 1, INTENSITY_LEVELS))
 TRAINED = replace(SMALL, intensity_quantiles=QUANTILES)

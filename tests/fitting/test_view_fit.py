@@ -8,15 +8,20 @@ from scans import SMALL, make_scan
 from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting import scan_fit
-from salsanext_cli.fitting.scan_checks import field_of_view_coverage
+from salsanext_cli.fitting.scan_checks import share_outside
 from salsanext_cli.fitting.view_fit import SHOWN, fit_view
-from salsanext_cli.geometry.points import upright_rotation
+from salsanext_cli.geometry.projection import upright_rotation
 from salsanext_cli.results.layout import find_scans
 
 SCANS = [make_scan(3000, seed) for seed in range(3)]
 
 TOLD = replace(SMALL, min_range=0.0, ego_box=())
 """What else is found is told."""
+
+
+def outside(scan, sensor):
+    """Return the share of the points of a scan outside of a view."""
+    return share_outside(scan.points[:, 2] / np.linalg.norm(scan.points, axis=1), sensor)
 
 
 def turned(scan, up):
@@ -34,9 +39,17 @@ def test_another_view_is_found_and_the_image_stays():
     above = replace(TOLD, fov_up=25.0, fov_down=-7.0)
     found = fit_view(SCANS, above)
     assert (found.fov_up, found.fov_down) == pytest.approx((3, -25), abs=0.3)
-    shares = [field_of_view_coverage(scan, found).share for scan in SCANS]
+    shares = [outside(scan, found) for scan in SCANS]
     assert max(shares) < 0.01
     assert replace(found, name="small", fov_up=25.0, fov_down=-7.0) == above
+
+
+@pytest.mark.parametrize("out_of_view", ["clamp", "drop"])
+def test_points_above_and_below_the_view_are_counted_one_by_one(out_of_view):
+    elevations = np.array([-90, -60, -25.1, -24.9, 0, 2.9, 3.1, 89])
+    sensor = replace(SMALL, out_of_view=out_of_view)
+    assert share_outside(np.sin(np.radians(elevations)), sensor) == 5 / 8
+    assert share_outside(np.empty(0), sensor) == 0
 
 
 @pytest.mark.parametrize("extent", [5.0, 15.0, 22.0])
@@ -50,7 +63,7 @@ def test_no_more_is_shown_than_most_points_need(extent):
     count = round(SHOWN * len(elevations))
     narrowest = min(b - a for a, b in zip(elevations, elevations[count - 1 :], strict=False))
     assert found.fov_up - found.fov_down == pytest.approx(max(narrowest, extent), abs=0.1)
-    shares = [field_of_view_coverage(scan, found).share for scan in SCANS]
+    shares = [outside(scan, found) for scan in SCANS]
     assert np.mean(shares) < 1 - SHOWN + 0.01
 
 

@@ -22,7 +22,7 @@ from scans import SMALL, make_scan, write_sequence
 from tiny_network import TinyNetwork
 
 from salsanext_cli import LabelSpace, label_space, project, read_labels, read_scan, sensor
-from salsanext_cli.fitting.scan_checks import field_of_view_coverage
+from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.formats import recordings
 from salsanext_cli.formats.npy import encode_array, read_array
 from salsanext_cli.network.card import WeightsCard, read_card
@@ -68,7 +68,7 @@ def _scan(path: Path) -> None:
     """Read a scan and use it as every stage does."""
     scan = read_scan(path)
     project(scan, SMALL)
-    field_of_view_coverage(scan, SMALL)
+    check_scan(path, scan, SMALL)
 
 
 def _table() -> dict[str, np.ndarray]:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from salsanext_cli.geometry.points import pixels_from_points, points_from_pixels
+from salsanext_cli.geometry.projection import pixels_from_points, points_from_pixels
 
 DTYPES = st.sampled_from([np.float32, np.float16, np.uint8])
 

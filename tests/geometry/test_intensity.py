@@ -17,7 +17,7 @@ from salsanext_cli.geometry.network_input import (
     match_intensity,
     without_intensity,
 )
-from salsanext_cli.sensors.limits import INTENSITY_LEVELS
+from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 
 TARGET = tuple(np.linspace(0.1, 0.9, INTENSITY_LEVELS) ** 2)
 

@@ -12,10 +12,8 @@ from scans import SMALL, lively, make_scan
 from torch import nn
 
 from salsanext_cli import label_space, project, sample
-from salsanext_cli.engines.engine import Engine
 from salsanext_cli.engines.loading import with_dropout
-from salsanext_cli.engines.network import Network
-from salsanext_cli.geometry.network_input import ScanFit
+from salsanext_cli.engines.network import Engine, Network
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.dropout import drawn, dropouts, sampling
 from salsanext_cli.network.registry import build
@@ -34,7 +32,7 @@ def network(name):
     card = WeightsCard(architecture(name), SPACE, SMALL)
     # What the engine has in memory goes with the network; the largest has a gigabyte.
     size = (SMALL.height, SMALL.width)
-    return Network(Engine(lambda: trained(name), card, size), ScanFit(SMALL, SMALL))
+    return Network(Engine(lambda: trained(name), card, size), SMALL)
 
 
 def architecture(name):

@@ -95,19 +95,19 @@ def test_unknown_and_missing_keys() -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
+    ("key", "value"),
     [("columns", ("x", "y", "z", "_", "ring", "_")), ("beams", (10.5, 2.0, -3.25))],
 )
-def test_columns_and_beams_belong_to_the_view_where_they_are_named(
-    tmp_path: Path, field: str, value: tuple[object, ...]
+def test_columns_and_beams_belong_to_the_view_where_they_are_told(
+    tmp_path: Path, key: str, value: tuple[object, ...]
 ) -> None:
-    named = Sensor.from_dict(VALID.to_dict() | {field: value})
-    assert named.view() != VALID.view()
-    assert field not in VALID.to_dict()
-    assert field not in VALID.to_toml()
-    (tmp_path / "valid.toml").write_text(named.to_toml())
-    assert sensor(tmp_path / "valid.toml") == named
-    assert Sensor.from_dict(json.loads(json.dumps(named.to_dict()))) == named
+    told = replace(VALID, **{key: value})
+    assert told.view() != VALID.view()
+    assert key not in VALID.to_dict()
+    assert key not in VALID.to_toml()
+    (tmp_path / "valid.toml").write_text(told.to_toml())
+    assert sensor(tmp_path / "valid.toml") == told
+    assert Sensor.from_dict(json.loads(json.dumps(told.to_dict()))) == told
 
 
 def test_file(tmp_path: Path) -> None:

@@ -12,8 +12,8 @@ from scans import SMALL, labels_below, replace_points, write_sequence
 from salsanext_cli import Scan, load_network, project, read_scan
 from salsanext_cli.errors import FormatError, NoInputError, OutputError, WeightsError
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.fitting.adaptation import SHARE, network_of_run
 from salsanext_cli.fitting.batch_norm import PooledStatistics
+from salsanext_cli.fitting.scan_fit import ADAPTED_SHARE, network_of_run
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES
 from salsanext_cli.options import ScanSelection
@@ -52,11 +52,11 @@ def adapted(out):
 def test_it_is_what_tune_batchnorm_makes_of_the_scans(adapting, target, tmp_path):
     run(adapting)
     plain = replace(adapting.network, adapt=False)
-    tune("batchnorm", adapting.data, target, network=plain, share=SHARE)
+    tune("batchnorm", adapting.data, target, network=plain, share=ADAPTED_SHARE)
     settings, file = StageRecords(adapting.out).settings("predict"), adapted(adapting.out)
     assert settings["weights"] == fingerprint(adapting.network.path)
     assert settings["adapted"] == fingerprint(file)
-    assert f"re-estimated on 3 scans, share {SHARE:g}" in read_card(file).description
+    assert f"re-estimated on 3 scans, share {ADAPTED_SHARE:g}" in read_card(file).description
     assert read_card(file).sensor == read_card(adapting.network.path).sensor
     tuned, found = load_file(target), load_file(file)
     before = load_file(adapting.network.path)

@@ -14,8 +14,7 @@ from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.stage_records import StageRecords
-from salsanext_cli.sensors.limits import INTENSITY_LEVELS
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans

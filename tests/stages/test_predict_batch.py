@@ -84,7 +84,7 @@ def test_batches_shrink_when_memory_is_short(nine, tmp_path, monkeypatch, caplog
 @pytest.mark.parametrize("batch", [1, 4])
 @pytest.mark.parametrize(
     "step",
-    ["fitting.label_scan.project", "engines.network.knn_refine", "engines.engine.Engine.tensor"],
+    ["fitting.label_scan.project", "engines.network.knn_refine", "engines.network.Engine.tensor"],
 )
 def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch, step, batch):
     def no_room(*_args, **_options):

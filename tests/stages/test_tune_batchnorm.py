@@ -53,7 +53,7 @@ def slow_statistics(network, paths):
     loaded = network.load()
     for path in paths:
         channels = project(read_scan(path), loaded.sensor).channels
-        module(loaded.engine.tensor(loaded.fit.input(channels)))
+        module(loaded.engine.tensor(loaded.input(channels)))
     together = {name: np.concatenate(parts, axis=1) for name, parts in values.items()}
     return {name: (each.mean(axis=1), each.var(axis=1)) for name, each in together.items()}
 

@@ -87,7 +87,7 @@ def test_the_seed_matters_and_neither_order_nor_global_generator(network, image,
 def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
     """As on a GPU, where passes are computed in batches."""
     seeds, module = [pass_seed(5, number) for number in range(4)], network.engine.torch_module
-    features = module.trunk(network.engine.tensor(network.fit.input(image.channels)))
+    features = module.trunk(network.engine.tensor(network.input(image.channels)))
     expected = [softmax for softmax, _ in torch_batch(module, features, seeds)]
     sizes, most, rest = [], [1], type(module).rest
 

@@ -24,8 +24,7 @@ from salsanext_cli.geometry.network_input import (
     row_gaps,
     with_filled_gaps,
 )
-from salsanext_cli.geometry.points import pixels_from_points
-from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.projection import pixels_from_points, project
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor

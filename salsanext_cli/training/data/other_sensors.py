@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.geometry.points import measured_ranges
+from salsanext_cli.geometry.projection import measured_ranges
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.data.augment import shift

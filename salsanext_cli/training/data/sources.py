@@ -18,8 +18,7 @@ from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.geometry.network_input import on_other_scale
-from salsanext_cli.geometry.points import ego_points, in_sensor_frame
-from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.projection import ego_points, in_sensor_frame, project
 from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, find_scans

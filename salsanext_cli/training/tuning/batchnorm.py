@@ -8,7 +8,6 @@ from typing import Any
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import FormatError, UsageError, counted
-from salsanext_cli.fitting.adaptation import SHARE
 from salsanext_cli.fitting.batch_norm import (
     PooledStatistics,
     Statistics,
@@ -17,22 +16,22 @@ from salsanext_cli.fitting.batch_norm import (
     require_norms,
 )
 from salsanext_cli.fitting.label_scan import project_for
-from salsanext_cli.fitting.scan_fit import EGO
+from salsanext_cli.fitting.scan_fit import ADAPTED_SHARE, EGO
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 
 log = logging.getLogger(__name__)
 
 
-def require_batchnorm(network: Network, share: float = SHARE) -> None:
+def require_batchnorm(network: Network, share: float = ADAPTED_SHARE) -> None:
     """Raise what `fit_batchnorm` raises for a network and a share, before a scan is read."""
     if not 0 < share <= 1:
         raise UsageError("--share", f"{share:g}", "above 0, at most 1")
     require_norms(network)
 
 
-def fit_batchnorm(scans: TuningScans, share: float = SHARE) -> Tuned:
-    """Move the statistics of batch norm by a `share` (0…1] of the way to those of some scans.
+def fit_batchnorm(scans: TuningScans, share: float = ADAPTED_SHARE) -> Tuned:
+    """Move the statistics of batch norm towards those of scans of one's own.
 
     The statistics of all scans, which pass once, are pooled in float64; no label is read. Scores of
     the weights, measured with the old statistics, are left out. Reports of every batch norm, in

@@ -18,7 +18,7 @@ from salsanext_cli.geometry.network_input import (
     normalise,
     with_filled_gaps,
 )
-from salsanext_cli.geometry.points import pixels_from_points
+from salsanext_cli.geometry.projection import pixels_from_points
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.training.data.dataset import SAMPLE, Samples, SamplingPlan
