@@ -45,7 +45,7 @@ def import_labels(
 
     Example: salsanext import-labels edited/ to-label/
     """
-    from salsanext_cli.report.imported import imported_lines, imported_table
+    from salsanext_cli.report.tables import imported_lines, imported_table
     from salsanext_cli.sensors.sensor import sensor
     from salsanext_cli.stages.import_labels import import_labels as stage
 

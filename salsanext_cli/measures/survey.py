@@ -26,11 +26,10 @@ EXTREMES = {"smallest": min, "largest": max, "farthest": max, "brightest": max}
 class Survey:
     """Running counts over scans; adding two gives the counts of both."""
 
-    # Scans, scans with labels, points, and points without a measurement (origin, NaN, infinite)
     scans: int = 0
-    labelled: int = 0
+    labelled: int = 0  # Scans with labels
     points: int = 0
-    invalid: int = 0
+    invalid: int = 0  # Points without a measurement (origin, NaN, infinite)
     smallest: int = np.iinfo(np.int64).max  # Fewest and most points of a scan
     largest: int = 0
     farthest: float = 0.0  # Largest range in metres and largest intensity

@@ -12,15 +12,21 @@ from salsanext_cli.errors import (
     NoInputError,
     SalsanextError,
 )
-from salsanext_cli.measures.drive import ScanRow, named, read_row, worth_looking_at
 from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.page.clouds import scales_of
 from salsanext_cli.report.page.html import html_of
-from salsanext_cli.report.page.run_results import RunResults
-from salsanext_cli.report.page.shown_scans import ShownScan
+from salsanext_cli.report.page.run_results import (
+    RunReader,
+    RunResults,
+    ScanRow,
+    ShownScan,
+    named,
+    read_row,
+    worth_looking_at,
+)
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder
@@ -99,13 +105,12 @@ def report(
         selection=selection,
         options=options,
     )
-    chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.how["space"])
+    chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.reader.space)
     shown, unreadable = _shown(run, chosen)
     failures += unreadable
     compared = run.compared()
     reasons = [failure.reason for failure in failures]
-    content = run.content(shown, compared, reasons, scales_of(shown))
-    written = html_of(content).encode()
+    written = html_of(run, compared, shown, scales_of(shown), reasons).encode()
     OwnedFolder(out).replace({page: written})
     kept = compared.uncertainty.kept if compared else None
     return Report(
@@ -143,21 +148,20 @@ def read_run(
     labels = space_of_labels(files, results_space, space)
     merging = results.merging_into(results_space)
     sensor = results.sensor()
-    how = {"space": results_space, "labels": labels, "merging": merging, "sensor": sensor}
-    rows, counts, failures = _rows(files, out, how, by_distance, options)
-    return RunResults(out, rows, counts, missing, how), failures
+    reader = RunReader(out, results_space, labels, merging, sensor)
+    rows, counts, failures = _rows(files, reader, by_distance, options)
+    return RunResults(reader, rows, counts, missing), failures
 
 
 def _rows(
     files: Sequence[ScanFile],
-    out: Path,
-    how: dict[str, Any],
+    reader: RunReader,
     by_distance: bool,
     options: RunOptions,
 ) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
     """Read the results of all scans; count those with labels."""
     rows: list[ScanRow] = []
-    counts = CountsApart.none(how["space"], by_distance)
+    counts = CountsApart.none(reader.space, by_distance)
     trained_on: set[ScanRow] = set()
 
     def keep(found: tuple[ScanRow, ScanCounts | None]) -> None:
@@ -168,11 +172,11 @@ def _rows(
         if of_scan:
             counts.add(of_scan)
 
-    known = StageRecords(out).trained_on()
-    task = partial(read_row, out=out, by_distance=by_distance, trained_on=known, **how)
+    known = StageRecords(reader.out).trained_on()
+    task = partial(read_row, reader=reader, by_distance=by_distance, trained_on=known)
     outcome = run_over_scans(task, files, options, on_result=keep)
     if not rows:
-        raise NoInputError(out, f"no results can be read, as {outcome.failures[0].reason}")
+        raise NoInputError(reader.out, f"no results can be read, as {outcome.failures[0].reason}")
     if (scored := counts.scored()).left_out:
         rows = [replace(row, confusion=None) if row in trained_on else row for row in rows]
     # Workers are done in any order.
@@ -193,5 +197,5 @@ def _shown(
         except SalsanextError as error:
             failures.append(Failure(rows[name].file, str(error), error.code))
     if not shown:
-        raise NoInputError(run.out, f"no scan can be shown, as {failures[0].reason}")
+        raise NoInputError(run.reader.out, f"no scan can be shown, as {failures[0].reason}")
     return shown, tuple(failures)

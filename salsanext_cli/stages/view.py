@@ -11,14 +11,12 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
-from salsanext_cli.measures.drive import worth_looking_at
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions
 from salsanext_cli.report.page.clouds import encode_cloud, plain_scales, scales_of
 from salsanext_cli.report.page.html import html_of
-from salsanext_cli.report.page.run_results import RunResults
+from salsanext_cli.report.page.run_results import RunResults, ShownScan, worth_looking_at
 from salsanext_cli.report.page.server import PageServer
-from salsanext_cli.report.page.shown_scans import ShownScan
 from salsanext_cli.results.layout import LABELLING_STAGES
 from salsanext_cli.results.selection import MissingResults
 from salsanext_cli.stages.report import read_run
@@ -42,20 +40,21 @@ class View(PageServer):
 
     def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
         """Take the results that are served; raises `NoInputError` if no scan can be shown."""
-        self._run, self._state = run, _state_of(run.out)
-        reasons = worth_looking_at(run.rows, run.how["space"])
+        self._run, self._state = run, _state_of(run.reader.out)
+        reasons = worth_looking_at(run.rows, run.reader.space)
         sample, unreadable = _sample(run, set(reasons))
         self.scans, self.missing = len(run.rows), run.missing
         self.failures = (*failures, *unreadable)
         self._scales = scales_of(sample)
-        content = run.content(
-            (),
+        self._page = html_of(
+            run,
             run.compared(),
-            [failure.reason for failure in self.failures],
+            (),
             self._scales,
-            {row.name: reasons.get(row.name, "") for row in run.rows},
-        )
-        self._page = html_of(content, self.token).encode()
+            [failure.reason for failure in self.failures],
+            served={row.name: reasons.get(row.name, "") for row in run.rows},
+            token=self.token,
+        ).encode()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -77,13 +76,15 @@ class View(PageServer):
         if place >= self.scans:
             return None
         run = self._run
-        if _state_of(run.out) != self._state:
-            raise OutputError(run.out, "results were made anew since", remedy="start view again")
+        if _state_of(run.reader.out) != self._state:
+            raise OutputError(
+                run.reader.out, "results were made anew since", remedy="start view again"
+            )
         shown = run.read(run.rows[place])
         with self._lock:
             if new := shown.values().keys() - self._scales:
                 self._scales |= {name: scales_of([shown])[name] for name in new}
-        cloud = encode_cloud(shown, run.how["space"], run.how["sensor"], self._scales)
+        cloud = encode_cloud(shown, run.reader.space, run.reader.sensor, self._scales)
         cloud["scales"] = plain_scales(self._scales)
         found: dict[str, Any] = escaped(cloud)
         return found
@@ -142,5 +143,5 @@ def _sample(run: RunResults, chosen: set[str]) -> tuple[list[ShownScan], list[Fa
             except SalsanextError as error:
                 failures.append(Failure(row.file, str(error), error.code))
     if not sample:
-        raise NoInputError(run.out, f"no scan can be shown, as {failures[0].reason}")
+        raise NoInputError(run.reader.out, f"no scan can be shown, as {failures[0].reason}")
     return sample, failures

@@ -10,7 +10,7 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, label_space, project
 from salsanext_cli.report.page.clouds import NO_VALUE, encode_cloud, scales_of
-from salsanext_cli.report.page.shown_scans import ShownScan
+from salsanext_cli.report.page.run_results import ShownScan
 from salsanext_cli.results.scan_results import ScanResults
 
 SPACE = label_space()
