@@ -59,24 +59,13 @@ COLOURS = (*COLOURINGS, "uncertainty")
 def error_colours(
     truth: npt.NDArray[Any], predicted: npt.NDArray[Any], space: LabelSpace
 ) -> Colours:
-    """Return `RIGHT`, `WRONG`, or `EMPTY` where the truth is ignored.
-
-    `truth`, `predicted`: train ids; `space`: label space with the ignored classes.
-
-    Returns (…, 3) uint8, red, green, blue.
-    """
-    place = np.where(space.scored[truth], 1 + (truth != predicted), 0)
-    colours: Colours = OUTCOMES[place]
+    """Return `RIGHT`, `WRONG`, or `EMPTY` where the truth is ignored, (…, 3), of train ids."""
+    colours: Colours = OUTCOMES[np.where(space.scored[truth], 1 + (truth != predicted), 0)]
     return colours
 
 
 def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
-    """Return the lowest and highest value that a colour scale should span.
-
-    `values`: values to colour; NaN and infinity are left out.
-
-    Returns the 1st and the 99th percentile; (0, 1) without values.
-    """
+    """Return the 1st and the 99th percentile, the ends of a colour scale; (0, 1) without values."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return 0.0, 1.0
@@ -85,17 +74,12 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
 
 
 def on_dark(colours: npt.ArrayLike) -> Colours:
-    """Mix colours with white that are too dark to be seen on `EMPTY`; leave the others.
-
-    `colours` (N, 3) uint8, red, green, blue.
-
-    Returns (N, 3) uint8, with a contrast to `EMPTY` of `LEAST_CONTRAST` or more.
-    """
+    """Mix colours (N, 3) with white until their contrast to `EMPTY` is `LEAST_CONTRAST` or more."""
     white = np.linspace(0, 1, 256)[:, None, None]
     mixed = np.rint((1 - white) * np.asarray(colours) + white * 255)
     enough = _luminance(mixed) >= LEAST_CONTRAST * _luminance(np.array(EMPTY))
-    found: Colours = mixed[enough.argmax(axis=0), np.arange(mixed.shape[1])].astype(np.uint8)
-    return found
+    lightened: Colours = mixed[enough.argmax(axis=0), np.arange(mixed.shape[1])].astype(np.uint8)
+    return lightened
 
 
 def _luminance(colours: npt.NDArray[Any]) -> Values:
@@ -108,11 +92,12 @@ def screen_colours(space: LabelSpace) -> Colours:
     """Return the colours of the classes in pictures, plots and pages, (C, 3).
 
     They are those of the label space, dark ones lightened. If two of these differ by less than
-    `LEAST_DIFFERENCE`, each class gets one of `APART`, those nearest to their own first; more
-    classes than these get what differs most. A class keeps its own if that is far enough from all.
+    `LEAST_DIFFERENCE`, each class gets one of `APART`, those nearest to their own first. A class
+    keeps its own if that is far enough from all.
     """
     own = on_dark(space.colours)
-    if _least_difference(own) >= LEAST_DIFFERENCE:
+    first, second = np.triu_indices(len(own), 1)
+    if (colour_difference(own[first], own[second]) >= LEAST_DIFFERENCE).all():
         return own
     apart = _spread(len(own))
     colours, differences = own.copy(), colour_difference(own[:, None], apart)
@@ -139,12 +124,6 @@ def _spread(count: int) -> Colours:
     return apart
 
 
-def _least_difference(colours: Colours) -> float:
-    """Return the least difference of two of (N, 3) colours; infinity if there are no two."""
-    first, second = np.triu_indices(len(colours), 1)
-    return float(colour_difference(colours[first], colours[second]).min(initial=np.inf))
-
-
 def _linear(colours: npt.NDArray[Any]) -> Values:
     """Return the light of sRGB values of 0 to 255, from 0 to 1."""
     share = colours / 255
@@ -168,8 +147,7 @@ def lab_of(colours: Colours) -> Values:
 def lab_difference(first: Values, second: Values) -> Values:
     """Return the difference of CIELAB colours, (…, 3) each, by CIEDE2000.
 
-    Sharma, Wu and Dalal, The CIEDE2000 color-difference formula, Color Research & Application 30
-    (2005), 21.
+    Sharma, Wu and Dalal, Color Research & Application 30 (2005), 21.
     """
     (l1, a1, b1), (l2, a2, b2) = np.moveaxis(first, -1, 0), np.moveaxis(second, -1, 0)
     stretch = 1.5 - _saturation((np.hypot(a1, b1) + np.hypot(a2, b2)) / 2) / 2
@@ -211,13 +189,9 @@ def map_on_dark() -> Colours:
 def value_colours(
     values: npt.NDArray[Any], low: float, high: float, colour_map: Colours | None = None
 ) -> Colours:
-    """Colour values by a perceptually uniform map.
+    """Colour values, (…) to (…, 3), from the low to the high end of a map (256, 3); NaN is `EMPTY`.
 
-    `values`: values; those beyond the scale get the colour of its end, NaN gets `EMPTY`; `low`,
-    `high`: the values at the two ends of the scale; `colour_map` (256, 3) uint8, optional,
-    otherwise `map_on_dark`, that of pictures.
-
-    Returns (…, 3) uint8, red, green, blue.
+    The map is otherwise that of pictures, `map_on_dark`.
     """
     span = high - low if high > low else 1.0
     share = np.clip((values.astype(np.float64) - low) / span, 0, 1)
@@ -248,8 +222,7 @@ class PointColours:
     colour: str  # One of `COLOURS`, "uncertainty" aside
     scale: tuple[float, float]  # Values at the ends of the colour map, for colours that are values
     space: LabelSpace  # Colours of the classes
-    # Whether they are seen on `EMPTY`, in a picture, and not in a file for other tools
-    dark: bool = False
+    dark: bool = False  # Whether they are seen on `EMPTY`, and not in a file for other tools
 
     @property
     def is_class(self) -> bool:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.measures.risk_coverage import COVERAGE
 from salsanext_cli.measures.scores import Confusion, Ratios, Scores, ratio
 from salsanext_cli.measures.uncertainty_evaluation import (
@@ -186,7 +187,7 @@ def rate_curve(
     axes.set_xlabel("dropout rate")
     axes.set_ylabel("objective per point")
     canvas.plain_frame(axes)
-    canvas.save_png(figure, path)
+    write_bytes(path, canvas.png_of(figure))
 
 
 def reliability_diagram(result: CalibrationResult) -> bytes:

@@ -24,24 +24,13 @@ Scales = dict[str, tuple[float, float]]
 
 
 def common_scales(
-    out: Path,
-    scans: Sequence[ScanFile],
-    colours: Iterable[str],
-    space: LabelSpace,
-    sensor: Sensor,
+    out: Path, scans: Sequence[ScanFile], colours: Iterable[str], space: LabelSpace, sensor: Sensor
 ) -> Scales:
-    """Find what most points of some evenly spaced scans span.
-
-    `out`: output folder of earlier stages; `scans`: those of the run; `colours`: of `COLOURINGS`;
-    classes have no scale and are left out; `space`: classes of the labels; `sensor`: what distances
-    are measured from.
-    """
+    """Find what most points of some evenly spaced scans span; class colours have no scale."""
     folder = ResultFolder(out)
     values: dict[str, list[npt.NDArray[Any]]] = {}
     sampled: dict[ScanFile, list[str]] = {}
-    for colour in colours:
-        if colour in CLASS_COLOURS:
-            continue
+    for colour in [each for each in colours if each not in CLASS_COLOURS]:
         values[colour] = [np.empty(0, np.float32)]
         known = folder.with_column(colour, scans)
         for file in known[:: -(-len(known) // SCANS_FOR_SCALE) or 1]:

@@ -26,11 +26,8 @@ from salsanext_cli.records import CHANNELS
 from salsanext_cli.sensors.sensor import Sensor
 
 ABSENT = "–"
-NOTES = {
-    "agrees": "* not the paper's number of parameters to the digit",
-    "determined": "† the paper does not determine this network: the nearest reading",
-}
-"""Footnotes; networks for which the key is false get the mark."""
+NETWORK_NOTES = """* not the paper's number of parameters to the digit
+† the paper does not determine this network: the nearest reading"""
 IMPORTED = ("points", "labelled", "unlabelled", "ambiguous", "missing")
 """Numbers of points of a scan whose labels are imported."""
 
@@ -49,15 +46,8 @@ def number_table(first: str, *numbers: str, title: str = "", no_wrap: bool = Fal
     return table
 
 
-# Scores
-
-
 def score_table(result: Scores, title: str = "") -> Table:
-    """Return a table of IoU, precision, recall and points by class, then accuracies and means.
-
-    The mean over the frequent classes is left out where all present are frequent. "–" stands where
-    there is nothing to divide by, and for the IoU of a class without points.
-    """
+    """Return a table of IoU, precision, recall and points by class, then accuracies and means."""
     headings = ("class", "IoU %", "precision %", "recall %", "points")
     table = number_table(*headings, title=title, no_wrap=True)
     for c in result.classes:
@@ -141,9 +131,6 @@ def _number(value: float) -> str:
     return ABSENT if math.isnan(value) else f"{value:.3f}"
 
 
-# Tuning
-
-
 def temperature_table(before: Mapping[str, float], after: Mapping[str, float]) -> Table:
     """Return a table of `temperature`, `nll` in nats and `ece` as a share, before and after."""
     table = number_table("", "temperature", "NLL in nats", "ECE in %", title="Temperature")
@@ -175,26 +162,17 @@ def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float)
 
 
 def moved_table(layers: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table of how far batch norms moved, by the part of the network that they are in.
-
-    `layers`: `layer`, its name, `shift` in old standard deviations, and `variance_ratio`.
-    """
+    """Return a table of how far batch norms moved, by the part of the network that they are in."""
     numbers = ("layers", "mean moved by, σ", "variance, new / old")
     table = number_table("part", *numbers, title="Batch norm")
-    for part, members in groupby(layers, lambda layer: layer["layer"].partition(".")[0]):
-        _add_moved(table, part, list(members))
-    table.add_section()
-    _add_moved(table, "all", layers)
+    parts = groupby(layers, lambda layer: layer["layer"].partition(".")[0])
+    for part, members in [*((part, list(members)) for part, members in parts), ("all", layers)]:
+        if part == "all":
+            table.add_section()
+        shift = fmean(layer["shift"] for layer in members)
+        ratio = geometric_mean(layer["variance_ratio"] for layer in members)
+        table.add_row(part, str(len(members)), f"{shift:.3f}", f"{ratio:.3f}")
     return table
-
-
-def _add_moved(table: Table, part: str, layers: Sequence[Mapping[str, Any]]) -> None:
-    shift = fmean(layer["shift"] for layer in layers)
-    ratio = geometric_mean(layer["variance_ratio"] for layer in layers)
-    table.add_row(part, str(len(layers)), f"{shift:.3f}", f"{ratio:.3f}")
-
-
-# Networks and weights
 
 
 def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
@@ -203,24 +181,20 @@ def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
     headings = ("name", *costs, "mIoU without kNN, with, on test")
     title = "Networks, with the papers' figures in brackets"
     table = number_table(*headings, title=title, no_wrap=True)
-    table.caption = "\n".join(NOTES.values())
+    table.caption = NETWORK_NOTES
     for network in networks:
-        table.add_row(*_cells(network))
+        paper = network["paper"]
+        marks = ("" if network["agrees"] else "*") + ("" if paper["determined"] else "†")
+        height, width = network["receptive_field"]
+        flops = f"({paper['flops']} G)" if paper["flops"] else "(–)"
+        table.add_row(
+            network["name"] + marks,
+            f"{network['parameters']:,} ({paper['parameters']} M)",
+            f"{network['multiply_accumulates'] / 1e9:.2f} G {flops:>10}",
+            f"{height}×{width}",
+            ", ".join(f"{paper[key] or '–':>4}" for key in ("miou_pixels", "miou", "miou_test")),
+        )
     return table
-
-
-def _cells(network: Mapping[str, Any]) -> tuple[str, ...]:
-    paper = network["paper"]
-    marks = ("" if network["agrees"] else "*") + ("" if paper["determined"] else "†")
-    height, width = network["receptive_field"]
-    flops = f"({paper['flops']} G)" if paper["flops"] else "(–)"
-    return (
-        network["name"] + marks,
-        f"{network['parameters']:,} ({paper['parameters']} M)",
-        f"{network['multiply_accumulates'] / 1e9:.2f} G {flops:>10}",
-        f"{height}×{width}",
-        ", ".join(f"{paper[key] or '–':>4}" for key in ("miou_pixels", "miou", "miou_test")),
-    )
 
 
 def card_table(card: Mapping[str, Any]) -> Table:
@@ -232,9 +206,8 @@ def card_table(card: Mapping[str, Any]) -> Table:
     table.add_row("temperature", f"{card['temperature']:.4g}")
     table.add_row("label space", escape(f"{card['label_space']}, {len(card['classes'])} classes"))
     view = f"{sensor['fov_up']:+g}° to {sensor['fov_down']:+g}°"
-    table.add_row(
-        "sensor", escape(f"{sensor['name']}, {sensor['height']}×{sensor['width']}, {view}")
-    )
+    size = f"{sensor['height']}×{sensor['width']}"
+    table.add_row("sensor", escape(f"{sensor['name']}, {size}, {view}"))
     table.add_row("scores of the scans that chose the weights", _scores(card["scores"]) or "–")
     if card["error"] is not None:
         table.add_row("model of errors, on scans left out", _scores(card["error"]) or "–")
@@ -259,17 +232,16 @@ def _rounded(value: Any) -> str:
     return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
-# Sets of scans
-
-
 def survey_tables(
     sequences: Mapping[str, Survey], total: Survey, space: LabelSpace, sensor: Sensor
 ) -> Group:
     """Return tables of the sequences, of the channels and, if there are labels, of the classes."""
-    tables = [_sequences(sequences, total), _channels(total, sensor)]
-    if total.classes:
-        tables.append(_classes(total, space))
-    return Group(*tables)
+    title = f"Range images of {sensor.name}, {sensor.height}×{sensor.width}"
+    channels = number_table("channel", "mean", "standard deviation", title=title)
+    for name, mean, std in zip(CHANNELS, total.means, total.stds, strict=True):
+        channels.add_row(name, f"{mean:.3f}", f"{std:.3f}")
+    classes = [_classes(total, space)] if total.classes else []
+    return Group(_sequences(sequences, total), channels, *classes)
 
 
 def _sequences(sequences: Mapping[str, Survey], total: Survey) -> Table:
@@ -291,14 +263,6 @@ def _sequences(sequences: Mapping[str, Survey], total: Survey) -> Table:
     return table
 
 
-def _channels(total: Survey, sensor: Sensor) -> Table:
-    title = f"Range images of {sensor.name}, {sensor.height}×{sensor.width}"
-    table = number_table("channel", "mean", "standard deviation", title=title)
-    for name, mean, std in zip(CHANNELS, total.means, total.stds, strict=True):
-        table.add_row(name, f"{mean:.3f}", f"{std:.3f}")
-    return table
-
-
 def _classes(total: Survey, space: LabelSpace) -> Table:
     numbers = ("train id and class", "points", "share %")
     table = number_table("raw id and name", *numbers, title="Classes")
@@ -312,9 +276,6 @@ def _classes(total: Survey, space: LabelSpace) -> Table:
             f"{100 * count / points:.3f}",
         )
     return table
-
-
-# Imported labels
 
 
 def imported_table(scans: Sequence[Mapping[str, Any]]) -> Table:

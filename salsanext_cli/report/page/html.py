@@ -75,7 +75,14 @@ def html_of(
     offered = {scan.name: scan.reason for scan in shown} if served is None else served
     colours, class_points = screen_colours(space), _class_points(run.rows, space)
     data = {
-        **_classes_and_scales(scales, space, colours),
+        "classes": [
+            {"name": name, "rgb": rgb}
+            for name, rgb in zip(space.names, colours.tolist(), strict=True)
+        ],
+        "outcomes": [{"name": name, "rgb": rgb} for name, rgb in OUTCOME_COLOURS.items()],
+        "scales": plain_scales(scales),
+        "uncertain": list(UNCERTAIN),
+        "map": _light_map().ravel().tolist(),
         "shown": [{"name": name, "reason": reason} for name, reason in offered.items()],
         "drive": _drive(run.rows, class_points, list(offered)),
         "occurring": _occurring(class_points, compared),
@@ -84,16 +91,14 @@ def html_of(
     for i, each in enumerate(shown):
         blocks.append(script_data(f"cloud-{i}", escaped(encode_cloud(each, space, sensor, scales))))
     comparison = _comparison(compared, space) if compared else ""
-    facts = "".join(
-        f"<dt>{_text(name)}</dt><dd>{_text(fact)}</dd>" for name, fact in facts_of_run(out, sensor)
-    )
-    warnings = [*run.warnings(), *map(printable, failures)]
+    facts = facts_of_run(out, sensor)
+    warnings = [*run.warnings(), *failures]
     return Template(_part("page.html")).substitute(
         title=_text("/".join(out.absolute().parts[-2:])),  # The folder above often says more.
         version=_text(__version__),
         tiles=_tiles(run.rows, compared),
         sentence=_sentence(compared),
-        facts=facts,
+        facts="".join(f"<dt>{_text(name)}</dt><dd>{_text(fact)}</dd>" for name, fact in facts),
         warnings=_listed("Warnings", '<ul class="warnings">', "</ul>", warnings),
         shares=_shares(class_points.sum(axis=0), compared, space, colours),
         plots=comparison,
@@ -206,15 +211,15 @@ def _comparison(compared: Comparison, space: LabelSpace) -> str:
 def _rings(compared: Comparison, space: LabelSpace) -> str:
     """Return a table of the scores of the rings of distance; none if they were not counted."""
     names = ("distance", "mean IoU %", "accuracy %", "points")
-    lines = ["".join(f"<th>{name}</th>" for name in names)]
-    # Without counts of rings there is nothing to go through.
+    lines = []
     for name, ring in zip(RING_NAMES, compared.counts.rings, strict=bool(compared.counts.rings)):
-        found = scores(ring, space)
-        cells = (name, percent(found.iou_mean_present), percent(found.accuracy))
-        if found.points:
-            lines.append("".join(f"<td>{_text(c)}</td>" for c in (*cells, f"{found.points:,}")))
-    table = "".join(f"<tr>{line}</tr>" for line in lines)
-    return f"<h3>By distance</h3><table>{table}</table>" * (len(lines) > 1)
+        if (found := scores(ring, space)).points:
+            shares = (percent(found.iou_mean_present), percent(found.accuracy))
+            cells = (name, *shares, f"{found.points:,}")
+            lines.append("".join(f"<td>{_text(cell)}</td>" for cell in cells))
+    heading = "".join(f"<th>{name}</th>" for name in names)
+    table = "".join(f"<tr>{line}</tr>" for line in (heading, *lines))
+    return f"<h3>By distance</h3><table>{table}</table>" if lines else ""
 
 
 def _confusions(confusion: Confusion, space: LabelSpace) -> list[str]:
@@ -230,21 +235,10 @@ def _confusions(confusion: Confusion, space: LabelSpace) -> list[str]:
     ]
 
 
-def _classes_and_scales(
-    scales: Mapping[str, tuple[float, float]], space: LabelSpace, colours: Colours
-) -> dict[str, Any]:
-    """Return names and colours of what the scripts show, as plain data."""
+def _light_map() -> Colours:
+    """Return the colours of the values 0 to 254."""
     steps = np.linspace(DARKEST_STEP, 255, NO_VALUE)
-    return {
-        "classes": [
-            {"name": name, "rgb": rgb}
-            for name, rgb in zip(space.names, colours.tolist(), strict=True)
-        ],
-        "outcomes": [{"name": name, "rgb": rgb} for name, rgb in OUTCOME_COLOURS.items()],
-        "scales": plain_scales(scales),
-        "uncertain": list(UNCERTAIN),
-        "map": map_colours(COLOUR_MAP)[steps.astype(np.intp)].ravel().tolist(),
-    }
+    return map_colours(COLOUR_MAP)[steps.astype(np.intp)]
 
 
 def _occurring(class_points: Counts, compared: Comparison | None) -> dict[str, list[int]]:
