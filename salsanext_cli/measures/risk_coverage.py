@@ -33,17 +33,12 @@ class RankingScores:
     points: int  # Number of points, and of those whose label is not the true one
     wrong: int
     mean: float  # Mean uncertainty
-    # Area under the receiver operating characteristic, 0…1: the chance that a wrong point is more
-    # uncertain than a right one, ties counting half. 0.5 is guessing; higher is better
-    auroc: float
-    # Average precision with wrong points as the positives, 0…1. The share of wrong points is
-    # guessing; higher is better
-    aupr: float
+    auroc: float  # Area under the receiver operating characteristic, 0…1; 0.5 is guessing
+    aupr: float  # Average precision with wrong points as the positives, 0…1; higher is better
     aurc: float  # Area under the risk-coverage curve, 0…1; lower is better
-    # Difference to the area of the best order, all right points before all wrong ones
-    excess_aurc: float
+    excess_aurc: float  # Difference to the area of the best order, wrong points last
     # Area between the sparsification curve and that of the best order, both as multiples of the
-    # share of wrong points among all; 0 is the best order, lower is better
+    # share of wrong points among all; lower is better
     ause: float
 
 
@@ -187,7 +182,7 @@ def kept_points(kind: str, histogram: Histogram) -> KeptPoints:
 def _between(highest: float, others: float) -> float:
     """Return a number of few digits above the highest value of a bin and not above those kept out.
 
-    `others` is the highest value of the bins without points between them, or `highest` itself.
+    `others` is the highest value of the empty bins between them, or `highest` itself.
     """
     lowest_out = float(np.nextafter(np.float32(others), np.float32(np.inf)))
     middle = (highest + lowest_out) / 2

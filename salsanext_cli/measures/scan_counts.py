@@ -45,7 +45,6 @@ OF_SOFTMAX = {"confidence": lack_of_confidence, "softmax_entropy": softmax_entro
 EVALUATED_KINDS = (*OF_SOFTMAX, *UNCERTAINTY)
 """Every kind of uncertainty, in the order in which they are reported."""
 CLASS, RING = "class", "ring"
-"""Names of the groupings of points."""
 OF_ERROR = ("error", "calibration")
 """Key of the histogram of the error as a probability."""
 LEAST_ACCURACY, MIN_JUDGED = 0.2, 10_000
@@ -70,8 +69,7 @@ class ScanCounts:
     left_out: int = 0  # Number of scans that are not counted since the weights were trained on them
     missing: list[ScanFile] = field(default_factory=list)  # Scans without predictions
     files: Counter[str] = field(default_factory=Counter)  # Number of scans with a file, by folder
-    # Expected calibration error of each scan that has a softmax
-    calibration_errors: list[float] = field(default_factory=list)
+    calibration_errors: list[float] = field(default_factory=list)  # Of each scan with a softmax
     # Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `RING`, or
     # `CLASS`, which is the most probable class for the confidence, else the true one
     histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)

@@ -48,10 +48,8 @@ class ScanSummary:
     """Numbers about one scan; small, since workers send them to the process that leads the run."""
 
     file: ScanFile
-    # Reasons to doubt the scan or its labels, and traits of its sensor
-    check: ScanCheck = UNCHECKED
-    # Number of points by predicted train id; empty if none were predicted
-    class_points: tuple[int, ...] = ()
+    check: ScanCheck = UNCHECKED  # Reasons to doubt the scan or its labels
+    class_points: tuple[int, ...] = ()  # Number of points by predicted train id, if any
     rejected_points: int = 0  # Number of points unlabelled for their error
 
     @classmethod
@@ -98,13 +96,12 @@ class RunSummary:
     sensor: Sensor  # Sensor that the scans were projected for
     space: LabelSpace | None = None  # Classes of the predicted points, if any are predicted
     class_points: list[int] = field(default_factory=list)  # Number of points by predicted train id
-    # Names of the scans by what was found, in the order in which it was found first
+    # Names of the scans by code of what was found, in the order in which it was found first
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)  # Traits of the sensor by scan
     looked_at: set[str] = field(default_factory=set)  # Names of the scans that were added
     rejected_points: int = 0  # Number of points unlabelled for their error
-    # Shares of the points of scans that are of their sensor's housing or its vehicle
-    ego_shares: list[float] = field(default_factory=list)
+    ego_shares: list[float] = field(default_factory=list)  # Of the points of scans, of the vehicle
     first: ScanFile | None = None  # First scan of the run, whose data set may describe others
 
     @classmethod

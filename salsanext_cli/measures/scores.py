@@ -35,11 +35,7 @@ FREQUENT_POINTS = 500
 
 
 class Confusion:
-    """Counts of (truth, prediction) pairs over train ids: `matrix` (C, C) int64.
-
-    Every point is counted, also those whose truth is ignored: they are left out when the counts
-    are divided.
-    """
+    """Counts of (truth, prediction) pairs over train ids, also ignored ones: (C, C) int64."""
 
     __slots__ = ("matrix",)
 
@@ -81,9 +77,8 @@ class ClassScore:
     train_id: int
     iou: float  # Intersection over union; NaN if the class is in neither truth nor prediction
     iou_official: float  # The same by the official formula, 0 if absent
-    # Share of the points predicted as this class that are of it; NaN if never predicted
-    precision: float
-    recall: float  # Share of the points of this class that were found; NaN if there are none
+    precision: float  # Share of the points predicted as this class that are of it
+    recall: float  # Share of the points of this class that were found
     points: int  # Number of points of this class
     predicted: int  # Number of labelled points predicted as this class
 
@@ -93,13 +88,10 @@ class Scores:
     """The scores of a set of points; shares are 0…1."""
 
     accuracy: float  # Share of labelled points that are right; NaN without any
-    # The same as the official evaluator prints it: points predicted "unlabelled" left out
-    accuracy_official: float
+    accuracy_official: float  # The same with points predicted "unlabelled" left out
     iou_mean_official: float  # Mean IoU over all scored classes, an absent class counting 0
-    # Mean IoU over the classes that the truth holds, whatever is predicted; NaN if it holds none
-    iou_mean_present: float
-    # The same over the classes with at least `FREQUENT_POINTS` points; NaN without any
-    iou_mean_frequent: float
+    iou_mean_present: float  # Mean IoU over the classes that the truth holds; NaN without any
+    iou_mean_frequent: float  # The same over those with `FREQUENT_POINTS` points or more
     points: int  # Number of labelled points
     classes: tuple[ClassScore, ...]  # Every scored class, in the order of the train ids
 

@@ -66,14 +66,13 @@ class GroupedScores(Generic[Scores]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationResult(GroupedScores[CalibrationScores]):
-    """Calibration of probabilities.
+    """Calibration of probabilities, by most probable class.
 
-    Classes are the most probable ones: among the points of such a class, a calibrated network is
-    right as often as its confidence says; among the points of a true class it need not be.
+    Among the points of such a class, a calibrated network is right as often as its confidence says;
+    among the points of a true class it need not be.
     """
 
-    # Expected calibration error of a scan over 10 bins, mean over the scans, 0…1
-    ece_per_scan: float
+    ece_per_scan: float  # Expected calibration error of a scan over 10 bins, mean over the scans
     reliability: Reliability  # The diagram over 15 bins
 
 
@@ -81,15 +80,11 @@ class CalibrationResult(GroupedScores[CalibrationScores]):
 class RankingResult(GroupedScores[RankingScores]):
     """Scores of one kind of uncertainty as a detector of wrong points, by true class."""
 
-    # Spearman's rank correlation, over the classes present, of the mean uncertainty of a class and
-    # its number of points, -1…1
+    # Rank correlation, over the classes present, of mean uncertainty and number of points, -1…1
     class_size_correlation: float
-    # (100,) float64: share of wrong points among the least uncertain 1 %, 2 %, … 100 %
-    risk_coverage: Ratios
+    risk_coverage: Ratios  # (100,): share of wrong points among the least uncertain 1 %, … 100 %
     thresholds: Ratios  # (100,) float64: largest uncertainty of these points, at most 1 % too large
-    # Of the error alone, which is a probability: expected calibration error over 15 bins of equal
-    # width, 0…1, between the share of wrong points and the mean error
-    ece: float | None = None
+    ece: float | None = None  # Expected calibration error, 0…1, of the error, a probability
 
 
 @dataclass(frozen=True, slots=True)

@@ -111,18 +111,11 @@ def encode_gif(pictures: Sequence[Path], frames_per_second: float, kept: Colours
     palette = Image.new("P", (1, 1))
     palette.putpalette([value for colour in exact for value in colour] + others)
     # Without dithering what does not move stays as it is.
-    reduced = (
-        frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames(pictures)
-    )
-    content = BytesIO()
-    next(reduced).save(
-        content,
-        format="GIF",
-        save_all=True,
-        append_images=reduced,
-        duration=round(1000 / frames_per_second),
-        loop=0,
-    )
+    still = Image.Dither.NONE
+    reduced = (frame.quantize(palette=palette, dither=still) for frame in frames(pictures))
+    content, duration = BytesIO(), round(1000 / frames_per_second)
+    first = next(reduced)
+    first.save(content, "GIF", save_all=True, append_images=reduced, duration=duration, loop=0)
     return content.getvalue()
 
 

@@ -1,21 +1,29 @@
 # SPDX-License-Identifier: MIT
-"""Colours of labels and values, for pictures and point clouds."""
+"""Colours of labels and values, for pictures and point clouds, and scales of values."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.results.layout import COLOURINGS
+from salsanext_cli.errors import SalsanextError
+from salsanext_cli.results.layout import COLOURINGS, ScanFile
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.scan_results import scalar_columns
+from salsanext_cli.sensors.sensor import Sensor
 
 Colours = npt.NDArray[np.uint8]
 Values = npt.NDArray[np.float64]
 Legend = Sequence[tuple[str, tuple[int, int, int]]]
 """Names with their red, green, blue."""
+Scales = dict[str, tuple[float, float]]
+"""Values at the ends of the colour map, by colour."""
 
 EMPTY = (36, 38, 45)
 """Colour of a place without a measurement."""
@@ -48,6 +56,7 @@ WRONG = (255, 72, 48)
 """Colours of points with a right and with a wrong label."""
 SCALE_PERCENTILES = (1.0, 99.0)
 """Ends of a colour scale by default, which leave out a few outliers."""
+SCANS_FOR_SCALE = 20
 OUTCOME_LEGEND = (("right", RIGHT), ("wrong", WRONG))
 OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)
 """Colours of points that are not judged, right and wrong, (3, 3)."""
@@ -71,6 +80,27 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = np.percentile(finite, SCALE_PERCENTILES)
     return float(low), float(high)
+
+
+def common_scales(
+    out: Path, scans: Sequence[ScanFile], colours: Iterable[str], space: LabelSpace, sensor: Sensor
+) -> Scales:
+    """Find what most points of some evenly spaced scans span; classes have no scale."""
+    folder = ResultFolder(out)
+    values: dict[str, list[npt.NDArray[Any]]] = {}
+    sampled: dict[ScanFile, list[str]] = {}
+    for colour in [each for each in colours if each not in CLASS_COLOURS]:
+        values[colour] = [np.empty(0, np.float32)]
+        known = folder.with_column(colour, scans)
+        for file in known[:: -(-len(known) // SCANS_FOR_SCALE) or 1]:
+            sampled.setdefault(file, []).append(colour)
+    for file, wanted in sampled.items():
+        # A scan that cannot be read is named when it is worked on.
+        with suppress(SalsanextError):
+            columns = scalar_columns(folder.read(file, sensor), space)
+            for colour in wanted:
+                values[colour].append(columns[colour])
+    return {colour: value_range(np.concatenate(found)) for colour, found in values.items()}
 
 
 def on_dark(colours: npt.ArrayLike) -> Colours:

@@ -163,7 +163,6 @@ def picked_sheet(
 
 
 def _draw_scale(figure: Any, low: float, high: float, left: int, right: int) -> None:
-    """Draw the head of the uncertainties, with the meaning of their colours."""
     middle = HEAD_PX // 2
     canvas.text_at(figure, left, middle, "uncertainty: mutual information, nats", 18)
     start = right - BAR_PX - 70

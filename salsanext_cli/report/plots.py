@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,10 +39,8 @@ PICTURES = {
     "eval_class_uncertainty.png": "Mean epistemic uncertainty of the classes",
 }
 """All plots, by the name of the file, in words."""
-ROW_PX = 28
-"""Height of a class in the bar plot."""
-CELL_PX = 46
-"""Height and width of a cell of the matrix."""
+ROW_PX, CELL_PX = 28, 46
+"""Height of a class in the bar plot, and side of a cell of the matrix."""
 NAMES_PX = 150
 """Space for the names of classes."""
 SMALLEST_SHARE = 0.005
@@ -71,9 +70,8 @@ HEIGHT, HEIGHT_ABOVE = 430, 330
 BELOW_PX = 90
 """Height in pixels of the axes below them, which show the distribution of the points."""
 DISTANCES_PX = (9, 16, 26, 40, 56, 76, 100)
-"""Distances from a dot to its name in pixels, in the order of the attempts."""
 DIRECTIONS_DEG = (0, 180, 90, 270, 30, 330, 150, 210, 60, 300, 120, 240)
-"""Directions from a dot to its name in degrees, in the order of the attempts."""
+"""Distances and directions from a dot to its name, in the order of the attempts."""
 DOT_PX = 6
 """Half the width in pixels of the square around a dot that no name may cover."""
 
@@ -155,9 +153,8 @@ def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
     for (row, column), share in np.ndenumerate(shares):
         if share >= SMALLEST_SHARE:
             colour = "white" if share > 0.5 else DARK
-            axes.text(
-                column, row, f"{100 * share:.0f}", color=colour, ha="center", va="center", size=9
-            )
+            text = f"{100 * share:.0f}"
+            axes.text(column, row, text, color=colour, ha="center", va="center", size=9)
     names = space.names
     axes.set_yticks(range(len(scored)), [names[i] for i in scored], parse_math=False)
     slanted: dict[str, Any] = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}
@@ -233,7 +230,7 @@ def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:
         "Wrong points among those that are kept",
         100 * COVERAGE,
         curves,
-        best_orders=[100 * _risk_of_best_order(rate) for rate in _error_rates(kinds)],
+        best_orders=[100 * risk for risk in _best_orders(kinds)],
         xlabel="coverage: least uncertain points that are kept, in %",
         ylabel="risk: wrong points among them, in %",
     )
@@ -250,7 +247,7 @@ def sparsification(kinds: Mapping[str, RankingResult]) -> bytes:
         "Wrong points that are left as the most uncertain are removed",
         100 * (1 - COVERAGE),
         curves,
-        best_orders=[_risk_of_best_order(rate) / rate for rate in _error_rates(kinds)],
+        best_orders=[risk / risk[-1] for risk in _best_orders(kinds)],
         xlabel="most uncertain points that are removed, in %",
         ylabel="share of wrong points, of that among all",
     )
@@ -281,14 +278,11 @@ def _curves(
     return canvas.png_of(figure)
 
 
-def _error_rates(kinds: Mapping[str, RankingResult]) -> list[float]:
-    """Return the different shares of wrong points; kinds may be known of different points."""
+def _best_orders(kinds: Mapping[str, RankingResult]) -> list[Ratios]:
+    """Return the risks of the best order; several, as kinds may be known of different points."""
     scores = [result.scores for result in kinds.values()]
-    return sorted({s.wrong / s.points for s in scores if s.wrong})
-
-
-def _risk_of_best_order(rate: float) -> Ratios:
-    return np.maximum(0, 1 - (1 - rate) / COVERAGE)
+    rates = sorted({s.wrong / s.points for s in scores if s.wrong})
+    return [np.maximum(0, 1 - (1 - rate) / COVERAGE) for rate in rates]
 
 
 def _main_plot(title: str, height: int = HEIGHT) -> tuple[Figure, Axes]:
@@ -315,23 +309,23 @@ def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     axes.set_xlabel("points of the class")
     axes.set_ylabel("mean epistemic uncertainty")
     canvas.plain_frame(axes)
-    _name_dots(axes, points, means, [space.names[i] for i in present], DARK)
+    _name_dots(axes, np.stack([points, means], axis=1), [space.names[i] for i in present])
     return canvas.png_of(figure)
 
 
-def _name_dots(axes: Axes, x: Ratios, y: Ratios, names: Sequence[str], colour: str) -> None:
-    """Write a name beside each dot, or farther away with a line to it if the place is occupied.
+def _name_dots(axes: Axes, dots: Ratios, names: Sequence[str]) -> None:
+    """Write a name beside each dot (N, 2), or farther away with a line to it if there is no room.
 
-    The axes have their final limits and scales; dots `x` and `y`, (N,), are in data coordinates.
+    The axes have their final limits and scales.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.lines import Line2D
     from matplotlib.transforms import Bbox, IdentityTransform
 
-    dots = axes.transData.transform(np.stack([x, y], axis=1))
+    dots = axes.transData.transform(dots)
     occupied = [Bbox([dot - DOT_PX, dot + DOT_PX]) for dot in dots]
     pixels = IdentityTransform()
-    style: dict[str, Any] = {"size": 9, "color": colour, "va": "center", "parse_math": False}
+    style: dict[str, Any] = {"size": 9, "color": DARK, "va": "center", "parse_math": False}
     renderer = FigureCanvasAgg(axes.get_figure(root=True)).get_renderer()  # type: ignore[no-untyped-call]
     for dot, name in zip(dots, names, strict=True):
         text = axes.text(0, 0, name, transform=pixels, **style)
@@ -350,14 +344,13 @@ def _free_place(dot: Ratios, size: Ratios, occupied: Sequence[Bbox], inside: Bbo
     from matplotlib.transforms import Bbox
 
     boxes = []
-    for distance in DISTANCES_PX:
-        for direction in np.radians(DIRECTIONS_DEG).tolist():
-            across, up = distance * math.cos(direction), distance * math.sin(direction)
-            side = round(math.cos(direction))
-            left, bottom = dot + (across - size[0] * (1 - side) / 2, up - size[1] / 2)
-            box = Bbox.from_bounds(left, bottom, *size)
-            within = all(inside.contains(*corner) for corner in (box.min, box.max))
-            if within and not box.count_overlaps(occupied):
-                return box
-            boxes.append(box)
+    for distance, direction in product(DISTANCES_PX, np.radians(DIRECTIONS_DEG).tolist()):
+        across, up = distance * math.cos(direction), distance * math.sin(direction)
+        side = round(math.cos(direction))
+        left, bottom = dot + (across - size[0] * (1 - side) / 2, up - size[1] / 2)
+        box = Bbox.from_bounds(left, bottom, *size)
+        within = all(inside.contains(*corner) for corner in (box.min, box.max))
+        if within and not box.count_overlaps(occupied):
+            return box
+        boxes.append(box)
     return boxes[0]

@@ -25,6 +25,7 @@ from salsanext_cli.report.colours import (
     Colours,
     Legend,
     PointColours,
+    Scales,
     error_colours,
     legend_of,
     map_on_dark,
@@ -32,7 +33,6 @@ from salsanext_cli.report.colours import (
     value_colours,
     value_range,
 )
-from salsanext_cli.report.scales import Scales
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile
 from salsanext_cli.results.scan_results import ScanResults, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
@@ -174,7 +174,6 @@ def scan_picture(
 
 
 def _draw_bar(figure: Figure, scale: tuple[float, float], unit: str, left: int, top: int) -> None:
-    """Draw the colour bar of a strip, with three numbers."""
     low, high = scale
     height = STRIP_HEIGHT_PX
     rows = np.linspace(255, 0, height).round().astype(np.intp)
@@ -187,13 +186,12 @@ def _draw_bar(figure: Figure, scale: tuple[float, float], unit: str, left: int, 
 
 
 def raster(points: Float, colours: Colours, reach: float, size: int, spread: int = 1) -> Colours:
-    """Draw points as seen from above; a higher point hides a lower one.
+    """Draw points (N, 3) in metres as seen from above; a higher point hides a lower one.
 
-    `points` (N, 3) float32, metres, sensor frame: x forward, y left, z up. NaN and infinity are
-    left out; `reach`: metres from the sensor, in the middle, to an edge; `size`: height and width
-    in pixels; `spread`: those of a point.
+    `reach`: metres from the sensor, in the middle, to an edge; `size`: height and width in pixels;
+    `spread`: those of a point.
 
-    Returns (size, size, 3) uint8, x points up, y to the left.
+    Returns (size, size, 3) uint8; x, forward, points up, y to the left.
     """
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     order = finite[np.argsort(points[finite, 2], kind="stable")]
@@ -241,9 +239,7 @@ def _draw_from_above(
 
 
 def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
-    """Draw range, truth, prediction and errors of a labelled scan below each other, as PNG.
-
-    It is quick to draw, as training needs it: strips without text.
+    """Draw range, truth, prediction and errors of a labelled scan, as PNG of strips without text.
 
     Returns (4·3·H + gaps, W, 3) uint8, the picture.
     """

@@ -84,7 +84,6 @@ def uncertainty_tables(evaluation: UncertaintyEvaluation) -> list[Table]:
 
 
 def _calibration_table(softmax: CalibrationResult | None, error: RankingResult | None) -> Table:
-    """Return a table of scores of the softmax, and of the ECE of the error."""
     errors = ("ECE %", "ECE per scan %", "ACE %")
     headings = ("calibration", "NLL, nats", "Brier", *errors, "scans", "points")
     table = number_table(*headings, no_wrap=True)
@@ -108,7 +107,6 @@ def _calibration_table(softmax: CalibrationResult | None, error: RankingResult |
 
 
 def _ranking_table(kinds: Mapping[str, RankingResult]) -> Table:
-    """Return a table with a row of scores per kind of uncertainty."""
     columns = ("AUROC %", "AUPR %", "AURC %", "AUSE", "wrong %", "scans", "points")
     table = number_table("uncertainty", *columns, no_wrap=True)
     for kind, result in kinds.items():

@@ -73,7 +73,6 @@ def _weights(records: StageRecords) -> str:
 
 
 def _labels(stage: str, settings: Mapping[str, Any]) -> str:
-    """Say how labels came about."""
     words = [stage]
     if settings.get("engine"):
         words.append(f"{settings['engine']} in {settings.get('precision')}")

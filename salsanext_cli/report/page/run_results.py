@@ -35,8 +35,7 @@ from salsanext_cli.results.selection import MissingResults
 from salsanext_cli.sensors.sensor import Sensor
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
-"""Kinds of uncertainty by how well they tell which scan is uncertain; the first one known counts.
-"""
+"""Kinds of uncertainty by how well they tell which scan is uncertain."""
 DOUBT = "doubt"
 """1 − the largest probability, which is shown as confidence."""
 UNCERTAIN = ("error", "entropy", DOUBT, "epistemic", "aleatoric", "total", "mutual_information")
@@ -64,8 +63,7 @@ class ScanRow:
     points: int  # Number of its points that have a label or an uncertainty
     class_points: Counts | None  # (C,) int64 or None: number of points by predicted train id
     uncertainty: dict[str, float]  # Mean over the points by kind; NaN without any
-    # (C, C) int64 or None without labels: points by truth and prediction, as `Confusion.counted`
-    confusion: Counts | None = None
+    confusion: Counts | None = None  # (C, C) as `Confusion.counted`; None without labels
 
     @property
     def name(self) -> str:
