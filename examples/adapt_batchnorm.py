@@ -14,9 +14,8 @@ from tempfile import TemporaryDirectory
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.measures.confusion import Confusion
 from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
-from salsanext_cli.measures.scores import scores
+from salsanext_cli.measures.scores import Confusion, scores
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import space_of

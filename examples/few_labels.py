@@ -14,8 +14,7 @@ from pathlib import Path
 
 import salsanext_cli as sn
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.scores import scores
+from salsanext_cli.measures.scores import Confusion, scores
 from salsanext_cli.results.layout import find_scans, output_path
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.pick import pick

@@ -99,12 +99,12 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw nothing of an evaluation: pictures take tenths of a second, and have their own tests."""
-    from salsanext_cli.report import plots, uncertainty_plots
+    from salsanext_cli.report import plots
 
     monkeypatch.setattr(plots, "iou_bars", lambda *_: b"picture")
     monkeypatch.setattr(plots, "confusion_picture", lambda *_: b"picture")
     for name in ("reliability_diagram", "risk_coverage", "sparsification", "class_uncertainty"):
-        monkeypatch.setattr(uncertainty_plots, name, lambda *_: b"picture")
+        monkeypatch.setattr(plots, name, lambda *_: b"picture")
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ def models(
     """
     from rich.console import Group
 
-    from salsanext_cli.report.descriptions import card_table, network_table
+    from salsanext_cli.report.tables import card_table, network_table
     from salsanext_cli.stages.models import describe_weights
     from salsanext_cli.stages.models import models as stage
 

@@ -39,7 +39,7 @@ def inspect(
     Example: salsanext inspect my/scans --fit my-sensor.toml --height 32 --width 1024
     """
     from salsanext_cli.fitting.view_fit import view_text
-    from salsanext_cli.report.descriptions import survey_tables
+    from salsanext_cli.report.tables import survey_tables
     from salsanext_cli.sensors.sensor import sensor as find_sensor
     from salsanext_cli.stages.inspect import inspect as stage
     from salsanext_cli.stages.inspect import write_sensor
@@ -200,7 +200,7 @@ def import_labels(
 
     Example: salsanext import-labels edited/ to-label/
     """
-    from salsanext_cli.report.imported import imported_lines, imported_table
+    from salsanext_cli.report.tables import imported_lines, imported_table
     from salsanext_cli.sensors.sensor import sensor
     from salsanext_cli.stages.import_labels import import_labels as stage
 

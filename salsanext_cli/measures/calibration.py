@@ -2,11 +2,8 @@
 """Calibration of probabilities: confidence against accuracy, log-likelihood, Brier score.
 
 The confidence of a point is its largest probability, and the point is right if the class of that
-probability is the true one. So the softmax itself is evaluated, before the vote of the neighbours;
-the label in ``predictions/`` may be another.
-
-Functions of counts take the right points, then the wrong ones, by index into `CONFIDENCES`:
-(2, 15361) int64; and the number of bins.
+probability is the true one. So the softmax itself is evaluated, before the vote of the neighbours.
+Counts are (2, 15361) int64: right points, then wrong ones, by index into `CONFIDENCES`.
 """
 
 import math
@@ -14,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.measures.confusion import Counts, Ratios, ratio
 from salsanext_cli.measures.histograms import CONFIDENCES, Histogram
+from salsanext_cli.measures.scores import Counts, Ratios, ratio
 
 POOLED_BINS = 15
 """Number of bins of the pooled errors and of the diagram."""
@@ -58,7 +55,7 @@ class Reliability:
 
     points: Counts  # (B,) int64: number of points in each bin
     confidence: Ratios  # (B,) float64: their mean confidence; NaN for a bin without points
-    accuracy: Ratios  # (B,) float64: share of them that is right; NaN for a bin without points
+    accuracy: Ratios  # (B,) float64: share of them that is right; likewise
 
     @property
     def error(self) -> float:

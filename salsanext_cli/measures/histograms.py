@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Histograms of confidence and of uncertainty, of right and of wrong points by group.
 
-Probabilities are float16 on disk, and there are 15 361 such numbers from 0 to 1. Points are counted
-in a bin for each of these, so that errors are exact for any number of scans.
-
-A bin of uncertainty is a bfloat16 number, to which uncertainties are truncated: 128 bins per
-octave, which separate 1 from 1.008. Points in one bin are tied. Ranking depends on the order alone,
-so that results from these counts differ from those of the raw values only by pairs of points within
-a bin.
+Probabilities are float16 on disk: a bin for each of the 15 361 such numbers from 0 to 1 makes
+errors exact for any number of scans. A bin of uncertainty is a bfloat16 number, to which
+uncertainties are truncated: 128 bins per octave, which separate 1 from 1.008. Points in one bin are
+tied.
 """
 
 from __future__ import annotations
@@ -20,14 +17,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.measures.confusion import Counts, Mask, Ratios
+from salsanext_cli.measures.scores import Counts, Mask, Ratios
 from salsanext_cli.records import Float
 
 SMALLEST_PROBABILITY = 2.0**-24
 """Least probability of the true class: the smallest float16 above 0.
 
-A probability below half of it is 0 on disk, and one such point would make the mean infinite. So a
-point costs at most 24 ln 2 = 16.6 nats.
+One point with a probability of 0 would make the mean infinite; so it costs 24 ln 2 = 16.6 nats.
 """
 CONFIDENCES = np.arange(int(np.float16(1).view(np.uint16)) + 1).astype(np.uint16).view(np.float16)
 """Every float16 from 0 to 1, ascending: the bit patterns of numbers above 0 are in their order."""
@@ -53,11 +49,7 @@ class SoftmaxErrors:
 
 
 def softmax_errors(probabilities: npt.NDArray[Any], truth: npt.NDArray[Any]) -> SoftmaxErrors:
-    """Compare probabilities with the truth.
-
-    `probabilities` (N, C) float, softmax; rows of NaN for points that have none; `truth` (N,)
-    integer, train ids, 0…C-1.
-    """
+    """Compare probabilities (N, C), rows of NaN for points without, with train ids (N,)."""
     exact = probabilities.astype(np.float64)
     every = np.arange(len(exact))
     of_truth, predicted = exact[every, truth], exact.argmax(axis=1)
@@ -94,9 +86,7 @@ def softmax_entropy(probabilities: npt.NDArray[Any]) -> Float:
 class Histogram:
     """Histograms by group, and sums of values over the points of each group."""
 
-    # (2, G, B) int64: number of points by group and bin; those that are right first, then those
-    # that are wrong. Groups are classes, rings of distance, or just one
-    counts: Counts
+    counts: Counts  # (2, G, B) int64: right points, then wrong ones, by group and bin
     # By name, G float64 sums for each scan. `math.fsum` adds them for a mean, which is then the
     # same to the last digit in any order of the scans
     scan_sums: dict[str, array[float]]
@@ -117,9 +107,6 @@ class Histogram:
 
     def __iadd__(self, other: Histogram) -> Histogram:
         """Add the counts of other scans."""
-        groups, others = self.counts.shape[1], other.counts.shape[1]
-        if groups != others:
-            raise ValueError(f"{groups} and {others} groups do not add")
         self.counts += other.counts
         for name, sums in self.scan_sums.items():
             sums.extend(other.scan_sums[name])
@@ -143,8 +130,7 @@ def confidence_histogram(
 ) -> Histogram:
     """Count the points of a scan by confidence, in a bin for each of `CONFIDENCES`.
 
-    `errors`: errors of N points; `group` (N,) integer, the group of each point, 0…G-1;
-    `group_count`: g, the number of groups.
+    `group` (N,): group of each point, below `group_count`.
     """
     bins = errors.confidence.view(np.uint16).astype(np.intp)
     known, shape = ~np.isnan(errors.confidence), (2, group_count, len(CONFIDENCES))
@@ -154,25 +140,17 @@ def confidence_histogram(
 def uncertainty_histogram(
     uncertainty: npt.NDArray[Any], wrong: Mask, group: npt.NDArray[Any], group_count: int
 ) -> Histogram:
-    """Count the points of a scan by uncertainty.
-
-    `uncertainty` (N,) float, not negative; NaN for points without one, which are left out; `wrong`
-    (N,) bool, whether the label of each point is not the true one; `group`, `group_count`: as
-    `confidence_histogram` takes them, with the same error.
-    """
+    """Count the points of a scan by uncertainty (N,), 0 and above; NaN is left out."""
     values, shape = uncertainty.astype(np.float64), (2, group_count, UNCERTAINTY_BINS)
     bins = bin_of(uncertainty)
     return _histogram(shape, ~np.isnan(values), wrong, group, bins, uncertainty=values)
 
 
 def error_histogram(error: npt.NDArray[Any], wrong: Mask) -> Histogram:
-    """Count the points of a scan by the probability that their label is wrong.
+    """Count the points of a scan by the probability that their label is wrong, (N,) or NaN.
 
     The bins are `CONFIDENCES`, to which probabilities are rounded, and there is one group. "Wrong"
     is what is claimed with this probability, so a point that is wrong counts as right here.
-
-    `error` (N,) float, 0…1; NaN for points without one, which are left out; `wrong` (N,) bool,
-    whether the label of each point is not the true one.
     """
     shape, group = (2, 1, len(CONFIDENCES)), np.zeros(len(error), np.intp)
     bins = np.abs(error).astype(np.float16).view(np.uint16).astype(np.intp)
@@ -200,10 +178,7 @@ def bin_of(uncertainty: npt.NDArray[Any]) -> npt.NDArray[np.intp]:
     """Return the bin of each uncertainty, from float32, same shape; NaN has none."""
     # The bit patterns of positive floats are in the order of the floats.
     key = uncertainty.astype(np.float32).view(np.int32) >> BFLOAT16_SHIFT
-    bins: npt.NDArray[np.intp] = np.clip(key - FIRST_KEY + 1, 0, UNCERTAINTY_BINS - 1).astype(
-        np.intp
-    )
-    return bins
+    return np.clip(key.astype(np.intp) - FIRST_KEY + 1, 0, UNCERTAINTY_BINS - 1)
 
 
 def highest_of_bins() -> Ratios:

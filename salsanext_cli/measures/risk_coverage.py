@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scores of uncertainty as a detector of wrong points, and rank correlation.
+"""Uncertainty as a detector of wrong points: scores, a threshold, and rank correlation.
 
 Functions of counts take the number of right and of wrong points in bins of ascending uncertainty,
 (B,) int64 each. Points in one bin are tied: scores are the mean over every order among them.
@@ -12,11 +12,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.measures.confusion import Counts, Ratios
 from salsanext_cli.measures.histograms import Histogram, highest_of_bins
+from salsanext_cli.measures.scores import Counts, Ratios
 
 COVERAGE = np.arange(1, 101) / 100
 """Shares of the points, the least uncertain ones first, at which the risk is given."""
+PERCENT_KEPT = 80
+"""Share of the points, in percent, that a threshold keeps as nearly as it can."""
+FEW_DIGITS = (1, 2, 3, 4)
+"""Significant digits of a threshold that is rounded, where that keeps the same points."""
+UNITS = {"entropy": " nats"}
+SERIES_FROM = 16
+"""Number from which the asymptotic series of the harmonic numbers is exact to the last digit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,17 +33,12 @@ class RankingScores:
     points: int  # Number of points, and of those whose label is not the true one
     wrong: int
     mean: float  # Mean uncertainty
-    # Area under the receiver operating characteristic, 0…1: the chance that a wrong point is more
-    # uncertain than a right one, ties counting half. 0.5 is guessing; higher is better
-    auroc: float
-    # Average precision with wrong points as the positives, 0…1. The share of wrong points is
-    # guessing; higher is better
-    aupr: float
+    auroc: float  # Area under the receiver operating characteristic, 0…1; 0.5 is guessing
+    aupr: float  # Average precision with wrong points as the positives, 0…1; higher is better
     aurc: float  # Area under the risk-coverage curve, 0…1; lower is better
-    # Difference to the area of the best order, all right points before all wrong ones
-    excess_aurc: float
+    excess_aurc: float  # Difference to the area of the best order, wrong points last
     # Area between the sparsification curve and that of the best order, both as multiples of the
-    # share of wrong points among all; 0 is the best order, lower is better
+    # share of wrong points among all; lower is better
     ause: float
 
 
@@ -99,13 +101,9 @@ def aurc(right: Counts, wrong: Counts) -> float:
 def risk_coverage(
     right: Counts, wrong: Counts, coverage: Ratios = COVERAGE
 ) -> tuple[Ratios, Ratios]:
-    """Return the risk of keeping only the least uncertain points, and the threshold for it.
+    """Return the risk of keeping shares (K,) of the points, and the thresholds for it, (K,) each.
 
-    `right`, `wrong` (B,) int64, the counts; `coverage` (K,) float64, shares of the points that are
-    kept, above 0.
-
-    Returns `risk, threshold` (K,) float64, share of the kept points that is wrong, and upper end of
-    the bin in which the coverage is reached; NaN without points.
+    A threshold is the upper end of the bin in which the coverage is reached; NaN without points.
     """
     reached = (right + wrong).cumsum()
     kept = coverage * reached[-1]
@@ -117,10 +115,6 @@ def risk_coverage(
     return errors / kept, highest_of_bins()[bins]
 
 
-SERIES_FROM = 16
-"""Number from which the asymptotic series of the harmonic numbers is exact to the last digit."""
-
-
 def _harmonic(numbers: Counts) -> Ratios:
     """Return 1 + 1/2 + … + 1/n of each n, 0 for 0."""
     small = np.concatenate([[0.0], (1 / np.arange(1, SERIES_FROM)).cumsum()])
@@ -130,12 +124,80 @@ def _harmonic(numbers: Counts) -> Ratios:
     return np.where(numbers < SERIES_FROM, small[np.minimum(numbers, SERIES_FROM - 1)], series)
 
 
+@dataclass(frozen=True, slots=True)
+class KeptPoints:
+    """Points whose uncertainty is below a threshold."""
+
+    kind: str  # The kind of uncertainty
+    points: int  # Number of all points that have it
+    risk_of_all: float  # Share of these that is wrong, 0…1
+    # NaN where no threshold can help: no point is wrong, none is right, or all are tied
+    threshold: float = math.nan
+    coverage: float = math.nan  # Share of the points below the threshold, exact
+    risk: float = math.nan  # Share of those that is wrong, exact
+
+    @property
+    def sentence(self) -> str:
+        """The same for people."""
+        kind, points = self.kind, f"{self.points:,} points"
+        if not self.risk_of_all:
+            return f"no threshold of {kind} is needed: none of the {points} is wrong"
+        if self.risk_of_all == 1:
+            return f"no threshold of {kind} helps: all {points} are wrong"
+        if math.isnan(self.threshold):
+            return f"no threshold of {kind} helps: it is the same at all {points}"
+        below = f"{kind} below {self.threshold:.4g}{UNITS.get(kind, '')}"
+        # A little less than all is not all.
+        kept = f"the {min(100 * self.coverage, 99.9):.3g} % of points with {below}"
+        risk, of_all = _percent(self.risk), _percent(self.risk_of_all)
+        if self.risk < self.risk_of_all and risk != of_all:
+            return f"keep {kept}: {risk} of them are wrong instead of {of_all}"
+        return f"{kind} does not find wrong points: of {kept} {risk} are wrong, of all {of_all}"
+
+
+def kept_points(kind: str, histogram: Histogram) -> KeptPoints:
+    """Find the threshold that keeps nearly `PERCENT_KEPT` of the points, of tied ones all or none.
+
+    The groups of the `uncertainty_histogram`, of at least one point, are taken together.
+    """
+    right, wrong = histogram.total().counts[:, 0]
+    tied = right + wrong
+    reached, errors = tied.cumsum(), wrong.cumsum()
+    points, risk_of_all = int(reached[-1]), float(errors[-1] / reached[-1])
+    held = np.flatnonzero(tied)
+    if risk_of_all in (0, 1) or len(held) == 1:
+        return KeptPoints(kind, points, risk_of_all)
+    place = np.abs(100 * reached[held[:-1]] - PERCENT_KEPT * points).argmin()
+    last, following = held[place : place + 2]
+    return KeptPoints(
+        kind=kind,
+        points=points,
+        risk_of_all=risk_of_all,
+        threshold=_between(*highest_of_bins()[[last, following - 1]]),
+        coverage=float(reached[last] / points),
+        risk=float(errors[last] / reached[last]),
+    )
+
+
+def _between(highest: float, others: float) -> float:
+    """Return a number of few digits above the highest value of a bin and not above those kept out.
+
+    `others` is the highest value of the empty bins between them, or `highest` itself.
+    """
+    lowest_out = float(np.nextafter(np.float32(others), np.float32(np.inf)))
+    middle = (highest + lowest_out) / 2
+    rounded = (float(f"{middle:.{digits}g}") for digits in FEW_DIGITS)
+    return next((each for each in rounded if highest < each <= lowest_out), lowest_out)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %" if share >= 0.01 else f"{100 * share:.2g} %"
+
+
 def spearman(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
-    """Return Spearman's rank correlation, the linear correlation of the ranks.
+    """Return Spearman's rank correlation of finite numbers, (N,) each, -1…1.
 
-    `one`, `other` (N,), finite numbers; equal ones share the mean of their ranks.
-
-    Returns -1…1; NaN where one of the two does not vary.
+    Equal numbers share the mean of their ranks; NaN where one of the two does not vary.
     """
     ranks = [_centred_ranks(values) for values in (one, other)]
     norm = math.prod(math.sqrt(r @ r) for r in ranks)

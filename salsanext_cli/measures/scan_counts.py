@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_probabilities
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
-from salsanext_cli.measures.confusion import Confusion, Mask
 from salsanext_cli.measures.histograms import (
     Histogram,
     confidence_histogram,
@@ -31,6 +30,7 @@ from salsanext_cli.measures.histograms import (
     softmax_errors,
     uncertainty_histogram,
 )
+from salsanext_cli.measures.scores import Confusion, Mask
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
@@ -44,7 +44,6 @@ OF_SOFTMAX = {"confidence": lack_of_confidence, "softmax_entropy": softmax_entro
 EVALUATED_KINDS = (*OF_SOFTMAX, *UNCERTAINTY)
 """Every kind of uncertainty, in the order in which they are reported."""
 CLASS, RING = "class", "ring"
-"""Names of the groupings of points."""
 OF_ERROR = ("error", "calibration")
 """Key of the histogram of the error as a probability."""
 LEAST_ACCURACY, MIN_JUDGED = 0.2, 10_000
@@ -60,8 +59,7 @@ class ScanCounts:
     """Counts over scans."""
 
     confusion: Confusion  # Counts of all points
-    # Counts by distance, one per name in `RING_NAMES`; empty if not requested
-    rings: tuple[Confusion, ...] = ()
+    rings: tuple[Confusion, ...] = ()  # One per name in `RING_NAMES`; empty if not requested
     # Number of points by raw id that the label space does not know
     unknown_truth: Counter[int] = field(default_factory=Counter)
     unknown_predictions: Counter[int] = field(default_factory=Counter)
@@ -69,13 +67,10 @@ class ScanCounts:
     trained_on: int = 0
     left_out: int = 0  # Number of scans that are not counted since the weights were trained on them
     missing: list[ScanFile] = field(default_factory=list)  # Scans without predictions
-    # Number of scans that have probabilities or a kind of uncertainty, by folder
-    files: Counter[str] = field(default_factory=Counter)
-    # Expected calibration error of each scan that has a softmax
-    calibration_errors: list[float] = field(default_factory=list)
+    files: Counter[str] = field(default_factory=Counter)  # Number of scans with a file, by folder
+    calibration_errors: list[float] = field(default_factory=list)  # Of each scan with a softmax
     # Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `RING`, or
-    # `CLASS`, which is the most probable class for the confidence, else the true one. Under
-    # `OF_ERROR` that of `error_histogram`
+    # `CLASS`, which is the most probable class for the confidence, else the true one
     histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)
 
     @classmethod
@@ -99,28 +94,21 @@ class ScanCounts:
             if self.histograms.setdefault(key, histogram) is not histogram:
                 self.histograms[key] += histogram
 
-    def label_warnings(self, space: LabelSpace) -> list[str]:
-        """Return what the scores do not tell, or may tell wrongly, in words."""
-        return [words for words in (self._about_training(), self._about_labels(space)) if words]
-
-    def _about_training(self) -> str:
-        """Say how many scans the weights were trained on, if any."""
+    def label_warnings(self, space: LabelSpace) -> Iterator[str]:
+        """Yield what the scores do not tell, or may tell wrongly, in words."""
         if self.left_out:
             every = counted(self.scans + self.left_out, "labelled scan")
             were = "was" if self.left_out == 1 else "were"
-            return f"{self.left_out:,} of {every} {were} trained on: left out of the scores"
-        if self.trained_on:
-            return "every labelled scan was trained on: what the scores are of others is unknown"
-        return ""
-
-    def _about_labels(self, space: LabelSpace) -> str:
-        """Say that labels and predictions hardly ever agree, if so."""
+            yield f"{self.left_out:,} of {every} {were} trained on: left out of the scores"
+        elif self.trained_on:
+            yield "every labelled scan was trained on: what the scores are of others is unknown"
         matrix = self.confusion.counted(space.scored)
         points, right = int(matrix.sum()), int(np.trace(matrix))
-        if points < MIN_JUDGED or right >= LEAST_ACCURACY * points:
-            return ""
-        found = f"labels and predictions agree on {right / points:.1%} of the labelled points"
-        return f"{found}: labels of another data set (--label-space), or a sensor set up otherwise?"
+        if points >= MIN_JUDGED and right < LEAST_ACCURACY * points:
+            yield (
+                f"labels and predictions agree on {right / points:.1%} of the labelled points: "
+                "labels of another data set (--label-space), or a sensor set up otherwise?"
+            )
 
 
 @dataclass(slots=True)
@@ -164,12 +152,10 @@ def count_scan(
     folder holds `probabilities/` and `uncertainty/` of the scan. Points that `predict --reject`
     left unlabelled are missed ones in the confusion, and have no uncertainty.
 
-    `scan`: its labels lie where `ScanFile.label_path` says; `out`: output folder with the
-    predictions; `space`: classes that are compared, and meaning of the raw ids; `by_distance`:
-    count rings of distance too, for which the scan is read; `sensor`: origin of the scan, which
-    says how its file is read; `labels`: meaning of the raw ids of the labels, if they have their
-    own for these classes; `merging`: of the classes of the probabilities into those compared;
-    `trained_on`: digests of scans that the weights were trained on.
+    `space`: classes that are compared, and meaning of the raw ids; `by_distance`: count rings of
+    distance too, for which the scan is read; `labels`: meaning of the raw ids of the labels, if
+    they have their own for these classes; `merging`: of the classes of the probabilities into those
+    compared; `trained_on`: digests of scans that the weights were trained on.
     """
     counts = ScanCounts.none(space, by_distance)
     predictions = output_path(out, scan.sequence, "predictions", scan.stem)
@@ -227,10 +213,7 @@ def count_scan(
 def read_softmax(
     path: Path, wanted: Mask, space: LabelSpace, merging: ClassMerging | None
 ) -> npt.NDArray[Any]:
-    """Read the probabilities of some points, of merged classes added; NaN for none.
-
-    `wanted`, (N,) bool, says of which; the other arguments are those of `count_scan`.
-    """
+    """Read the probabilities of the wanted points, those of merged classes added; NaN for none."""
     count = space.class_count if merging is None else len(merging.targets)
     softmax = read_probabilities(path, len(wanted), count)[wanted]
     if not space.scored[0]:
@@ -253,12 +236,6 @@ def _labels(
 
 
 def ring_of_point(points: Float) -> npt.NDArray[np.intp]:
-    """Return the ring that each point lies in.
-
-    `points` (N, 3) float32, Cartesian coordinates in metres, sensor frame.
-
-    Returns (N,) int, index into `RING_NAMES`; -1 for points without a measurement (origin, NaN,
-    infinity).
-    """
+    """Return the index into `RING_NAMES` of points (N, 3) in metres; -1 without a measurement."""
     ranges, measured = measured_ranges(points)
     return np.where(measured, np.digitize(np.nan_to_num(ranges), RING_STARTS_M) - 1, -1)

@@ -7,6 +7,7 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from operator import itemgetter
 from typing import Any
 
@@ -53,10 +54,8 @@ class ScanSummary:
     """Numbers about one scan; small, since workers send them to the process that leads the run."""
 
     file: ScanFile
-    # Reasons to doubt the scan or its labels, and traits of its sensor
-    check: ScanCheck = UNCHECKED
-    # Number of points by predicted train id; empty if none were predicted
-    class_points: tuple[int, ...] = ()
+    check: ScanCheck = UNCHECKED  # Reasons to doubt the scan or its labels
+    class_points: tuple[int, ...] = ()  # Number of points by predicted train id, if any
     rejected_points: int = 0  # Number of points unlabelled for their error
 
     @classmethod
@@ -71,24 +70,23 @@ class ScanSummary:
     ) -> ScanSummary:
         """Count the predicted train ids (N,) of a scan; look at them and their mean probability."""
         points = np.bincount(labels, minlength=space.class_count)
-        found = (*check.findings, *_of_classes(points, space), *_of_confidence(confidence, space))
-        check = replace(check, findings=found)
+        findings = (*check.findings, *_label_findings(points, confidence, space))
+        check = replace(check, findings=findings)
         return cls(file, check, tuple(points.tolist()), rejected_points)
 
 
-def _of_classes(points: npt.NDArray[np.int64], space: LabelSpace) -> Iterator[Finding]:
-    """Look at the number of points by class; class 0 is unlabelled."""
-    if len(points) < FEWEST_CLASSES:
-        return
-    total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1
-    most = LARGEST_SHARE if len(points) > FEW_CLASSES else LARGEST_SHARE_OF_FEW
-    if total >= MIN_POINTS and points[largest] > most * total:
-        found = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
-        yield Finding("one-class", found, LOOK)
-
-
-def _of_confidence(confidence: float, space: LabelSpace) -> Iterator[Finding]:
-    if space.class_count > FEW_CLASSES and confidence < MIN_CONFIDENCE:
+def _label_findings(
+    points: npt.NDArray[np.int64], confidence: float, space: LabelSpace
+) -> Iterator[Finding]:
+    """Doubt labels by the number of points of each class (C,) and their mean probability."""
+    few = space.class_count <= FEW_CLASSES
+    if space.class_count >= FEWEST_CLASSES:
+        total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1
+        most = LARGEST_SHARE_OF_FEW if few else LARGEST_SHARE
+        if total >= MIN_POINTS and points[largest] > most * total:
+            found = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
+            yield Finding("one-class", found, LOOK)
+    if not few and confidence < MIN_CONFIDENCE:
         found = f"the labels have a mean probability of {confidence:.2f}"
         yield Finding("low-confidence", found, f"{USUAL}; {LOOK}")
 
@@ -103,25 +101,26 @@ class RunSummary:
 
     sensor: Sensor  # Sensor that the scans were projected for
     space: LabelSpace | None = None  # Classes of the predicted points, if any are predicted
-    labelled: bool = False  # Whether the scans, or at least the first of them, have labels
     class_points: list[int] = field(default_factory=list)  # Number of points by predicted train id
-    # Names of the scans by what was found, in the order in which it was found first
+    # Names of the scans by code of what was found, in the order in which it was found first
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)  # Traits of the sensor by scan
     looked_at: set[str] = field(default_factory=set)  # Names of the scans that were added
     rejected_points: int = 0  # Number of points unlabelled for their error
-    # Shares of the points of scans that are of their sensor's housing or its vehicle
-    ego_shares: list[float] = field(default_factory=list)
-    # The first scan of the run, whose data set may describe other classes
-    first: ScanFile | None = None
+    ego_shares: list[float] = field(default_factory=list)  # Of the points of scans, of the vehicle
+    first: ScanFile | None = None  # First scan of the run, whose data set may describe others
 
     @classmethod
     def of_scans(
         cls, scans: Sequence[ScanFile], sensor: Sensor, space: LabelSpace | None = None
     ) -> RunSummary:
         """Begin the summary of a run over some scans."""
-        first = scans[0] if scans else None
-        return cls(sensor, space, bool(first and present(first.label_path)), first=first)
+        return cls(sensor, space, first=scans[0] if scans else None)
+
+    @property
+    def labelled(self) -> bool:
+        """True if the first scan has labels."""
+        return self.first is not None and present(self.first.label_path)
 
     def add(self, scan: ScanSummary) -> None:
         """Add a scan; say at once what is found for the first time."""
@@ -139,15 +138,12 @@ class RunSummary:
     def _add(self, file: ScanFile, finding: Finding) -> None:
         name = _name(file)
         if finding.code not in self.findings:
-            warning = f"{finding.found}; {finding.remedy}"
-            log.warning("%s: %s (%s)", printable(name), warning, finding.code)
+            words = f"{finding.found}; {finding.remedy}"
+            log.warning("%s: %s (%s)", printable(name), words, finding.code)
         self.findings.setdefault(finding.code, []).append((name, finding))
 
     def finished(self, *, selectable: bool = True) -> RunSummary:
-        """Compare the scans with each other, at the end of the run; return itself.
-
-        `selectable` is as `mixed_sensors` takes it.
-        """
+        """Compare the scans with each other, at the end of the run; return itself."""
         for file, finding in mixed_sensors(self.traits, selectable=selectable).items():
             self._add(file, finding)
         return self
@@ -163,7 +159,7 @@ class RunSummary:
         finally:
             self.finished()
             found: dict[str, list[Texts]] = {}
-            for name, finding in (each for group in self.findings.values() for each in group):
+            for name, finding in chain.from_iterable(self.findings.values()):
                 texts = (finding.code, finding.found, finding.remedy)
                 found.setdefault(name, []).append(texts)
             earlier = run.keep_findings(found, self.looked_at)
@@ -172,10 +168,9 @@ class RunSummary:
                     self.findings.setdefault(texts[0], []).append((name, Finding(*texts)))
 
     def warnings(self) -> list[dict[str, Any]]:
-        """Return what was found, by code, with the scans, as plain data.
+        """Return what was found, by code, with the scans, as plain data, in sorted order.
 
-        Codes and scans are sorted, and the words are those of the first scan, whatever the order in
-        which workers were done.
+        The words are those of the first scan, whatever the order in which workers were done.
         """
         warnings = []
         for code in sorted(self.findings):

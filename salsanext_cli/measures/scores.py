@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Scores from counts, with the semantics and the numbers of the official SemanticKITTI evaluator.
+"""Confusion matrix, and its scores by the formulas of the official SemanticKITTI evaluator.
 
-The official formulas, with the points whose truth is ignored left out and n_tp the number of
-points of true class t predicted as class p::
+With the points whose truth is ignored left out and n_tp the number of points of true class t
+predicted as class p::
 
     IoU_c    = n_cc / (Σ_t n_tc + Σ_p n_cp − n_cc + 10⁻¹⁵)     0 for a class that is absent
     mean IoU = mean of IoU_c over all scored classes           absent ones included
@@ -12,20 +12,61 @@ So a labelled point predicted "unlabelled" lowers the IoU of its class, but the 
 does not see it. `Scores.accuracy` is the plain share of labelled points that are right.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 import yaml
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.measures.confusion import Confusion, Ratios, ratio
+
+Counts = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+Ratios = npt.NDArray[np.float64]
 
 EPSILON = 1e-15
 """Added to every denominator by the official evaluator."""
 FREQUENT_POINTS = 500
 """Points of a class from which on it is frequent; the IoU of fewer is mostly chance."""
+
+
+class Confusion:
+    """Counts of (truth, prediction) pairs over train ids, also ignored ones: (C, C) int64."""
+
+    __slots__ = ("matrix",)
+
+    def __init__(self, class_count: int, matrix: Counts | None = None) -> None:
+        zeros = np.zeros((class_count, class_count), np.int64)
+        self.matrix: Counts = zeros if matrix is None else matrix
+
+    def update(self, truth: npt.NDArray[Any], predicted: npt.NDArray[Any]) -> Self:
+        """Count train ids of the points of a scan, or of the pixels of an image; same shape."""
+        if truth.shape != predicted.shape:
+            raise ValueError(f"truth {truth.shape} and predicted {predicted.shape} differ in shape")
+        cell = np.ravel_multi_index((truth.ravel(), predicted.ravel()), self.matrix.shape)
+        self.matrix += np.bincount(cell, minlength=self.matrix.size).reshape(self.matrix.shape)
+        return self
+
+    def counted(self, scored: Mask) -> Counts:
+        """Return the matrix (C, C) with 0 in the rows of ignored classes; `scored` is (C,) bool.
+
+        Columns of ignored classes stay: a labelled point predicted "unlabelled" is a miss.
+        """
+        return np.where(scored[:, None], self.matrix, 0)
+
+    def __add__(self, other: Confusion) -> Confusion:
+        return Confusion(len(self.matrix), self.matrix + other.matrix)
+
+
+def ratio(part: Counts, whole: Counts) -> Ratios:
+    """Divide counts; NaN where there is nothing to divide by."""
+    quotient: Ratios = np.full(whole.shape, np.nan)
+    np.divide(part, whole, out=quotient, where=whole > 0)
+    return quotient
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +77,8 @@ class ClassScore:
     train_id: int
     iou: float  # Intersection over union; NaN if the class is in neither truth nor prediction
     iou_official: float  # The same by the official formula, 0 if absent
-    # Share of the points predicted as this class that are of it; NaN if never predicted
-    precision: float
-    recall: float  # Share of the points of this class that were found; NaN if there are none
+    precision: float  # Share of the points predicted as this class that are of it
+    recall: float  # Share of the points of this class that were found
     points: int  # Number of points of this class
     predicted: int  # Number of labelled points predicted as this class
 
@@ -48,13 +88,10 @@ class Scores:
     """The scores of a set of points; shares are 0…1."""
 
     accuracy: float  # Share of labelled points that are right; NaN without any
-    # The same as the official evaluator prints it: points predicted "unlabelled" left out
-    accuracy_official: float
+    accuracy_official: float  # The same with points predicted "unlabelled" left out
     iou_mean_official: float  # Mean IoU over all scored classes, an absent class counting 0
-    # Mean IoU over the classes that the truth holds, whatever is predicted; NaN if it holds none
-    iou_mean_present: float
-    # The same over the classes with at least `FREQUENT_POINTS` points; NaN without any
-    iou_mean_frequent: float
+    iou_mean_present: float  # Mean IoU over the classes that the truth holds; NaN without any
+    iou_mean_frequent: float  # The same over those with `FREQUENT_POINTS` points or more
     points: int  # Number of labelled points
     classes: tuple[ClassScore, ...]  # Every scored class, in the order of the train ids
 
@@ -66,33 +103,29 @@ class Scores:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
-        data: dict[str, Any] = plain(asdict(self))
-        return data
+        return dict(plain(asdict(self)))
 
 
 def scores(confusion: Confusion, space: LabelSpace) -> Scores:
-    """Divide the counts.
-
-    `confusion`: counts over the train ids of `space`; `space`: names of the classes, and which of
-    them are ignored.
-    """
+    """Divide counts over the train ids of a label space."""
     scored = space.scored
     matrix = confusion.counted(scored)
+    points = int(matrix.sum())
     hits, truths, predictions = np.diagonal(matrix), matrix.sum(axis=1), matrix.sum(axis=0)
     union = truths + predictions - hits
     iou, iou_official = ratio(hits, union), hits / (union + EPSILON)
     precision, recall = ratio(hits, predictions), ratio(hits, truths)
     return Scores(
-        accuracy=float(ratio(hits.sum(keepdims=True), matrix.sum(keepdims=True).ravel())[0]),
+        accuracy=float(hits.sum() / points) if points else math.nan,
         accuracy_official=float(hits.sum() / (matrix[:, scored].sum() + EPSILON)),
         iou_mean_official=_mean(iou_official[scored]),
         iou_mean_present=_mean(iou[scored & (truths > 0)]),
         iou_mean_frequent=_mean(iou[scored & (truths >= FREQUENT_POINTS)]),
-        points=int(matrix.sum()),
+        points=points,
         classes=tuple(
             ClassScore(
                 name=space.names[i],
-                train_id=int(i),
+                train_id=i,
                 iou=float(iou[i]),
                 iou_official=float(iou_official[i]),
                 precision=float(precision[i]),
@@ -100,7 +133,7 @@ def scores(confusion: Confusion, space: LabelSpace) -> Scores:
                 points=int(truths[i]),
                 predicted=int(predictions[i]),
             )
-            for i in np.flatnonzero(scored)
+            for i in np.flatnonzero(scored).tolist()
         ),
     )
 

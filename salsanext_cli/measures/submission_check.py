@@ -19,9 +19,8 @@ from salsanext_cli.formats.labels import read_labels
 class Problem:
     """Reason why a sequence cannot be submitted."""
 
-    # {"missing", "length", "unreadable", "unknown-id", "moving"}: kind of the problem, for programs
-    code: str
-    sequence: str  # Name of the sequence
+    code: str  # missing, length, unreadable, unknown-id or moving
+    sequence: str
     scans: int  # Number of scans that have the problem
     message: str  # Problem and remedy in one line
 
@@ -36,20 +35,21 @@ def problems(
 ) -> Iterator[Problem]:
     """Yield all that is wrong with the predictions of a sequence, one problem of each kind.
 
-    `sequence`: name of the sequence; `stems`: names of the scans that must be there; `files`,
-    `scans`: predicted labels and scans, by stem. Scans may be absent: then the number of labels is
-    not compared with that of points; `space`: classes that may be predicted; `advance`: called for
-    each stem.
+    `stems`: names of the scans that must be there; `files`, `scans`: predicted labels and scans, by
+    stem; without a scan, labels are not counted; `space`: classes that may be predicted; `advance`:
+    called for each stem.
     """
     found: dict[str, list[str]] = {"length": [], "unreadable": []}
-    ids: dict[str, list[list[int]]] = {"unknown-id": [], "moving": []}
+    unknown: list[list[int]] = []
+    moving: list[list[int]] = []
     for stem in stems:
         if stem in files:
             try:
                 count = _point_count(scans[stem]) if stem in scans else None
                 raw = _wide_labels(files[stem], count)
-                for code, wrong in _wrong_ids(raw, space).items():
-                    ids[code].append(wrong)
+                ids = np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist()
+                unknown.append([i for i in ids if i not in space.learning_map])
+                moving.append([i for i in ids if space.labels.get(i, "").startswith(MOVING)])
             except SalsanextError as error:
                 code = "length" if isinstance(error, LabelError) else "unreadable"
                 found[code].append(str(error))
@@ -59,8 +59,12 @@ def problems(
         if errors:
             others = f" · and {len(errors) - 1} more" if len(errors) > 1 else ""
             yield Problem(code, sequence, len(errors), f"{errors[0]}{others}")
-    for code, of_scans in ids.items():
-        yield from _ids(sequence, code, of_scans, space)
+    what = f"ids that {space.name} lacks"
+    remedy = "write raw ids, not train ids, or give --label-space"
+    yield from _refused_ids("unknown-id", sequence, unknown, what, remedy, space)
+    what = "classes that move, which the benchmark of single scans does not know"
+    remedy = "give them the ids of their classes at rest, such as 10 instead of 252"
+    yield from _refused_ids("moving", sequence, moving, what, remedy, space)
 
 
 def _point_count(scan: Path) -> int:
@@ -86,43 +90,27 @@ def _missing(
         message = f"sequence {sequence} · no predictions, and no scans to tell how many are needed"
         yield Problem("missing", sequence, 0, f"{message} · predict it")
     elif lacking:
-        gone = [stem for stem in lacking if scans and stem not in scans]
-        remedy = f"{len(gone)} of their scans are missing too: complete the data set" * bool(gone)
-        parts = (
-            f"sequence {sequence}",
-            f"{len(lacking):,} of {len(stems):,} predictions are missing: {first_few(lacking)}",
-            remedy or "predict them",
+        gone = len([stem for stem in lacking if scans and stem not in scans])
+        found = f"{len(lacking):,} of {len(stems):,} predictions are missing: {first_few(lacking)}"
+        remedy = "predict them"
+        if gone:
+            remedy = f"{gone} of their scans are missing too: complete the data set"
+        yield Problem(
+            "missing", sequence, len(lacking), f"sequence {sequence} · {found} · {remedy}"
         )
-        yield Problem("missing", sequence, len(lacking), " · ".join(parts))
 
 
-def _wrong_ids(raw: RawIds, space: LabelSpace) -> dict[str, list[int]]:
-    """Return the ids of a scan's points that the benchmark refuses, by the code of the problem."""
-    ids = np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist()
-    wrong = {
-        "unknown-id": [i for i in ids if i not in space.learning_map],
-        "moving": [i for i in ids if space.labels.get(i, "").startswith(MOVING)],
-    }
-    return {code: listed for code, listed in wrong.items() if listed}
-
-
-def _ids(
-    sequence: str, code: str, of_scans: Sequence[Sequence[int]], space: LabelSpace
+def _refused_ids(
+    code: str,
+    sequence: str,
+    of_scans: Sequence[Sequence[int]],
+    what: str,
+    remedy: str,
+    space: LabelSpace,
 ) -> Iterator[Problem]:
     """Yield the problem of ids that the benchmark refuses, if there are any in some scans."""
-    if not of_scans:
-        return
-    ids = sorted({i for ids in of_scans for i in ids})
-    shown = first_few([f"{i} {space.labels.get(i, '')}".rstrip() for i in ids])
-    what, remedy = {
-        "unknown-id": (
-            f"ids that {space.name} lacks",
-            "write raw ids, not train ids, or give --label-space",
-        ),
-        "moving": (
-            "classes that move, which the benchmark of single scans does not know",
-            "give them the ids of their classes at rest, such as 10 instead of 252",
-        ),
-    }[code]
-    where = f"{what}, in {counted(len(of_scans), 'scan')}: {shown}"
-    yield Problem(code, sequence, len(of_scans), f"sequence {sequence} · {where} · {remedy}")
+    if ids := sorted({i for ids in of_scans for i in ids}):
+        scans = sum(bool(ids) for ids in of_scans)
+        shown = first_few([f"{i} {space.labels.get(i, '')}".rstrip() for i in ids])
+        where = f"{what}, in {counted(scans, 'scan')}: {shown}"
+        yield Problem(code, sequence, scans, f"sequence {sequence} · {where} · {remedy}")

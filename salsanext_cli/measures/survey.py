@@ -9,11 +9,11 @@ from operator import add
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.fitting.view_fit import OUTLIERS
 from salsanext_cli.geometry.projection import measured_ranges
+from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.records import CHANNELS, RangeImage, Scan
 
 ELEVATION_STEP_DEG = 0.05
@@ -26,23 +26,20 @@ EXTREMES = {"smallest": min, "largest": max, "farthest": max, "brightest": max}
 class Survey:
     """Running counts over scans; adding two gives the counts of both."""
 
-    # Scans, scans with labels, points, and points without a measurement (origin, NaN, infinite)
     scans: int = 0
-    labelled: int = 0
+    labelled: int = 0  # Scans with labels
     points: int = 0
-    invalid: int = 0
+    invalid: int = 0  # Points without a measurement (origin, NaN, infinite)
     smallest: int = np.iinfo(np.int64).max  # Fewest and most points of a scan
     largest: int = 0
     farthest: float = 0.0  # Largest range in metres and largest intensity
     brightest: float = 0.0
     # (ELEVATION_BINS,) int64: points by elevation from -90° to 90°
-    elevations: npt.NDArray[np.int64] = field(
-        default_factory=lambda: np.zeros(ELEVATION_BINS, np.int64)
-    )
+    elevations: Counts = field(default_factory=lambda: np.zeros(ELEVATION_BINS, np.int64))
     pixels: int = 0  # Occupied pixels of the range images
     # (5,) float64: sums over occupied pixels of each channel and of its square
-    sums: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(CHANNELS)))
-    squares: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(CHANNELS)))
+    sums: Ratios = field(default_factory=lambda: np.zeros(len(CHANNELS)))
+    squares: Ratios = field(default_factory=lambda: np.zeros(len(CHANNELS)))
     classes: Counter[int] = field(default_factory=Counter)  # Points by raw id, without instance
 
     def __add__(self, other: Survey) -> Survey:

@@ -16,11 +16,11 @@ from salsanext_cli.measures.calibration import (
     calibration_scores,
     reliability,
 )
-from salsanext_cli.measures.confusion import Ratios
 from salsanext_cli.measures.histograms import Histogram
-from salsanext_cli.measures.kept_points import KeptPoints, kept_points
 from salsanext_cli.measures.risk_coverage import (
+    KeptPoints,
     RankingScores,
+    kept_points,
     ranking_scores,
     risk_coverage,
     spearman,
@@ -34,7 +34,7 @@ from salsanext_cli.measures.scan_counts import (
     SOFTMAX,
     ScanCounts,
 )
-from salsanext_cli.measures.scores import plain
+from salsanext_cli.measures.scores import Ratios, plain
 from salsanext_cli.results.layout import UNCERTAINTY
 
 log = logging.getLogger(__name__)
@@ -57,26 +57,22 @@ class GroupedScores(Generic[Scores]):
 
     def to_dict(self, space: LabelSpace) -> dict[str, Any]:
         """Return plain data for JSON, the scores first; null stands for NaN."""
-        data = asdict(self)
+        data = {name: value for name, value in asdict(self).items() if value is not None}
         scores, classes, rings = (data.pop(k) for k in ("scores", "classes", "by_distance"))
         counts = {key: data.pop(key) for key in ("scans", "left_out")}
         named = [{"name": space.names[i], "train_id": i, **each} for i, each in classes.items()]
-        found: dict[str, Any] = plain(
-            {**counts, **scores, **data, "classes": named, "by_distance": rings}
-        )
-        return found
+        return dict(plain({**counts, **scores, **data, "classes": named, "by_distance": rings}))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationResult(GroupedScores[CalibrationScores]):
-    """Calibration of probabilities.
+    """Calibration of probabilities, by most probable class.
 
-    Classes are the most probable ones: among the points of such a class, a calibrated network is
-    right as often as its confidence says; among the points of a true class it need not be.
+    Among the points of such a class, a calibrated network is right as often as its confidence says;
+    among the points of a true class it need not be.
     """
 
-    # Expected calibration error of a scan over 10 bins, mean over the scans, 0…1
-    ece_per_scan: float
+    ece_per_scan: float  # Expected calibration error of a scan over 10 bins, mean over the scans
     reliability: Reliability  # The diagram over 15 bins
 
 
@@ -84,21 +80,11 @@ class CalibrationResult(GroupedScores[CalibrationScores]):
 class RankingResult(GroupedScores[RankingScores]):
     """Scores of one kind of uncertainty as a detector of wrong points, by true class."""
 
-    # Spearman's rank correlation, over the classes present, of the mean uncertainty of a class and
-    # its number of points, -1…1
+    # Rank correlation, over the classes present, of mean uncertainty and number of points, -1…1
     class_size_correlation: float
-    # (100,) float64: share of wrong points among the least uncertain 1 %, 2 %, … 100 %
-    risk_coverage: Ratios
+    risk_coverage: Ratios  # (100,): share of wrong points among the least uncertain 1 %, … 100 %
     thresholds: Ratios  # (100,) float64: largest uncertainty of these points, at most 1 % too large
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ErrorResult(RankingResult):
-    """Scores of the error, which is the probability that a label is wrong."""
-
-    # Expected calibration error over 15 bins of equal width, 0…1: mean over the points of the gap
-    # between the share of wrong points and the mean error of their bin
-    ece: float
+    ece: float | None = None  # Expected calibration error, 0…1, of the error, a probability
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,17 +92,8 @@ class UncertaintyEvaluation:
     """Evaluation of the probabilities and uncertainties that lie beside predictions."""
 
     calibration: CalibrationResult | None  # Result for the probabilities; None without any
-    # Results by kind of uncertainty, that of "error" an `ErrorResult`; empty without any
-    kinds: dict[str, RankingResult]
-    # A threshold worth using, of the error, else of the entropy; None where neither is known of any
-    # point
-    kept: KeptPoints | None = None
-
-    @property
-    def error(self) -> ErrorResult | None:
-        """Result for the error, which is a probability; None without any."""
-        found = self.kinds.get("error")
-        return found if isinstance(found, ErrorResult) else None
+    kinds: dict[str, RankingResult]  # Results by kind of uncertainty
+    kept: KeptPoints | None = None  # A threshold worth using, if a kind is known of all scans
 
     def to_dict(self, space: LabelSpace) -> dict[str, Any]:
         """Return plain data for JSON, without absent parts; null stands for NaN."""
@@ -167,16 +144,14 @@ def _ranking_result(counts: ScanCounts, kind: str, space: LabelSpace) -> Ranking
     by_class = counts.histograms[kind, CLASS]
     present, means = by_class.points > 0, by_class.means("uncertainty")
     risk, thresholds = risk_coverage(*by_class.total().counts[:, 0])
-    found = {
+    of_error = counts.histograms[OF_ERROR].counts[:, 0] if kind == "error" else None
+    return RankingResult(
         **_grouped(ranking_scores, counts, kind, space),
-        "class_size_correlation": spearman(means[present], by_class.points[present]),
-        "risk_coverage": risk,
-        "thresholds": thresholds,
-    }
-    if kind != "error":
-        return RankingResult(**found)
-    of_error = counts.histograms[OF_ERROR].counts[:, 0]
-    return ErrorResult(**found, ece=reliability(of_error).error)
+        class_size_correlation=spearman(means[present], by_class.points[present]),
+        risk_coverage=risk,
+        thresholds=thresholds,
+        ece=None if of_error is None else reliability(of_error).error,
+    )
 
 
 def _grouped(
@@ -189,7 +164,7 @@ def _grouped(
         "scans": by_class.scans,
         "left_out": by_class.left_out,
         "classes": {i: divide(by_class.group(i)) for i in np.flatnonzero(space.scored).tolist()},
-        "by_distance": {name: divide(by_ring.group(i)) for i, name in enumerate(RING_NAMES)}
-        if by_ring
-        else {},
+        "by_distance": {
+            name: divide(by_ring.group(i)) for i, name in enumerate(RING_NAMES) if by_ring
+        },
     }

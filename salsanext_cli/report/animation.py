@@ -5,14 +5,14 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
 from subprocess import DEVNULL, PIPE, Popen
 from tempfile import TemporaryDirectory, TemporaryFile
-from typing import TYPE_CHECKING, BinaryIO, TypeVar, cast
+from typing import TYPE_CHECKING, BinaryIO, cast
 
 import numpy as np
 
@@ -30,7 +30,6 @@ LARGEST_PX = (1280, 1080)
 """Width and height that a frame is reduced to."""
 PALETTE, MOST_KEPT = 256, 192
 """Colours of a GIF, and how many of them may be chosen beforehand."""
-Taken = TypeVar("Taken")
 
 log = logging.getLogger(__name__)
 
@@ -59,13 +58,11 @@ def animate(
     # Every fifth colour of the map, from the high end.
     kept = np.concatenate([OUTCOMES, map_on_dark()[::-5], screen_colours(space)])
     for sequence in dict.fromkeys(scan.sequence for scan in scans):
-        mine = (scan for scan in scans if scan.sequence == sequence)
-        pictures = [
-            path for path in (output.path(scan, "pictures") for scan in mine) if path.exists()
-        ]
-        path = _animation(output.root, sequence, form)
+        drawn = [output.path(scan, "pictures") for scan in scans if scan.sequence == sequence]
+        pictures = [path for path in drawn if path.exists()]
         if not pictures:
             continue
+        path = _animation(output.root, sequence, form)
         if form == "gif":
             output.write(path, encode_gif(pictures, frames_per_second, kept))
         else:
@@ -75,10 +72,9 @@ def animate(
 
 def find_ffmpeg() -> str:
     """Return the path of ffmpeg."""
-    found = shutil.which("ffmpeg")
-    if found is None:
-        raise UsageError("--mp4", "no ffmpeg found", "it on the PATH", "install it, or use --gif")
-    return found
+    if path := shutil.which("ffmpeg"):
+        return path
+    raise UsageError("--mp4", "no ffmpeg found", "it on the PATH", "install it, or use --gif")
 
 
 def frames(pictures: Sequence[Path]) -> Iterator[Image]:
@@ -88,22 +84,25 @@ def frames(pictures: Sequence[Path]) -> Iterator[Image]:
     """
     from PIL import Image
 
-    sizes = [_of(path, lambda picture: picture.size) for path in pictures]
-    width, height = (max(side) for side in zip(*sizes, strict=True))
+    sizes = []
+    for path in pictures:
+        with _opened(path) as picture:
+            sizes.append(picture.size)
+    width, height = np.max(sizes, axis=0).tolist()
     share = min(1.0, LARGEST_PX[0] / width, LARGEST_PX[1] / height)
     size = (_even(width * share), _even(height * share))
     for path in pictures:
         whole = Image.new("RGB", (width, height), NIGHT)
-        whole.paste(_of(path, lambda picture: picture.convert("RGB")), (0, 0))
+        with _opened(path) as picture:
+            whole.paste(picture.convert("RGB"), (0, 0))
         yield whole.resize(size, Image.Resampling.LANCZOS, reducing_gap=3.0)
 
 
 def encode_gif(pictures: Sequence[Path], frames_per_second: float, kept: Colours) -> bytes:
     """Return pictures as the content of a GIF file that repeats without end.
 
-    `pictures`: at least one; `kept` (N, 3) uint8, colours that mean something, however rare: they
-    stay as they are, the first 192 of them. The other colours are those of the first picture, as
-    far as a palette of 256 has them.
+    `kept` (N, 3): colours that mean something, however rare: the first 192 stay as they are. The
+    others are those of the first picture, as far as a palette of 256 has them.
     """
     from PIL import Image
 
@@ -112,25 +111,18 @@ def encode_gif(pictures: Sequence[Path], frames_per_second: float, kept: Colours
     palette = Image.new("P", (1, 1))
     palette.putpalette([value for colour in exact for value in colour] + others)
     # Without dithering what does not move stays as it is.
-    reduced = (
-        frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames(pictures)
-    )
-    content = BytesIO()
-    next(reduced).save(
-        content,
-        format="GIF",
-        save_all=True,
-        append_images=reduced,
-        duration=round(1000 / frames_per_second),
-        loop=0,
-    )
+    still = Image.Dither.NONE
+    reduced = (frame.quantize(palette=palette, dither=still) for frame in frames(pictures))
+    content, duration = BytesIO(), round(1000 / frames_per_second)
+    first = next(reduced)
+    first.save(content, "GIF", save_all=True, append_images=reduced, duration=duration, loop=0)
     return content.getvalue()
 
 
 def encode_mp4(pictures: Sequence[Path], frames_per_second: float) -> bytes:
     """Return pictures as the content of an MP4 file, H.264 as browsers show it."""
-    made_of = frames(pictures)
-    first = next(made_of)
+    rest = frames(pictures)
+    first = next(rest)
     size = f"{first.width}x{first.height}"
     command = [find_ffmpeg(), "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size]
     command += ["-framerate", f"{frames_per_second:g}", "-i", "-", "-c:v", "libx264"]
@@ -143,7 +135,7 @@ def encode_mp4(pictures: Sequence[Path], frames_per_second: float) -> bytes:
             suppress(BrokenPipeError),
             cast("BinaryIO", ffmpeg.stdin) as pipe,
         ):
-            for frame in chain([first], made_of):
+            for frame in chain([first], rest):
                 pipe.write(frame.tobytes())
         if ffmpeg.returncode:
             errors.seek(0)
@@ -153,13 +145,14 @@ def encode_mp4(pictures: Sequence[Path], frames_per_second: float) -> bytes:
         return made.read_bytes()
 
 
-def _of(path: Path, take: Callable[[Image], Taken]) -> Taken:
-    """Return what a function takes of a picture while its file is open."""
+@contextmanager
+def _opened(path: Path) -> Iterator[Image]:
+    """Open a picture; a file that is none, or is cut off, is an error that names it."""
     from PIL import Image
 
     try:
         with Image.open(path) as picture:
-            return take(picture)
+            yield picture
     except (OSError, SyntaxError, ValueError) as error:
         found = "no picture, or cut off"
         raise FormatError(path, found, remedy="draw it again: delete it, or --overwrite") from error

@@ -10,10 +10,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Container
 from io import BytesIO
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.report.colours import EMPTY, Colours, Legend
 
 if TYPE_CHECKING:
@@ -35,6 +33,7 @@ MARGIN_PX = 28
 LEGEND_STEP_PX = 165
 LEGEND_ROW_PX = 26
 """Size of an entry of a legend."""
+SWATCH_PX = (22, 14)
 
 
 def new_figure(width: int, height: int, background: str = NIGHT) -> Figure:
@@ -47,10 +46,9 @@ def new_figure(width: int, height: int, background: str = NIGHT) -> Figure:
 def new_picture(
     width: int, height: int, legend: Legend, legend_width: int, absent: Container[str] = ()
 ) -> Figure:
-    """Return an empty figure of a size in pixels, and a legend below it if that has entries.
+    """Return an empty figure of a size in pixels with a legend below it, if that has entries.
 
-    The legend is a swatch and a name for each entry, in rows of a width in pixels. An absent one
-    has its place and its name, faintly.
+    An absent entry has its place and its name, faintly.
     """
     columns = max(1, legend_width // LEGEND_STEP_PX)
     rows = -(-len(legend) // columns)
@@ -59,20 +57,18 @@ def new_picture(
         left = MARGIN_PX + i % columns * LEGEND_STEP_PX
         top = height + i // columns * LEGEND_ROW_PX
         if name not in absent:
-            _show_swatch(figure, colour, left, top + 3, 22, 14)
+            _show_swatch(figure, colour, left, top + 3)
         text_at(figure, left + 30, top + 10, name, 15, DIM if name in absent else INK)
     return figure
 
 
-def _show_swatch(
-    figure: Figure, colour: tuple[int, int, int], left: int, top: int, width: int, height: int
-) -> None:
+def _show_swatch(figure: Figure, colour: tuple[int, int, int], left: int, top: int) -> None:
     """Fill a rectangle; axes for each entry of a legend would take most of the time to draw."""
     from matplotlib.patches import Rectangle
 
-    full_width, full_height = figure.get_size_inches() * DPI
-    corner = left / full_width, 1 - (top + height) / full_height
-    size = width / full_width, height / full_height
+    width, height = figure.get_size_inches() * DPI
+    corner = left / width, 1 - (top + SWATCH_PX[1]) / height
+    size = SWATCH_PX[0] / width, SWATCH_PX[1] / height
     filled = Rectangle(corner, *size, transform=figure.transFigure, linewidth=0)
     filled.set(facecolor=[part / 255 for part in colour], antialiased=False)
     figure.add_artist(filled)
@@ -140,8 +136,3 @@ def png_of(figure: Figure) -> bytes:
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         figure.savefig(png, format="png", dpi=DPI, metadata={"Software": None})
     return png.getvalue()
-
-
-def save_png(figure: Figure, path: Path) -> None:
-    """Write a figure; the file appears when it is complete."""
-    write_bytes(path, png_of(figure))

@@ -1,21 +1,29 @@
 # SPDX-License-Identifier: MIT
-"""Colours of labels and values, for pictures and point clouds."""
+"""Colours of labels and values, for pictures and point clouds, and scales of values."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.results.layout import COLOURINGS
+from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.results.layout import COLOURINGS, ScanFile
+from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
+from salsanext_cli.sensors.sensor import Sensor
 
 Colours = npt.NDArray[np.uint8]
 Values = npt.NDArray[np.float64]
 Legend = Sequence[tuple[str, tuple[int, int, int]]]
 """Names with their red, green, blue."""
+Scales = dict[str, tuple[float, float]]
+"""Values at the ends of the colour map, by colour."""
 
 EMPTY = (36, 38, 45)
 """Colour of a place without a measurement."""
@@ -48,6 +56,7 @@ WRONG = (255, 72, 48)
 """Colours of points with a right and with a wrong label."""
 SCALE_PERCENTILES = (1.0, 99.0)
 """Ends of a colour scale by default, which leave out a few outliers."""
+SCANS_FOR_SCALE = 20
 OUTCOME_LEGEND = (("right", RIGHT), ("wrong", WRONG))
 OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)
 """Colours of points that are not judged, right and wrong, (3, 3)."""
@@ -59,24 +68,13 @@ COLOURS = (*COLOURINGS, "uncertainty")
 def error_colours(
     truth: npt.NDArray[Any], predicted: npt.NDArray[Any], space: LabelSpace
 ) -> Colours:
-    """Return `RIGHT`, `WRONG`, or `EMPTY` where the truth is ignored.
-
-    `truth`, `predicted`: train ids; `space`: label space with the ignored classes.
-
-    Returns (…, 3) uint8, red, green, blue.
-    """
-    place = np.where(space.scored[truth], 1 + (truth != predicted), 0)
-    colours: Colours = OUTCOMES[place]
+    """Return `RIGHT`, `WRONG`, or `EMPTY` where the truth is ignored, (…, 3), of train ids."""
+    colours: Colours = OUTCOMES[np.where(space.scored[truth], 1 + (truth != predicted), 0)]
     return colours
 
 
 def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
-    """Return the lowest and highest value that a colour scale should span.
-
-    `values`: values to colour; NaN and infinity are left out.
-
-    Returns the 1st and the 99th percentile; (0, 1) without values.
-    """
+    """Return the 1st and the 99th percentile, the ends of a colour scale; (0, 1) without values."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return 0.0, 1.0
@@ -84,18 +82,43 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def common_scales(
+    out: Path, scans: Sequence[ScanFile], colours: Iterable[str], space: LabelSpace, sensor: Sensor
+) -> Scales:
+    """Find what most points of some evenly spaced scans span; classes have no scale."""
+    folder = ResultFolder(out)
+    values: dict[str, list[npt.NDArray[Any]]] = {}
+    sampled: dict[ScanFile, list[str]] = {}
+    for colour in [each for each in colours if each not in CLASS_COLOURS]:
+        values[colour] = [np.empty(0, np.float32)]
+        known = folder.with_column(colour, scans)
+        for file in known[:: -(-len(known) // SCANS_FOR_SCALE) or 1]:
+            sampled.setdefault(file, []).append(colour)
+    for file, wanted in sampled.items():
+        # A scan that cannot be read is named when it is worked on.
+        with suppress(SalsanextError):
+            columns = scalar_columns(folder.read(file, sensor), space)
+            for colour in wanted:
+                values[colour].append(columns[colour])
+    return {colour: value_range(np.concatenate(found)) for colour, found in values.items()}
+
+
+def require_colouring(colours: Iterable[str], scale: tuple[float, float] | None) -> None:
+    """Refuse colours that there are not, and a scale that is none."""
+    for colour in colours:
+        if colour not in COLOURS:
+            raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
+    if scale and not (scale[0] < scale[1] and all(map(math.isfinite, scale))):
+        raise UsageError("--scale", f"{scale[0]} {scale[1]}", "a lower and a higher number")
+
+
 def on_dark(colours: npt.ArrayLike) -> Colours:
-    """Mix colours with white that are too dark to be seen on `EMPTY`; leave the others.
-
-    `colours` (N, 3) uint8, red, green, blue.
-
-    Returns (N, 3) uint8, with a contrast to `EMPTY` of `LEAST_CONTRAST` or more.
-    """
+    """Mix colours (N, 3) with white until their contrast to `EMPTY` is `LEAST_CONTRAST` or more."""
     white = np.linspace(0, 1, 256)[:, None, None]
     mixed = np.rint((1 - white) * np.asarray(colours) + white * 255)
     enough = _luminance(mixed) >= LEAST_CONTRAST * _luminance(np.array(EMPTY))
-    found: Colours = mixed[enough.argmax(axis=0), np.arange(mixed.shape[1])].astype(np.uint8)
-    return found
+    lightened: Colours = mixed[enough.argmax(axis=0), np.arange(mixed.shape[1])].astype(np.uint8)
+    return lightened
 
 
 def _luminance(colours: npt.NDArray[Any]) -> Values:
@@ -108,11 +131,12 @@ def screen_colours(space: LabelSpace) -> Colours:
     """Return the colours of the classes in pictures, plots and pages, (C, 3).
 
     They are those of the label space, dark ones lightened. If two of these differ by less than
-    `LEAST_DIFFERENCE`, each class gets one of `APART`, those nearest to their own first; more
-    classes than these get what differs most. A class keeps its own if that is far enough from all.
+    `LEAST_DIFFERENCE`, each class gets one of `APART`, those nearest to their own first. A class
+    keeps its own if that is far enough from all.
     """
     own = on_dark(space.colours)
-    if _least_difference(own) >= LEAST_DIFFERENCE:
+    first, second = np.triu_indices(len(own), 1)
+    if (colour_difference(own[first], own[second]) >= LEAST_DIFFERENCE).all():
         return own
     apart = _spread(len(own))
     colours, differences = own.copy(), colour_difference(own[:, None], apart)
@@ -139,12 +163,6 @@ def _spread(count: int) -> Colours:
     return apart
 
 
-def _least_difference(colours: Colours) -> float:
-    """Return the least difference of two of (N, 3) colours; infinity if there are no two."""
-    first, second = np.triu_indices(len(colours), 1)
-    return float(colour_difference(colours[first], colours[second]).min(initial=np.inf))
-
-
 def _linear(colours: npt.NDArray[Any]) -> Values:
     """Return the light of sRGB values of 0 to 255, from 0 to 1."""
     share = colours / 255
@@ -168,8 +186,7 @@ def lab_of(colours: Colours) -> Values:
 def lab_difference(first: Values, second: Values) -> Values:
     """Return the difference of CIELAB colours, (…, 3) each, by CIEDE2000.
 
-    Sharma, Wu and Dalal, The CIEDE2000 color-difference formula, Color Research & Application 30
-    (2005), 21.
+    Sharma, Wu and Dalal, Color Research & Application 30 (2005), 21.
     """
     (l1, a1, b1), (l2, a2, b2) = np.moveaxis(first, -1, 0), np.moveaxis(second, -1, 0)
     stretch = 1.5 - _saturation((np.hypot(a1, b1) + np.hypot(a2, b2)) / 2) / 2
@@ -211,13 +228,9 @@ def map_on_dark() -> Colours:
 def value_colours(
     values: npt.NDArray[Any], low: float, high: float, colour_map: Colours | None = None
 ) -> Colours:
-    """Colour values by a perceptually uniform map.
+    """Colour values, (…) to (…, 3), from the low to the high end of a map (256, 3); NaN is `EMPTY`.
 
-    `values`: values; those beyond the scale get the colour of its end, NaN gets `EMPTY`; `low`,
-    `high`: the values at the two ends of the scale; `colour_map` (256, 3) uint8, optional,
-    otherwise `map_on_dark`, that of pictures.
-
-    Returns (…, 3) uint8, red, green, blue.
+    The map is otherwise that of pictures, `map_on_dark`.
     """
     span = high - low if high > low else 1.0
     share = np.clip((values.astype(np.float64) - low) / span, 0, 1)
@@ -248,8 +261,7 @@ class PointColours:
     colour: str  # One of `COLOURS`, "uncertainty" aside
     scale: tuple[float, float]  # Values at the ends of the colour map, for colours that are values
     space: LabelSpace  # Colours of the classes
-    # Whether they are seen on `EMPTY`, in a picture, and not in a file for other tools
-    dark: bool = False
+    dark: bool = False  # Whether they are seen on `EMPTY`, and not in a file for other tools
 
     @property
     def is_class(self) -> bool:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Picked scans as a table, as the reasons in words, and as a sheet of pictures."""
 
+from __future__ import annotations
+
 import csv
 import io
 from collections.abc import Sequence
@@ -8,7 +10,6 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from rich.markup import escape
 from rich.table import Table
 
@@ -24,7 +25,6 @@ from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import (
     EMPTY,
-    Colours,
     legend_of,
     map_on_dark,
     screen_colours,
@@ -44,15 +44,14 @@ NO_CLASS = 255
 
 @dataclass(frozen=True, slots=True)
 class Preview:
-    """Classes and uncertainty of a scan, small enough to be sent and kept."""
+    """Classes and uncertainty of a scan in at most `STRIP_WIDTH_PX` columns."""
 
-    # (H, W) uint8: train ids, `NO_CLASS` where empty; at most `STRIP_WIDTH_PX` columns
-    classes: TrainIds
+    classes: TrainIds  # (H, W) uint8: train ids, `NO_CLASS` where empty
     uncertainty: Float  # (H, W) float32: NaN where empty
 
     @classmethod
-    def of(cls, labelled: LabelledScan, uncertainty: Float) -> "Preview":
-        """Take every so many columns of a scan's range image and of a pixel's uncertainty."""
+    def of(cls, labelled: LabelledScan, uncertainty: Float) -> Preview:
+        """Take every so many columns of a scan's range image and of its pixels' uncertainty."""
         image, step = labelled.image, -(-labelled.image.width // STRIP_WIDTH_PX)
         classes = pixels_from_points(labelled.labels, image.point_of_pixel, NO_CLASS)
         values = np.where(image.point_of_pixel < 0, np.float32(np.nan), uncertainty)
@@ -60,10 +59,7 @@ class Preview:
 
 
 def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) -> bytes:
-    """Return a PLY of a scan, coloured by its labels, with scalars that CloudCompare shows.
-
-    `uncertainty` (H, W): of the pixels.
-    """
+    """Return a PLY of a scan, coloured by its labels, with scalars that CloudCompare shows."""
     scan, labels = labelled.scan, labelled.labels
     columns: dict[str, Any] = dict(zip("xyz", scan.points.T, strict=True))
     columns |= zip(("red", "green", "blue"), space.colours[labels].T, strict=True)
@@ -76,10 +72,9 @@ def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) 
 
 
 def reason(choice: Choice, rank: int, strategy: str, scans: int, nearest: str | None) -> str:
-    """Say in words why a scan was picked.
+    """Say in words why a scan was picked at a rank, from 1, out of some number of scans.
 
-    `rank`: from 1; `strategy`: one of `scan_choice.STRATEGIES`; `scans`: number of scans to choose
-    from; `nearest`: name of the nearest scan picked before.
+    `nearest`: name of the nearest scan picked before.
     """
     if scans == 1:
         return "the only scan"
@@ -111,8 +106,8 @@ def picked_scans(
             before, distance = files[choice.nearest], choice.distance
             nearest = f"{before.sequence}/{before.stem}"
         why = reason(choice, rank, strategy, len(files), nearest)
-        named = (rank, file.sequence, file.stem)
-        picked.append(PickedScan(*named, choice.uncertainty, distance, nearest, why))
+        of_choice = (choice.uncertainty, distance, nearest, why)
+        picked.append(PickedScan(rank, file.sequence, file.stem, *of_choice))
     return picked
 
 
@@ -126,8 +121,7 @@ def picked_table(picked: Sequence[PickedScan]) -> Table:
     table.add_column("reason", overflow="fold")
     for each in picked:
         distance = ABSENT if each.distance is None else f"{each.distance:.2f}"
-        texts = (escape(printable(text)) for text in (each.name, each.reason))
-        name, words = texts
+        name, words = escape(printable(each.name)), escape(printable(each.reason))
         table.add_row(str(each.rank), name, f"{each.uncertainty:.4f}", distance, words)
     return table
 
@@ -145,11 +139,7 @@ def picked_csv(picked: Sequence[PickedScan]) -> bytes:
 def picked_sheet(
     picked: Sequence[PickedScan], previews: Sequence[Preview], space: LabelSpace
 ) -> bytes:
-    """Return a PNG: classes and uncertainty of each picked scan, with its rank and the reason.
-
-    `picked`: the first `MAX_ON_SHEET` are drawn; `previews`: of the same scans; `space`: of the
-    classes.
-    """
+    """Return a PNG: classes and uncertainty of the first picked scans, with ranks and reasons."""
     drawn = list(zip(picked, previews, strict=True))[:MAX_ON_SHEET]
     low, high = value_range(np.concatenate([p.uncertainty.ravel() for _, p in drawn]))
     classes = [preview.classes[preview.classes != NO_CLASS] for _, preview in drawn]
@@ -165,22 +155,17 @@ def picked_sheet(
         top = HEAD_PX + number * row_px
         title = printable(f"{each.rank}   {each.name}   {each.reason}")
         canvas.text_at(figure, MARGIN_PX, top + TITLE_PX // 2 + 2, title, 17)
-        strips: tuple[Colours, Colours] = (
-            colours[preview.classes],
-            value_colours(preview.uncertainty, low, high),
-        )
-        for left, strip in zip((MARGIN_PX, right), strips, strict=True):
+        values = value_colours(preview.uncertainty, low, high)
+        for left, strip in ((MARGIN_PX, colours[preview.classes]), (right, values)):
             place = (left, top + TITLE_PX, STRIP_WIDTH_PX, STRIP_HEIGHT_PX)
             canvas.show_pixels(figure, strip, *place)
     return canvas.png_of(figure)
 
 
 def _draw_scale(figure: Any, low: float, high: float, left: int, right: int) -> None:
-    """Draw the head of the uncertainties, with the meaning of their colours."""
     middle = HEAD_PX // 2
     canvas.text_at(figure, left, middle, "uncertainty: mutual information, nats", 18)
-    bar: npt.NDArray[np.uint8] = map_on_dark()[None]
     start = right - BAR_PX - 70
     canvas.text_at(figure, start - 60, middle, f"{low:.3f}", 15)
-    canvas.show_pixels(figure, bar, start, middle - 8, BAR_PX, 16)
+    canvas.show_pixels(figure, map_on_dark()[None], start, middle - 8, BAR_PX, 16)
     canvas.text_at(figure, start + BAR_PX + 10, middle, f"{high:.3f}", 15)

@@ -1,21 +1,34 @@
 # SPDX-License-Identifier: MIT
-"""Plots of scores, the confusion matrix and the search for a dropout rate."""
+"""Plots of scores, confusions, probabilities, uncertainties and the search for a dropout rate."""
+
+from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.measures.confusion import Confusion, ratio
-from salsanext_cli.measures.scores import Scores
-from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
-from salsanext_cli.report import canvas, plots, uncertainty_plots
+from salsanext_cli.files.atomic import write_bytes
+from salsanext_cli.measures.risk_coverage import COVERAGE
+from salsanext_cli.measures.scores import Confusion, Ratios, Scores, ratio
+from salsanext_cli.measures.uncertainty_evaluation import (
+    CalibrationResult,
+    RankingResult,
+    UncertaintyEvaluation,
+)
+from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
 from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.tables import percent
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.transforms import Bbox
 
 PICTURES = {
     "eval_iou.png": "IoU of every class",
@@ -26,49 +39,69 @@ PICTURES = {
     "eval_class_uncertainty.png": "Mean epistemic uncertainty of the classes",
 }
 """All plots, by the name of the file, in words."""
-ROW_PX = 28
-"""Height of a class in the bar plot."""
-CELL_PX = 46
-"""Height and width of a cell of the matrix."""
+ROW_PX, CELL_PX = 28, 46
+"""Height of a class in the bar plot, and side of a cell of the matrix."""
 NAMES_PX = 150
 """Space for the names of classes."""
 SMALLEST_SHARE = 0.005
 """Shares below this round to 0 % and are not written into their cell."""
 BEST_COLOUR = "#b3472f"
+BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
+PURPLE = "#cc79a7"
+"""Colours that colour-blind people can tell apart."""
+DASHED = (0, (5, 2))
+LINES = {
+    "confidence": (DARK, "-"),
+    "softmax_entropy": (DARK, DASHED),
+    "error": (PURPLE, "-"),
+    "epistemic": (BLUE, "-"),
+    "mutual_information": (BLUE, DASHED),
+    "aleatoric": (ORANGE, "-"),
+    "total": (RED, "-"),
+    "entropy": (GREEN, "-"),
+}
+"""Colour and dashes of each kind of uncertainty."""
+PLOT_PX = 720, 560
+"""Width and height of every plot here, so that their text is of one size on a page."""
+LEFT, TOP, WIDTH, TITLE_TOP = 80, 60, 600, 30
+"""Place of the main axes and of the title, in pixels."""
+HEIGHT, HEIGHT_ABOVE = 430, 330
+"""Height of the main axes, and of those that have a legend or other axes below them."""
+BELOW_PX = 90
+"""Height in pixels of the axes below them, which show the distribution of the points."""
+DISTANCES_PX = (9, 16, 26, 40, 56, 76, 100)
+DIRECTIONS_DEG = (0, 180, 90, 270, 30, 330, 150, 210, 60, 300, 120, 240)
+"""Distances and directions from a dot to its name, in the order of the attempts."""
+DOT_PX = 6
+"""Half the width in pixels of the square around a dot that no name may cover."""
 
 
 def evaluation_pictures(
     scores: Scores, confusion: Confusion, uncertainty: UncertaintyEvaluation, space: LabelSpace
 ) -> dict[str, bytes]:
     """Draw what there is to an evaluation, PNG by name, in the order of `PICTURES`."""
-    scored = {
-        "eval_iou.png": plots.iou_bars(scores, space),
-        "eval_confusion.png": plots.confusion_picture(confusion, space),
+    return {
+        "eval_iou.png": iou_bars(scores, space),
+        "eval_confusion.png": confusion_picture(confusion, space),
+        **uncertainty_pictures(uncertainty, space),
     }
-    return scored | uncertainty_pictures(uncertainty, space)
 
 
 def uncertainty_pictures(uncertainty: UncertaintyEvaluation, space: LabelSpace) -> dict[str, bytes]:
     """Draw what there is to probabilities and uncertainties, as `evaluation_pictures`."""
     pictures = {}
     if uncertainty.calibration:
-        diagram = uncertainty_plots.reliability_diagram(uncertainty.calibration)
-        pictures["eval_reliability.png"] = diagram
+        pictures["eval_reliability.png"] = reliability_diagram(uncertainty.calibration)
     if uncertainty.kinds:
-        pictures["eval_risk_coverage.png"] = uncertainty_plots.risk_coverage(uncertainty.kinds)
-        pictures["eval_sparsification.png"] = uncertainty_plots.sparsification(uncertainty.kinds)
+        pictures["eval_risk_coverage.png"] = risk_coverage(uncertainty.kinds)
+        pictures["eval_sparsification.png"] = sparsification(uncertainty.kinds)
     if epistemic := uncertainty.kinds.get("epistemic"):
-        picture = uncertainty_plots.class_uncertainty(epistemic, space)
-        pictures["eval_class_uncertainty.png"] = picture
+        pictures["eval_class_uncertainty.png"] = class_uncertainty(epistemic, space)
     return pictures
 
 
 def iou_bars(result: Scores, space: LabelSpace) -> bytes:
-    """Draw the IoU of every class as a bar in the class's colour, as a PNG.
-
-    `result`: scores to draw; a class that is absent from the truth has no bar; `space`: colours of
-    the classes.
-    """
+    """Draw the IoU of every class that the truth holds as a bar in its colour, as a PNG."""
     height = ROW_PX * len(result.classes)
     title = f"{result.points:,} labelled points · accuracy {percent(result.accuracy, 1, ' %')}"
     figure, axes = canvas.new_plot(900, height + 130, (NAMES_PX, 70, 690, height), title)
@@ -80,7 +113,9 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
         absent = math.isnan(share)
         text, colour = ("absent", canvas.FAINT) if absent else (f"{share:.1f}", DARK)
         axes.text(
-            *((0 if absent else share) + 1, place, text),
+            1 if absent else share + 1,
+            place,
+            text,
             color=colour,
             fontsize=9,
             va="center_baseline",
@@ -103,8 +138,7 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
 def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
     """Draw the confusion matrix, each row in percent of its true class, as a PNG.
 
-    `confusion`: counts over the train ids of `space`; `space`: names of the classes; ignored ones
-    have a column, but no row.
+    Ignored classes have a column, but no row.
     """
     import matplotlib
 
@@ -119,9 +153,8 @@ def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
     for (row, column), share in np.ndenumerate(shares):
         if share >= SMALLEST_SHARE:
             colour = "white" if share > 0.5 else DARK
-            axes.text(
-                column, row, f"{100 * share:.0f}", color=colour, ha="center", va="center", size=9
-            )
+            text = f"{100 * share:.0f}"
+            axes.text(column, row, text, color=colour, ha="center", va="center", size=9)
     names = space.names
     axes.set_yticks(range(len(scored)), [names[i] for i in scored], parse_math=False)
     slanted: dict[str, Any] = {"rotation": 45, "ha": "right", "rotation_mode": "anchor"}
@@ -151,4 +184,173 @@ def rate_curve(
     axes.set_xlabel("dropout rate")
     axes.set_ylabel("objective per point")
     canvas.plain_frame(axes)
-    canvas.save_png(figure, path)
+    write_bytes(path, canvas.png_of(figure))
+
+
+def reliability_diagram(result: CalibrationResult) -> bytes:
+    """Draw accuracy against confidence, and the distribution of the points below, as a PNG."""
+    diagram, scores = result.reliability, result.scores
+    title = f"Calibration of the softmax · {scores.points:,} points"
+    if scores.points:
+        title += f" · ECE {percent(scores.ece, 2, ' %')}"
+    figure, axes = _main_plot(title, HEIGHT_ABOVE)
+    bins = len(diagram.points)
+    edges, width = 100 * np.arange(bins) / bins, 100 / bins
+    accuracy = np.nan_to_num(100 * diagram.accuracy)
+    gap = np.nan_to_num(100 * diagram.confidence) - accuracy
+    axes.bar(edges, accuracy, width, align="edge", color=SKY, edgecolor=canvas.PAPER)
+    hatched: dict[str, Any] = {"color": "none", "edgecolor": RED, "linewidth": 0.8, "hatch": "////"}
+    label = "gap to the mean confidence"
+    axes.bar(edges, gap, width, accuracy, align="edge", label=label, **hatched)
+    axes.plot([0, 100], [0, 100], color=DARK, linestyle=DASHED, linewidth=1, label="calibrated")
+    axes.set_ylim(0, 100)
+    axes.set_ylabel("accuracy in %")
+    axes.legend(loc="upper left", frameon=False, fontsize=10)
+    below = canvas.axes_at(figure, LEFT, TOP + HEIGHT_ABOVE + 14, WIDTH, BELOW_PX)
+    shares = 100 * diagram.points / max(scores.points, 1)
+    below.bar(edges, shares, width, align="edge", color=canvas.FAINT, edgecolor=canvas.PAPER)
+    below.set_ylabel("points in %")
+    below.set_ylim(0, max(1.0, 1.1 * float(shares.max())))
+    below.set_xlabel("confidence in %")
+    axes.set_xticks(range(0, 101, 20), [""] * 6)
+    below.set_xticks(range(0, 101, 20))
+    for each in (axes, below):
+        each.set_xlim(0, 100)
+        canvas.plain_frame(each)
+    return canvas.png_of(figure)
+
+
+def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:
+    """Draw the share of wrong points among the least uncertain, a curve per kind, as a PNG."""
+    curves = {
+        kind: (f"AURC {percent(result.scores.aurc, 2, ' %')}", 100 * result.risk_coverage)
+        for kind, result in kinds.items()
+    }
+    return _curves(
+        "Wrong points among those that are kept",
+        100 * COVERAGE,
+        curves,
+        best_orders=[100 * risk for risk in _best_orders(kinds)],
+        xlabel="coverage: least uncertain points that are kept, in %",
+        ylabel="risk: wrong points among them, in %",
+    )
+
+
+def sparsification(kinds: Mapping[str, RankingResult]) -> bytes:
+    """Draw the share of wrong points that remain as the most uncertain are removed, as a PNG."""
+    curves = {
+        kind: (f"AUSE {result.scores.ause:.3f}", result.risk_coverage / result.risk_coverage[-1])
+        for kind, result in kinds.items()
+        if result.scores.wrong
+    }
+    return _curves(
+        "Wrong points that are left as the most uncertain are removed",
+        100 * (1 - COVERAGE),
+        curves,
+        best_orders=[risk / risk[-1] for risk in _best_orders(kinds)],
+        xlabel="most uncertain points that are removed, in %",
+        ylabel="share of wrong points, of that among all",
+    )
+
+
+def _curves(
+    title: str,
+    x: Ratios,
+    curves: Mapping[str, tuple[str, Ratios]],
+    best_orders: Sequence[Ratios],
+    **axis_labels: str,
+) -> bytes:
+    """Draw a score and a curve per kind, and the curves of the best orders, as a PNG."""
+    figure, axes = _main_plot(title, HEIGHT_ABOVE)
+    for kind, (score, y) in curves.items():
+        colour, dashes = LINES[kind]
+        axes.plot(x, y, color=colour, linestyle=dashes, label=f"{kind} · {score}")
+    dotted: dict[str, Any] = {"color": canvas.FAINT, "linestyle": (0, (1, 2)), "linewidth": 1.4}
+    for i, y in enumerate(best_orders):
+        axes.plot(x, y, **dotted, label="" if i else "best order")
+    axes.set(**axis_labels)
+    axes.set_xlim(0, 100)
+    axes.set_ylim(bottom=0)
+    if axes.lines:
+        below: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.15), "ncols": 2}
+        axes.legend(frameon=False, fontsize=10, handlelength=2.6, **below)
+    canvas.plain_frame(axes)
+    return canvas.png_of(figure)
+
+
+def _best_orders(kinds: Mapping[str, RankingResult]) -> list[Ratios]:
+    """Return the risks of the best order; several, as kinds may be known of different points."""
+    scores = [result.scores for result in kinds.values()]
+    rates = sorted({s.wrong / s.points for s in scores if s.wrong})
+    return [np.maximum(0, 1 - (1 - rate) / COVERAGE) for rate in rates]
+
+
+def _main_plot(title: str, height: int = HEIGHT) -> tuple[Figure, Axes]:
+    """Return a figure and its main axes, of a height in pixels."""
+    return canvas.new_plot(*PLOT_PX, (LEFT, TOP, WIDTH, height), title, TITLE_TOP)
+
+
+def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
+    """Draw the mean epistemic uncertainty of each class against its number of points, as a PNG."""
+    present = {i: scores for i, scores in result.classes.items() if scores.points}
+    points = np.array([scores.points for scores in present.values()], np.float64)
+    means = np.array([scores.mean for scores in present.values()])
+    title = "Epistemic uncertainty of the classes"
+    if not math.isnan(result.class_size_correlation):
+        title += f" · rank correlation {result.class_size_correlation:+.2f}"
+    figure, axes = _main_plot(title)
+    colours = screen_colours(space)[[*present]] / 255
+    axes.scatter(points, means, 60, colours, edgecolors=DARK, linewidths=0.8, zorder=3)
+    axes.set_xscale("log")
+    if present:
+        axes.set_xlim(points.min() / 3, points.max() * 3)
+    axes.set_ylim(0, max(1.12 * float(means.max(initial=0)), 1e-12))
+    axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 2), useMathText=True)
+    axes.set_xlabel("points of the class")
+    axes.set_ylabel("mean epistemic uncertainty")
+    canvas.plain_frame(axes)
+    _name_dots(axes, np.stack([points, means], axis=1), [space.names[i] for i in present])
+    return canvas.png_of(figure)
+
+
+def _name_dots(axes: Axes, dots: Ratios, names: Sequence[str]) -> None:
+    """Write a name beside each dot (N, 2), or farther away with a line to it if there is no room.
+
+    The axes have their final limits and scales.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.lines import Line2D
+    from matplotlib.transforms import Bbox, IdentityTransform
+
+    dots = axes.transData.transform(dots)
+    occupied = [Bbox([dot - DOT_PX, dot + DOT_PX]) for dot in dots]
+    pixels = IdentityTransform()
+    style: dict[str, Any] = {"size": 9, "color": DARK, "va": "center", "parse_math": False}
+    renderer = FigureCanvasAgg(axes.get_figure(root=True)).get_renderer()  # type: ignore[no-untyped-call]
+    for dot, name in zip(dots, names, strict=True):
+        text = axes.text(0, 0, name, transform=pixels, **style)
+        size = np.array(text.get_window_extent(renderer).size)
+        box = _free_place(dot, size, occupied, axes.bbox)
+        text.set_position((box.x0, (box.y0 + box.y1) / 2))
+        occupied.append(box)
+        nearest = np.clip(dot, box.min, box.max)
+        if np.linalg.norm(nearest - dot) > DISTANCES_PX[1]:
+            ends = np.stack([dot, nearest], axis=1)
+            axes.add_line(Line2D(*ends, transform=pixels, color=canvas.FAINT, linewidth=0.7))
+
+
+def _free_place(dot: Ratios, size: Ratios, occupied: Sequence[Bbox], inside: Bbox) -> Bbox:
+    """Return the nearest box of a size that overlaps none and lies inside; all in pixels."""
+    from matplotlib.transforms import Bbox
+
+    boxes = []
+    for distance, direction in product(DISTANCES_PX, np.radians(DIRECTIONS_DEG).tolist()):
+        across, up = distance * math.cos(direction), distance * math.sin(direction)
+        side = round(math.cos(direction))
+        left, bottom = dot + (across - size[0] * (1 - side) / 2, up - size[1] / 2)
+        box = Bbox.from_bounds(left, bottom, *size)
+        within = all(inside.contains(*corner) for corner in (box.min, box.max))
+        if within and not box.count_overlaps(occupied):
+            return box
+        boxes.append(box)
+    return boxes[0]

@@ -18,7 +18,7 @@ from salsanext_cli.records import Float
 from salsanext_cli.report.colours import EMPTY, PointColours, screen_colours
 
 TIMELINE, POINTS, TEXT = "scan", "points", "text"
-"""Timeline, and entities on it: the points with all that is known of them, and a text."""
+"""Timeline, and entities on it."""
 SCANS_PER_SECOND = 10.0
 """Speed at which the viewer plays a recording."""
 BLOCK_BYTES = 1 << 16
@@ -42,9 +42,8 @@ def recording(
 ) -> Iterator[LogScan]:
     """Write a recording to a new file, which is open, while the body logs scans.
 
-    `file`: the file; nothing else is written to it; `name`: name of the recording in the viewer;
-    `colourings`: scalar columns that scans may have, and their colours. Each is a view; `space`:
-    names and colours of the classes.
+    `name`: name of the recording in the viewer; `colourings`: views, by the scalar column that is
+    coloured.
     """
     rerun = import_rerun()
     stream = rerun.RecordingStream("salsanext", send_properties=False)
@@ -112,13 +111,12 @@ def _components(
 
 def _classes(rerun: Any, space: LabelSpace) -> Any:
     """Return name and colour of every raw id."""
-    names, colours = space.names, screen_colours(space).tolist()
-    return rerun.AnnotationContext(
-        [
-            (raw, space.labels.get(raw, names[train]), tuple(colours[train]))
-            for raw, train in space.learning_map.items()
-        ]
-    )
+    colours = screen_colours(space).tolist()
+    classes = [
+        (raw, space.labels.get(raw, space.names[train]), tuple(colours[train]))
+        for raw, train in space.learning_map.items()
+    ]
+    return rerun.AnnotationContext(classes)
 
 
 def _layout(rerun: Any, colourings: Iterable[str]) -> Any:
@@ -128,9 +126,8 @@ def _layout(rerun: Any, colourings: Iterable[str]) -> Any:
     source = encodings.ComponentSourceKind.SourceComponent
     views = []
     for name in colourings:
-        colours = encodings.VisualizerComponentMapping(
-            slot, source, source_component=f"{name}:colors"
-        )
+        component = f"{name}:colors"
+        colours = encodings.VisualizerComponentMapping(slot, source, source_component=component)
         shown = rerun.Points3D.from_fields().visualizer(mappings=[colours])
         views.append(blueprint.Spatial3DView(origin=POINTS, name=name, overrides={POINTS: shown}))
     text = blueprint.TextDocumentView(origin=TEXT, name=TEXT)

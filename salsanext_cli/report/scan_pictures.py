@@ -1,33 +1,63 @@
 # SPDX-License-Identifier: MIT
 """Picture of a scan: from above and as strips of its range image, by everything known of it."""
 
+from __future__ import annotations
+
+import math
 from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import counted, printable
-from salsanext_cli.geometry.projection import in_sensor_frame, project
-from salsanext_cli.records import Float
-from salsanext_cli.report import birds_eye, canvas, panel
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.geometry.projection import in_sensor_frame, pixels_from_points, project
+from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import (
+    EMPTY,
     OUTCOME_LEGEND,
     Colours,
     Legend,
     PointColours,
+    Scales,
+    error_colours,
     legend_of,
+    map_on_dark,
+    screen_colours,
+    value_colours,
+    value_range,
 )
-from salsanext_cli.report.panel import Strip, coloured_strip, draw_strips
-from salsanext_cli.report.scales import Scales
-from salsanext_cli.results.layout import UNCERTAINTY
+from salsanext_cli.results.layout import UNCERTAINTY, ScanFile
 from salsanext_cli.results.result_folder import ScanResults, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 WIDTH_PX, NARROW_PX = 2048, 1024
 """Width of a strip, and beside a single view."""
 HEAD_PX = 56
+VIEW_TITLE_PX, STRIP_TITLE_PX = 40, 34
+"""Pixels above each view and each strip for its title."""
+BAR_PX = 160
+"""Pixels beside the strips for colour bars and their numbers."""
+STRIP_HEIGHT_PX = 128
+"""Height of a strip: 64 rows are drawn twice as high as they are."""
 MAX_IN_A_ROW = 4
+OVERSAMPLING = 2
+REACH_M = 45.0
+"""Distance from the sensor to the edge of a view from above."""
+GRID_M = 10.0
+"""Metres between two circles."""
+SAMPLE_ROW_PX = 3
+"""Height of a row of `draw_sample`; beams are farther apart than columns."""
+SAMPLE_GAP_PX = 6
+"""White rows between its strips."""
 TITLES = {
     "label": "prediction",
     "wrong": "errors of the prediction",
@@ -41,6 +71,15 @@ TITLES = {
 UNITS = {"range": "m", "entropy": "nats", "mutual_information": "nats"}
 
 
+class Strip(NamedTuple):
+    """Picture of a range image."""
+
+    title: str
+    picture: Colours  # (H, W, 3) uint8: red, green, blue of every pixel; row 0 is the highest beam
+    scale: tuple[float, float] | None = None  # Values at the ends of its colour bar
+    unit: str = ""  # Unit of these values
+
+
 def picture_of_results(
     name: str,
     results: ScanResults,
@@ -50,38 +89,37 @@ def picture_of_results(
     views: Collection[str],
     strips: Collection[str],
 ) -> bytes:
-    """Draw a scan and its results.
+    """Draw a scan and its results, as a PNG.
 
-    `name`: name of the scan, for the heading; `results`: the scan and what is known of it; `space`:
-    meaning of the labels; `sensor`: sensor of the range image; `scales`: values at the ends of the
-    colour map, by colour; `views`, `strips`: of `COLOURINGS`, all known: those seen from above, and
-    those of the range image.
-
-    It is a PNG.
+    `sensor`: sensor of the range image; `scales`: values at the ends of the colour map, by colour;
+    `views`, `strips`: of `COLOURINGS`, all known: those seen from above, and those of the range
+    image.
     """
     columns = scalar_columns(results, space)
     image = project(results.scan, sensor)
+    wanted = dict.fromkeys((*views, *strips))
     seen: dict[str, Colours] = {}
     drawn: list[Strip] = []
-    for colour in dict.fromkeys((*views, *strips)):
+    for colour in wanted:
         scale = scales.get(colour)
-        ways = PointColours(colour, scale or (0.0, 1.0), space, dark=True)
-        colours = ways.of_points(columns)
-        title, unit = TITLES.get(colour, colour), UNITS.get(colour, "")
+        colours = PointColours(colour, scale or (0.0, 1.0), space, dark=True).of_points(columns)
+        title = TITLES.get(colour, colour)
         if colour in views:
             seen[title] = colours
         if colour in strips:
-            pixels = coloured_strip(image, title, colours).picture
-            drawn.append(Strip(title, pixels, scale, unit))
-    shown = {colour for colour in (*views, *strips) if colour in ("label", "truth")}
-    labels = [space.to_train(columns[colour], strict=False) for colour in shown]
-    legend = legend_of(space, np.arange(space.class_count)) if shown else ()
-    present = {entry for entry, _ in legend_of(space, *labels)} if shown else set()
-    absent = {entry for entry, _ in legend} - present
-    if "wrong" in (*views, *strips):
-        legend = [*legend, *OUTCOME_LEGEND]
-    of_classes = f"classes of {space.name}   " if shown else ""
-    heading = f"{name}   {counted(len(results.scan), 'point')}   {of_classes}sensor {sensor.name}"
+            pixels = pixels_from_points(colours, image.point_of_pixel, EMPTY)
+            drawn.append(Strip(title, pixels, scale, UNITS.get(colour, "")))
+    of_classes = [colour for colour in ("label", "truth") if colour in wanted]
+    labels = [space.to_train(columns[colour], strict=False) for colour in of_classes]
+    legend: list[tuple[str, tuple[int, int, int]]] = []
+    absent: set[str] = set()
+    if labels:
+        legend += legend_of(space, np.arange(space.class_count))
+        absent = {entry for entry, _ in legend} - {entry for entry, _ in legend_of(space, *labels)}
+    if "wrong" in wanted:
+        legend += OUTCOME_LEGEND
+    classes = f"classes of {space.name}   " if labels else ""
+    heading = f"{name}   {counted(len(results.scan), 'point')}   {classes}sensor {sensor.name}"
     points = in_sensor_frame(results.scan, sensor).points
     return scan_picture(printable(heading), points, seen, drawn, legend, absent)
 
@@ -106,23 +144,123 @@ def scan_picture(
 ) -> bytes:
     """Draw a scan from above and its strips below that, as a PNG.
 
-    `heading`: first line; `points` (N, 3) float32, metres, sensor frame; `views`: colours of the
-    points from above, by title; `strips`: from top to bottom; `legend`: entries of the legend at
-    the bottom; `absent`: entries that the picture does not show.
+    `points` (N, 3) float32, metres, sensor frame; `views`: colours of the points (N, 3) by title;
+    `absent`: entries of the legend at the bottom that the picture does not show.
     """
     width = NARROW_PX if len(views) == 1 else WIDTH_PX
     in_row = max(1, min(len(views), MAX_IN_A_ROW))
     size = (width - (in_row - 1) * MARGIN_PX) // in_row
-    row_px = birds_eye.TITLE_PX + size
+    row_px = VIEW_TITLE_PX + size
     top = HEAD_PX + -(-len(views) // in_row) * row_px
-    height = top + len(strips) * (panel.TITLE_PX + panel.STRIP_HEIGHT_PX) + MARGIN_PX
+    height = top + len(strips) * (STRIP_TITLE_PX + STRIP_HEIGHT_PX) + MARGIN_PX
     bars = any(strip.scale for strip in strips)
-    full_width = MARGIN_PX + width + (panel.BAR_PX if bars else MARGIN_PX)
+    full_width = MARGIN_PX + width + (BAR_PX if bars else MARGIN_PX)
     figure = canvas.new_picture(full_width, height, legend, width, absent)
     canvas.text_at(figure, MARGIN_PX, HEAD_PX // 2, heading, 22)
     for i, (title, colours) in enumerate(views.items()):
         left = MARGIN_PX + i % in_row * (size + MARGIN_PX)
-        place = (left, HEAD_PX + i // in_row * row_px, size)
-        birds_eye.draw_view(figure, points, title, colours, *place)
-    draw_strips(figure, strips, top, width)
+        view_top = HEAD_PX + i // in_row * row_px
+        canvas.text_at(figure, left, view_top + VIEW_TITLE_PX // 2, title, 18)
+        _draw_from_above(figure, points, colours, left, view_top + VIEW_TITLE_PX, size)
+    for strip in strips:
+        canvas.text_at(figure, MARGIN_PX, top + STRIP_TITLE_PX // 2 + 2, strip.title, 18)
+        top += STRIP_TITLE_PX
+        canvas.show_pixels(figure, strip.picture, MARGIN_PX, top, width, STRIP_HEIGHT_PX)
+        if strip.scale:
+            _draw_bar(figure, strip.scale, strip.unit, MARGIN_PX + width + 16, top)
+        top += STRIP_HEIGHT_PX
     return canvas.png_of(figure)
+
+
+def _draw_bar(figure: Figure, scale: tuple[float, float], unit: str, left: int, top: int) -> None:
+    low, high = scale
+    height = STRIP_HEIGHT_PX
+    rows = np.linspace(255, 0, height).round().astype(np.intp)
+    canvas.show_pixels(figure, map_on_dark()[rows][:, None], left, top, 16, height)
+    # Digits by the span of the scale: its lower end is "0" rather than "0.00035".
+    digits = 2 - math.floor(math.log10(max(high - low, 1e-9)))
+    for value, place in ((high, 9), ((low + high) / 2, height // 2), (low, height - 9)):
+        text = f"{round(value, digits):.4g} {unit}".strip()
+        canvas.text_at(figure, left + 24, top + place, text, 15)
+
+
+def raster(points: Float, colours: Colours, reach: float, size: int, spread: int = 1) -> Colours:
+    """Draw points (N, 3) in metres as seen from above; a higher point hides a lower one.
+
+    `reach`: metres from the sensor, in the middle, to an edge; `size`: height and width in pixels;
+    `spread`: those of a point.
+
+    Returns (size, size, 3) uint8; x, forward, points up, y to the left.
+    """
+    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+    order = finite[np.argsort(points[finite, 2], kind="stable")]
+    corner = np.floor((reach - points[order, :2].astype(np.float64)) * size / (2 * reach))
+    inside = ((corner > -spread) & (corner < size)).all(axis=1)
+    row, column = corner[inside].astype(np.intp).T
+    picture = np.full((size + 2 * spread, size + 2 * spread, 3), EMPTY, np.uint8)
+    # All offsets of one point before the next point: a higher one stays whole.
+    across, down = np.meshgrid(np.arange(spread), np.arange(spread))
+    rows = (row[:, None] + down.ravel() + spread).ravel()
+    columns = (column[:, None] + across.ravel() + spread).ravel()
+    picture[rows, columns] = colours[order][inside].repeat(spread**2, axis=0)
+    return picture[spread : size + spread, spread : size + spread]
+
+
+def _draw_from_above(
+    figure: Figure, points: Float, colours: Colours, left: int, top: int, size: int
+) -> None:
+    """Draw points from above, with circles every `GRID_M` metres and an arrow forward."""
+    from matplotlib.patches import Circle
+    from matplotlib.patheffects import withStroke
+
+    # Drawn larger and averaged down, so that edges of points are soft.
+    large = raster(points, colours, REACH_M, size * OVERSAMPLING, spread=3)
+    blocks = large.reshape(size, OVERSAMPLING, size, OVERSAMPLING, 3)
+    picture = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
+    axes = canvas.axes_at(figure, left, top, size, size)
+    axes.set_axis_off()
+    axes.imshow(picture, extent=(REACH_M, -REACH_M, -REACH_M, REACH_M), interpolation="nearest")
+    for radius in np.arange(GRID_M, REACH_M * 2**0.5, GRID_M):
+        axes.add_patch(Circle((0, 0), radius, fill=False, ec=canvas.FAINT, lw=0.6, alpha=0.55))
+        if radius < REACH_M:
+            place = radius * 0.5**0.5
+            axes.text(
+                -place,
+                place,
+                f"{radius:g} m",
+                color=canvas.INK,
+                fontsize=8,
+                path_effects=[withStroke(linewidth=2.5, foreground=canvas.NIGHT)],
+            )
+    axes.plot(0, 0, marker="^", color=canvas.INK, markersize=8)
+    axes.set_xlim(REACH_M, -REACH_M)
+    axes.set_ylim(-REACH_M, REACH_M)
+
+
+def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
+    """Draw range, truth, prediction and errors of a labelled scan, as PNG of strips without text.
+
+    Returns (4·3·H + gaps, W, 3) uint8, the picture.
+    """
+    from matplotlib.image import imsave  # a second to import, and only this needs it
+
+    space, sensor = network.space, network.sensor
+    scan = read_scan(file.path, sensor)
+    truth = space.to_train(read_labels(file.label_path, len(scan)), source=file.label_path)
+    image = project(scan, sensor)
+    labels = network.labels(image, network.probabilities(image))
+    of_classes = screen_colours(space)
+    strips = [_range_picture(image)]
+    for colours in (of_classes[truth], of_classes[labels], error_colours(truth, labels, space)):
+        strips.append(pixels_from_points(colours, image.point_of_pixel, EMPTY))
+    gap = np.full((SAMPLE_GAP_PX, sensor.width, 3), 255, np.uint8)
+    rows = [part for s in strips for part in (gap, s.repeat(SAMPLE_ROW_PX, axis=0))][1:]
+    picture = np.concatenate(rows)
+    imsave(out, picture, format="png")
+    return picture
+
+
+def _range_picture(image: RangeImage) -> Colours:
+    """Colour the distance of every pixel, (H, W, 3), from 0 m to that of most."""
+    ranges = np.where(image.point_of_pixel >= 0, image.channels[0], np.nan)
+    return value_colours(ranges, 0.0, value_range(ranges)[1])

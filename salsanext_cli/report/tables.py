@@ -1,25 +1,35 @@
 # SPDX-License-Identifier: MIT
-"""Tables for a terminal: scores of an evaluation, and results of tuning and of a benchmark."""
+"""Tables for a terminal: scores, tuning, networks and weights, sets of scans, imported labels."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
+from pathlib import Path
 from statistics import fmean, geometric_mean
 from typing import Any
 
+from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
-from salsanext_cli.errors import counted
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import counted, first_few, printable
+from salsanext_cli.labelling.label_records import LabelImport
 from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores
+from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
-    ErrorResult,
     RankingResult,
     UncertaintyEvaluation,
 )
+from salsanext_cli.records import CHANNELS
+from salsanext_cli.sensors.sensor import Sensor
 
 ABSENT = "–"
+NETWORK_NOTES = """* not the paper's number of parameters to the digit
+† the paper does not determine this network: the nearest reading"""
+IMPORTED = ("points", "labelled", "unlabelled", "ambiguous", "missing")
+"""Numbers of points of a scan whose labels are imported."""
 
 
 def percent(share: float, digits: int = 1, unit: str = "") -> str:
@@ -36,15 +46,8 @@ def number_table(first: str, *numbers: str, title: str = "", no_wrap: bool = Fal
     return table
 
 
-# Scores
-
-
 def score_table(result: Scores, title: str = "") -> Table:
-    """Return a table of IoU, precision, recall and points by class, then accuracies and means.
-
-    The mean over the frequent classes is left out where all present are frequent. "–" stands where
-    there is nothing to divide by, and for the IoU of a class without points.
-    """
+    """Return a table of IoU, precision, recall and points by class, then accuracies and means."""
     headings = ("class", "IoU %", "precision %", "recall %", "points")
     table = number_table(*headings, title=title, no_wrap=True)
     for c in result.classes:
@@ -75,24 +78,28 @@ def ring_table(rings: Mapping[str, Scores]) -> Table:
 
 def uncertainty_tables(evaluation: UncertaintyEvaluation) -> list[Table]:
     """Return a table of the calibration and one of the kinds of uncertainty; none without any."""
-    softmax, error = evaluation.calibration, evaluation.error
+    softmax, error = evaluation.calibration, evaluation.kinds.get("error")
     tables = [_calibration_table(softmax, error)] if softmax or error else []
     return [*tables, _ranking_table(evaluation.kinds)] if evaluation.kinds else tables
 
 
-def _calibration_table(softmax: CalibrationResult | None, error: ErrorResult | None) -> Table:
-    """Return a table of scores of the softmax, and of the ECE of the error."""
+def _calibration_table(softmax: CalibrationResult | None, error: RankingResult | None) -> Table:
     errors = ("ECE %", "ECE per scan %", "ACE %")
     headings = ("calibration", "NLL, nats", "Brier", *errors, "scans", "points")
     table = number_table(*headings, no_wrap=True)
     if softmax:
         scores = softmax.scores
         table.add_row(
-            *("softmax", _number(scores.nll), _number(scores.brier)),
-            *(percent(each, 2) for each in (scores.ece, softmax.ece_per_scan, scores.ace)),
-            *(f"{softmax.scans:,}", f"{scores.points:,}"),
+            "softmax",
+            _number(scores.nll),
+            _number(scores.brier),
+            percent(scores.ece, 2),
+            percent(softmax.ece_per_scan, 2),
+            percent(scores.ace, 2),
+            f"{softmax.scans:,}",
+            f"{scores.points:,}",
         )
-    if error:
+    if error and error.ece is not None:
         points = f"{error.scores.points:,}"
         table.add_row("error", "", "", percent(error.ece, 2), "", "", f"{error.scans:,}", points)
         table.caption = "error: the probability that a label is wrong"
@@ -100,24 +107,26 @@ def _calibration_table(softmax: CalibrationResult | None, error: ErrorResult | N
 
 
 def _ranking_table(kinds: Mapping[str, RankingResult]) -> Table:
-    """Return a table with a row of scores per kind of uncertainty."""
     columns = ("AUROC %", "AUPR %", "AURC %", "AUSE", "wrong %", "scans", "points")
     table = number_table("uncertainty", *columns, no_wrap=True)
     for kind, result in kinds.items():
         scores = result.scores
         wrong = scores.wrong / scores.points if scores.points else math.nan
         table.add_row(
-            *(kind, percent(scores.auroc, 1), percent(scores.aupr, 1), percent(scores.aurc, 2)),
-            *(_number(scores.ause), percent(wrong, 1), f"{result.scans:,}", f"{scores.points:,}"),
+            kind,
+            percent(scores.auroc),
+            percent(scores.aupr),
+            percent(scores.aurc, 2),
+            _number(scores.ause),
+            percent(wrong),
+            f"{result.scans:,}",
+            f"{scores.points:,}",
         )
     return table
 
 
 def _number(value: float) -> str:
     return ABSENT if math.isnan(value) else f"{value:.3f}"
-
-
-# Tuning
 
 
 def temperature_table(before: Mapping[str, float], after: Mapping[str, float]) -> Table:
@@ -151,20 +160,148 @@ def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float)
 
 
 def moved_table(layers: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table of how far batch norms moved, by the part of the network that they are in.
-
-    `layers`: `layer`, its name, `shift` in old standard deviations, and `variance_ratio`.
-    """
+    """Return a table of how far batch norms moved, by the part of the network that they are in."""
     numbers = ("layers", "mean moved by, σ", "variance, new / old")
     table = number_table("part", *numbers, title="Batch norm")
-    for part, members in groupby(layers, lambda layer: layer["layer"].partition(".")[0]):
-        _add_moved(table, part, list(members))
-    table.add_section()
-    _add_moved(table, "all", layers)
+    parts = groupby(layers, lambda layer: layer["layer"].partition(".")[0])
+    for part, members in [*((part, list(members)) for part, members in parts), ("all", layers)]:
+        if part == "all":
+            table.add_section()
+        shift = fmean(layer["shift"] for layer in members)
+        ratio = geometric_mean(layer["variance_ratio"] for layer in members)
+        table.add_row(part, str(len(members)), f"{shift:.3f}", f"{ratio:.3f}")
     return table
 
 
-def _add_moved(table: Table, part: str, layers: Sequence[Mapping[str, Any]]) -> None:
-    shift = fmean(layer["shift"] for layer in layers)
-    ratio = geometric_mean(layer["variance_ratio"] for layer in layers)
-    table.add_row(part, str(len(layers)), f"{shift:.3f}", f"{ratio:.3f}")
+def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
+    """Return a table of the costs of networks, with the papers' figures in brackets."""
+    costs = ("parameters", "multiply-accumulates at 64×2048 (FLOPs)", "receptive field")
+    headings = ("name", *costs, "mIoU without kNN, with, on test")
+    title = "Networks, with the papers' figures in brackets"
+    table = number_table(*headings, title=title, no_wrap=True)
+    table.caption = NETWORK_NOTES
+    for network in networks:
+        paper = network["paper"]
+        marks = ("" if network["agrees"] else "*") + ("" if paper["determined"] else "†")
+        height, width = network["receptive_field"]
+        flops = f"({paper['flops']} G)" if paper["flops"] else "(–)"
+        table.add_row(
+            network["name"] + marks,
+            f"{network['parameters']:,} ({paper['parameters']} M)",
+            f"{network['multiply_accumulates'] / 1e9:.2f} G {flops:>10}",
+            f"{height}×{width}",
+            ", ".join(f"{paper[key] or '–':>4}" for key in ("miou_pixels", "miou", "miou_test")),
+        )
+    return table
+
+
+def card_table(card: Mapping[str, Any]) -> Table:
+    """Return a table of the card of a weights file."""
+    sensor = card["sensor"]
+    table = Table(title=escape(card["path"]), title_justify="left", show_header=False)
+    table.add_row("what", escape(card["description"]) or "–")
+    table.add_row("architecture", ", ".join(f"{k} {v}" for k, v in card["architecture"].items()))
+    table.add_row("temperature", f"{card['temperature']:.4g}")
+    table.add_row("label space", escape(f"{card['label_space']}, {len(card['classes'])} classes"))
+    view = f"{sensor['fov_up']:+g}° to {sensor['fov_down']:+g}°"
+    size = f"{sensor['height']}×{sensor['width']}"
+    table.add_row("sensor", escape(f"{sensor['name']}, {size}, {view}"))
+    table.add_row("scores of the scans that chose the weights", _scores(card["scores"]) or "–")
+    if card["error"] is not None:
+        table.add_row("model of errors, on scans left out", _scores(card["error"]) or "–")
+    if card["trained_on"]:
+        table.add_row("scans known from training", f"{card['trained_on']:,}")
+    table.add_row("size", f"{card['bytes'] / 1e6:.1f} MB")
+    table.add_row("SHA-256", card["sha256"])
+    return table
+
+
+def _scores(scores: Mapping[str, Any]) -> str:
+    """Return names and rounded numbers; further digits depend on a few scans."""
+    return escape(", ".join(f"{name} {_rounded(value)}" for name, value in scores.items()))
+
+
+def _rounded(value: Any) -> str:
+    """Return a score as text; of several, each with its name or without."""
+    if isinstance(value, Mapping):
+        return f"({', '.join(f'{name} {_rounded(each)}' for name, each in value.items())})"
+    if isinstance(value, list):
+        return " ".join(map(str, value))
+    return f"{value:.3f}" if isinstance(value, float) else str(value)
+
+
+def survey_tables(
+    sequences: Mapping[str, Survey], total: Survey, space: LabelSpace, sensor: Sensor
+) -> Group:
+    """Return tables of the sequences, of the channels and, if there are labels, of the classes."""
+    title = f"Range images of {sensor.name}, {sensor.height}×{sensor.width}"
+    channels = number_table("channel", "mean", "standard deviation", title=title)
+    for name, mean, std in zip(CHANNELS, total.means, total.stds, strict=True):
+        channels.add_row(name, f"{mean:.3f}", f"{std:.3f}")
+    classes = [_classes(total, space)] if total.classes else []
+    return Group(_sequences(sequences, total), channels, *classes)
+
+
+def _sequences(sequences: Mapping[str, Survey], total: Survey) -> Table:
+    numbers = ("scans", "labelled", "points per scan", "invalid points", "farthest, m", "brightest")
+    table = number_table("sequence", *numbers, "field of view", title="Scans")
+    rows = dict(sequences) | ({"all": total} if len(sequences) > 1 else {})
+    for name, found in rows.items():
+        up, down = found.field_of_view()
+        table.add_row(
+            escape(printable(name)),
+            f"{found.scans:,}",
+            f"{found.labelled:,}",
+            f"{min(found.smallest, found.largest):,} – {found.largest:,}",
+            f"{found.invalid:,}",
+            f"{found.farthest:.1f}",
+            f"{found.brightest:.3g}",
+            f"{up:+.2f}° to {down:+.2f}°",
+        )
+    return table
+
+
+def _classes(total: Survey, space: LabelSpace) -> Table:
+    numbers = ("train id and class", "points", "share %")
+    table = number_table("raw id and name", *numbers, title="Classes")
+    points = sum(total.classes.values())
+    for raw, count in sorted(total.classes.items()):
+        train = space.learning_map.get(raw)
+        table.add_row(
+            escape(f"{raw} {space.labels.get(raw, 'unknown')}"),
+            "unknown" if train is None else escape(f"{train} {space.names[train]}"),
+            f"{count:,}",
+            f"{100 * count / points:.3f}",
+        )
+    return table
+
+
+def imported_table(scans: Sequence[Mapping[str, Any]]) -> Table:
+    """Return a table with the numbers of points of each imported scan, and of all."""
+    table = number_table("scan", *IMPORTED, no_wrap=True)
+    table.add_column("from")
+    for scan in scans:
+        counts = (f"{scan[name]:,}" for name in IMPORTED)
+        table.add_row(escape(scan["scan"]), *counts, escape(scan["scalar"]))
+    table.add_section()
+    totals = (sum(scan[name] for scan in scans) for name in IMPORTED)
+    table.add_row("all", *(f"{total:,}" for total in totals))
+    return table
+
+
+def imported_lines(made: LabelImport, dataset: Path) -> Iterator[str]:
+    """Yield a line about what was imported, and one about each group of scans that was not."""
+    failed = sum(len(failure["files"]) for failure in made.failures)
+    others = f", {counted(failed, 'file')} failed" if failed else ""
+    yield f"import-labels: {counted(len(made.scans), 'scan')}{others} → {dataset}"
+    if shares := made.largest_classes():
+        named = ", ".join(f"{name} {100 * share:.1f} %" for name, share in shares.items())
+        yield f"largest classes: {named}"
+    if made.unedited:
+        files = f"{counted(len(made.unedited), 'file')}: {first_few(made.unedited)}"
+        yield f"not imported, since they hold the first guess of `pick`, {files}"
+    if made.kept:
+        yield f"without an edited file, as they were: {counted(made.kept, 'scan')}"
+    if made.first_guesses:
+        scans = f"{counted(len(made.first_guesses), 'scan')}: {first_few(made.first_guesses)}"
+        yield f"warning: labelled by the network only, as `pick` left them, {scans}"

@@ -14,9 +14,13 @@ from salsanext_cli.errors import LabelError, NoInputError, counted, escaped, fir
 from salsanext_cli.files.json_files import encode_json
 from salsanext_cli.files.reading import present
 from salsanext_cli.labelling.label_records import require_truth
-from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.scan_counts import RING_NAMES, CountsApart, ScanCounts, count_scan
-from salsanext_cli.measures.scores import Scores, scores
+from salsanext_cli.measures.scan_counts import (
+    RING_NAMES,
+    CountsApart,
+    ScanCounts,
+    count_scan,
+)
+from salsanext_cli.measures.scores import Confusion, Scores, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,

@@ -16,8 +16,7 @@ from salsanext_cli.formats.las import asprs_class, classification, encode_las, i
 from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.report.colours import PointColours
-from salsanext_cli.report.scales import common_scales, require_colouring
+from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
 from salsanext_cli.results.layout import LABELLING_STAGES, UNCERTAINTY, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns

@@ -15,9 +15,8 @@ from salsanext_cli.files.atomic import sweep_stale
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
-from salsanext_cli.report.colours import PointColours
+from salsanext_cli.report.colours import PointColours, common_scales
 from salsanext_cli.report.rerun_recording import Columns, LogScan, import_rerun, recording
-from salsanext_cli.report.scales import common_scales
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns

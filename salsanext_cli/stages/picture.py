@@ -14,8 +14,7 @@ from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.animation import animate, find_ffmpeg, require_animations_replaceable
-from salsanext_cli.report.colours import CLASS_COLOURS
-from salsanext_cli.report.scales import Scales, common_scales, require_colouring
+from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.results.layout import (
     COLOURINGS,

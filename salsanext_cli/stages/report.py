@@ -12,16 +12,22 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
-from salsanext_cli.measures.drive import ScanRow, named, read_row, worth_looking_at
 from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.page.clouds import encode_cloud, plain_scales, scales_of
 from salsanext_cli.report.page.html import html_of
-from salsanext_cli.report.page.run_results import RunResults
+from salsanext_cli.report.page.run_results import (
+    RunReader,
+    RunResults,
+    ScanRow,
+    ShownScan,
+    named,
+    read_row,
+    worth_looking_at,
+)
 from salsanext_cli.report.page.server import PageServer
-from salsanext_cli.report.page.shown_scans import ShownScan
 from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder
@@ -89,12 +95,12 @@ def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice])
     page = out / PAGE
     OwnedFolder(out).require_own([page])
     run, unread = read_run(out, **choice)
-    chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.how["space"])
+    chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.reader.space)
     rows = {row.name: row for row in run.rows}
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
     reasons = [failure.reason for failure in failures]
-    written = html_of(run.content(shown, compared, reasons, scales_of(shown))).encode()
+    written = html_of(run, compared, shown, scales_of(shown), reasons).encode()
     OwnedFolder(out).replace({page: written})
     kept = compared.uncertainty.kept if compared else None
     return Report(
@@ -127,8 +133,8 @@ class View(PageServer):
 
     def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
         """Take the results that are served; raises `NoInputError` if no scan can be shown."""
-        self._run, self._state = run, _state_of(run.out)
-        reasons = worth_looking_at(run.rows, run.how["space"])
+        self._run, self._state = run, _state_of(run.reader.out)
+        reasons = worth_looking_at(run.rows, run.reader.space)
         spaced = {*np.linspace(0, len(run.rows) - 1, SAMPLED).astype(int).tolist()}
         chosen = (r for i, r in enumerate(run.rows) if i in spaced or r.name in reasons)
         sample, unread = _readable(run, ((row, "") for row in chosen))
@@ -137,8 +143,10 @@ class View(PageServer):
         self._scales = scales_of(sample)
         failed = [failure.reason for failure in self.failures]
         served = {row.name: reasons.get(row.name, "") for row in run.rows}
-        content = run.content((), run.compared(), failed, self._scales, served)
-        self._page = html_of(content, self.token).encode()
+        page = html_of(
+            run, run.compared(), (), self._scales, failed, served=served, token=self.token
+        )
+        self._page = page.encode()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -154,13 +162,14 @@ class View(PageServer):
         if place >= self.scans:
             return None
         run = self._run
-        if _state_of(run.out) != self._state:
-            raise OutputError(run.out, "results were made anew since", remedy="start view again")
+        if _state_of(run.reader.out) != self._state:
+            found = "results were made anew since"
+            raise OutputError(run.reader.out, found, remedy="start view again")
         shown = run.read(run.rows[place])
         with self._lock:
             if new := shown.values().keys() - self._scales:
                 self._scales |= {name: scales_of([shown])[name] for name in new}
-        cloud = encode_cloud(shown, run.how["space"], run.how["sensor"], self._scales)
+        cloud = encode_cloud(shown, run.reader.space, run.reader.sensor, self._scales)
         cloud["scales"] = plain_scales(self._scales)
         found: dict[str, Any] = escaped(cloud)
         return found
@@ -202,26 +211,23 @@ def read_run(
     files = results.with_results(asked)
     missing = results.missing_results(set(asked) - set(files))
     missing.log_error(len(asked), "results")
-    how = {
-        "space": results_space,
-        "labels": space_of_labels(files, results_space, space),
-        "merging": results.merging_into(results_space),
-        "sensor": results.sensor(),
-    }
-    rows, counts, failures = _rows(files, out, how, by_distance, options)
-    return RunResults(out, rows, counts, missing, how), failures
+    labels = space_of_labels(files, results_space, space)
+    merging = results.merging_into(results_space)
+    sensor = results.sensor()
+    reader = RunReader(out, results_space, labels, merging, sensor)
+    rows, counts, failures = _rows(files, reader, by_distance, options)
+    return RunResults(reader, rows, counts, missing), failures
 
 
 def _rows(
     files: Sequence[ScanFile],
-    out: Path,
-    how: dict[str, Any],
+    reader: RunReader,
     by_distance: bool,
     options: RunOptions,
 ) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
     """Read the results of all scans; count those with labels."""
     rows: list[ScanRow] = []
-    counts = CountsApart.none(how["space"], by_distance)
+    counts = CountsApart.none(reader.space, by_distance)
     trained_on: set[ScanRow] = set()
 
     def keep(found: tuple[ScanRow, ScanCounts | None]) -> None:
@@ -232,11 +238,11 @@ def _rows(
             if of_scan.trained_on:
                 trained_on.add(row)
 
-    known = StageRecords(out).trained_on()
-    task = partial(read_row, out=out, by_distance=by_distance, trained_on=known, **how)
+    known = StageRecords(reader.out).trained_on()
+    task = partial(read_row, reader=reader, by_distance=by_distance, trained_on=known)
     outcome = run_over_scans(task, files, options, on_result=keep)
     if not rows:
-        raise NoInputError(out, f"no results can be read, as {outcome.failures[0].reason}")
+        raise NoInputError(reader.out, f"no results can be read, as {outcome.failures[0].reason}")
     if (scored := counts.scored()).left_out:
         rows = [replace(row, confusion=None) if row in trained_on else row for row in rows]
     # Workers are done in any order.
@@ -256,7 +262,7 @@ def _readable(
         except SalsanextError as error:
             failures.append(Failure(row.file, str(error), error.code))
     if not shown:
-        raise NoInputError(run.out, f"no scan can be shown, as {failures[0].reason}")
+        raise NoInputError(run.reader.out, f"no scan can be shown, as {failures[0].reason}")
     return shown, tuple(failures)
 
 

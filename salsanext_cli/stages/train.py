@@ -14,7 +14,7 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.parallel.options import worker_count
-from salsanext_cli.report.training_sample import draw_sample
+from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.results.stage_records import as_json

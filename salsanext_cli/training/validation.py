@@ -9,8 +9,7 @@ from torch import Tensor
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.scores import scores
+from salsanext_cli.measures.scores import Confusion, scores
 from salsanext_cli.network.card import TEMPERATURES
 from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup

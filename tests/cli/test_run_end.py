@@ -71,7 +71,8 @@ def test_next_commands(stage, split, done, expected, tmp_path):
         found = replace(found, summary=RunSummary.of_scans([file], SMALL, own))
         (tmp_path / "labels.yaml").write_text(yaml.safe_dump(label_space().to_dict()))
         assert next_command(stage, found, "a b", (), split) == "salsanext export-ply 'a b'"
-    labelled = Outcome(0, (), done, summary=replace(summary, labelled=True))
+    (file,) = find_scans(write_sequence(tmp_path / "labelled/00", ["0"]))
+    labelled = Outcome(0, (), done, summary=replace(summary, first=file))
     if done and stage != "uncertainty":
         assert next_command(stage, labelled, "a b", (), split) == "salsanext eval 'a b'"
     assert next_command("export-ply", Outcome(0, (), done), "a b", ()) is None

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from salsanext_cli import knn_refine, load_network, project
-from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.scores import scores
+from salsanext_cli.measures.scores import Confusion, scores
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.training.data.sources import read_labelled
 

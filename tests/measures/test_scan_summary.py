@@ -31,15 +31,6 @@ def test_the_largest_classes_are_those_counted_slowly(scans):
     assert list(found.values()) == largest
 
 
-@pytest.mark.parametrize(("share", "codes"), [(0.72, []), (0.78, ["one-class"])])
-def test_a_class_that_takes_the_scan(share, codes):
-    labels = np.where(np.arange(1000) < 1000 * share, 1, 9).astype(np.uint8)
-    found = ScanSummary.of_labels(FILE, np.append(labels, np.zeros(5000, np.uint8)), SPACE)
-    assert [finding.code for finding in found.check.findings] == codes
-    few = ScanSummary.of_labels(FILE, labels[:50], SPACE)
-    assert few.check.findings == ()
-
-
 def test_labels_of_little_probability_are_doubted():
     labels = np.arange(1000, dtype=np.uint8) % 20
     for confidence, codes in ((0.5, ["low-confidence"]), (0.6, [])):
@@ -47,20 +38,29 @@ def test_labels_of_little_probability_are_doubted():
         assert [finding.code for finding in found.check.findings] == codes
 
 
+def space_of(count):
+    same = {i: i for i in range(count)}
+    names = {i: str(i) for i in same}
+    maps = {"learning_map": same, "learning_map_inv": same}
+    return LabelSpace.from_dict({"labels": names, **maps})
+
+
 @pytest.mark.parametrize(
-    ("count", "share", "codes"), [(8, 0.83, []), (8, 0.87, ["one-class"]), (3, 1.0, [])]
+    ("count", "share", "codes"),
+    [
+        (20, 0.72, []),
+        (20, 0.78, ["one-class"]),
+        (8, 0.83, []),
+        (8, 0.87, ["one-class"]),
+        (3, 1, []),
+    ],
 )
-def test_one_of_few_classes_may_take_more_of_the_scan(count, share, codes):
-    space = LabelSpace.from_dict(
-        {
-            "labels": {i: str(i) for i in range(count)},
-            "learning_map": {i: i for i in range(count)},
-            "learning_map_inv": {i: i for i in range(count)},
-        }
-    )
+def test_a_class_that_takes_the_scan_unless_there_are_few(count, share, codes):
     labels = np.where(np.arange(1000) < 1000 * share, 1, 2).astype(np.uint8)
-    found = ScanSummary.of_labels(FILE, labels, space)
+    unlabelled, space = np.zeros(5000, np.uint8), space_of(count)
+    found = ScanSummary.of_labels(FILE, np.append(labels, unlabelled), space)
     assert [finding.code for finding in found.check.findings] == codes
+    assert ScanSummary.of_labels(FILE, labels[:50], space).check.findings == ()
 
 
 @given(st.permutations(range(6)))

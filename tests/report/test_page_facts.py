@@ -37,7 +37,8 @@ def test_the_default_weights_are_described(tmp_path):
     assert "Uncertainty" not in facts
 
 
-def test_other_weights_are_named_by_their_digest(tmp_path):
+def test_other_weights_are_named_by_their_digest_if_it_is_recorded(tmp_path):
+    assert dict(facts_of_run(tmp_path, SMALL))["Weights"] == "not recorded"
     record(
         *(tmp_path, "uncertainty", ("uncertainty/epistemic",)),
         **{"weights": "ab" * 32, "method": "sampling", "samples": 30, "aleatoric": "copies"},
@@ -45,10 +46,6 @@ def test_other_weights_are_named_by_their_digest(tmp_path):
     facts = dict(facts_of_run(tmp_path, SMALL))
     assert facts["Weights"].startswith("SHA-256 abababababab, not the default ones")
     assert facts["Uncertainty"] == "sampling, samples 30, aleatoric copies"
-
-
-def test_nothing_is_claimed_of_results_without_a_record(tmp_path):
-    assert dict(facts_of_run(tmp_path, SMALL))["Weights"] == "not recorded"
 
 
 def test_the_time_per_scan_is_that_between_results(tmp_path):

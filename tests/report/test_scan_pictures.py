@@ -4,20 +4,28 @@ import io
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from scans import SMALL, make_scan
+from scans import SMALL, make_scan, write_sequence
+from tiny_network import TinyNetwork
 
 from salsanext_cli import Scan, label_space
-from salsanext_cli.report.birds_eye import TITLE_PX
+from salsanext_cli.engines.loading import network_of_module
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.report.canvas import MARGIN_PX
-from salsanext_cli.report.colours import WRONG, screen_colours
-from salsanext_cli.report.panel import STRIP_HEIGHT_PX
+from salsanext_cli.report.colours import EMPTY, WRONG, screen_colours
 from salsanext_cli.report.scan_pictures import (
     HEAD_PX,
     NARROW_PX,
+    SAMPLE_GAP_PX,
+    SAMPLE_ROW_PX,
+    STRIP_HEIGHT_PX,
+    VIEW_TITLE_PX,
     WIDTH_PX,
+    draw_sample,
     picture_of_results,
+    raster,
     scan_picture,
 )
+from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.result_folder import ScanResults
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)
@@ -44,7 +52,7 @@ def test_views_are_side_by_side():
     drawn = pixels(scan_picture("00/1", points, views, (), [("car", (1, 2, 250))]))
     assert drawn.shape[1] == WIDTH_PX + 2 * MARGIN_PX
     size = (WIDTH_PX - MARGIN_PX) // 2
-    top = HEAD_PX + TITLE_PX
+    top = HEAD_PX + VIEW_TITLE_PX
     body = drawn[top : top + size].astype(int)
     starts = (MARGIN_PX, 2 * MARGIN_PX + size)
     for start, own, other in zip(starts, (0, 1), (1, 0), strict=True):
@@ -103,3 +111,61 @@ def test_a_scan_without_a_measurement(points):
         scan, labels, labels, {"entropy": np.full(count, np.nan, np.float32)}, SMALL
     )
     assert draw(known, "label", "wrong", "entropy", "range").startswith(b"\x89PNG")
+
+
+def seen(points, colours, **how):
+    points, colours = np.array(points, np.float32), np.array(colours, np.uint8)
+    return raster(points, colours, reach=10, size=20, **how)
+
+
+@pytest.mark.parametrize(
+    ("point", "row", "column"),
+    [
+        ((9.5, 0.5, 0), 0, 9),
+        ((-9.5, 0.5, 0), 19, 9),
+        ((0.5, 9.5, 0), 9, 0),
+        ((0.5, -9.5, 0), 9, 19),
+    ],
+)
+def test_forward_is_up_and_left_is_left(point, row, column):
+    picture = seen([point], [RED])
+    assert np.argwhere((picture == RED).all(axis=-1)).tolist() == [[row, column]]
+    assert ((picture == EMPTY).all(axis=-1)).sum() == 399
+
+
+@pytest.mark.parametrize("spread", [1, 2, 3])
+def test_a_higher_point_hides_a_lower_one(spread):
+    points = [(0.5, 0.5, 2), (0.5, 0.5, -1), (0.5, 0.5, 1)]
+    picture = seen(points, [RED, GREEN, GREEN], spread=spread)
+    assert (picture == RED).all(axis=-1).sum() == spread**2
+    assert not (picture == GREEN).all(axis=-1).any()
+
+
+@pytest.mark.parametrize("point", [(np.nan, 0, 0), (np.inf, 0, 0), (10.01, 0, 0), (0, -1e9, 0)])
+def test_points_outside_the_view_are_left_out(point):
+    assert (seen([point], [RED]) == EMPTY).all()
+    assert (seen(np.zeros((0, 3)), np.zeros((0, 3))) == EMPTY).all()
+
+
+def test_strips_are_range_truth_prediction_and_errors(tmp_path):
+    """A network that says road of everything: its strip has that colour where there is a point."""
+    (file,) = find_scans(write_sequence(tmp_path / "00", ["0"], count=600))
+    module = TinyNetwork(SPACE.class_count).eval()
+    module.logits.weight.data.zero_()
+    module.logits.bias.data.zero_()[SPACE.names.index("road")] = 9.0
+    card = WeightsCard({"name": "tiny"}, SPACE, SMALL)
+    network = network_of_module(module, card, "cpu")
+    with (tmp_path / "sample.png").open("wb") as out:
+        picture = draw_sample(out, file, network)
+    height = SAMPLE_ROW_PX * SMALL.height
+    assert picture.shape == (4 * height + 3 * SAMPLE_GAP_PX, SMALL.width, 3)
+    written = imread(tmp_path / "sample.png")[..., :3]
+    np.testing.assert_array_equal((written * 255).round().astype(np.uint8), picture)
+    starts = [i * (height + SAMPLE_GAP_PX) for i in range(4)]
+    _, truth, prediction, _ = (picture[s : s + height : SAMPLE_ROW_PX] for s in starts)
+    road = screen_colours(SPACE)[SPACE.names.index("road")]
+    filled = (prediction != EMPTY).any(axis=2)
+    assert 100 < filled.sum() < filled.size
+    assert (prediction[filled] == road).all()
+    np.testing.assert_array_equal((truth != EMPTY).any(axis=2)[~filled], False)
+    assert len(np.unique(truth[filled], axis=0)) > 3

@@ -5,11 +5,9 @@ import numpy as np
 from evaluated import calibration_result, ranking_result, small_space
 from rich.console import Console, Group
 
-from salsanext_cli.measures.confusion import Confusion
-from salsanext_cli.measures.scores import scores
+from salsanext_cli.measures.scores import Confusion, scores
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
-from salsanext_cli.report.descriptions import card_table
-from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
+from salsanext_cli.report.tables import card_table, ring_table, score_table, uncertainty_tables
 from salsanext_cli.stages.models import describe_weights
 
 SPACE = small_space("none", "car [red]", "road", "tree")

@@ -13,7 +13,7 @@ from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.shards import Shard
-from salsanext_cli.report import birds_eye, scan_pictures
+from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.colours import WRONG, screen_colours
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
@@ -30,7 +30,7 @@ def small_views(monkeypatch):
     """Draw a quarter as large: a second for each picture otherwise."""
     monkeypatch.setattr(scan_pictures, "WIDTH_PX", 512)
     monkeypatch.setattr(scan_pictures, "NARROW_PX", 256)
-    monkeypatch.setattr(birds_eye, "OVERSAMPLING", 1)
+    monkeypatch.setattr(scan_pictures, "OVERSAMPLING", 1)
 
 
 @pytest.fixture

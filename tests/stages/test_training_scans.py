@@ -13,7 +13,7 @@ from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan
 from salsanext_cli.errors import OutputError
-from salsanext_cli.measures.confusion import Confusion
+from salsanext_cli.measures.scores import Confusion
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import RunOptions

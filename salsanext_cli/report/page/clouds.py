@@ -14,7 +14,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float
 from salsanext_cli.report.colours import value_range
-from salsanext_cli.report.page.shown_scans import DOUBT, ShownScan
+from salsanext_cli.report.page.run_results import DOUBT, ShownScan
 from salsanext_cli.report.scan_pictures import UNITS
 from salsanext_cli.results.result_folder import ScanResults
 from salsanext_cli.sensors.sensor import Sensor
@@ -29,10 +29,7 @@ NO_VALUE = 255
 
 
 def scales_of(scans: Sequence[ShownScan]) -> dict[str, tuple[float, float]]:
-    """Return by value the ends of its scale, the same for all scans of a page.
-
-    Probabilities are from 0 to 1, others from 0 to what 99 % of the points do not exceed.
-    """
+    """Return the ends of the scale of each value: 0 to 1, or 0 to what 99 % do not exceed."""
     values: dict[str, list[npt.NDArray[Any]]] = {}
     for scan in scans:
         for name, of_points in scan.values().items():
@@ -57,20 +54,15 @@ def encode_cloud(
     space: LabelSpace,
     sensor: Sensor,
     scales: Mapping[str, tuple[float, float]],
-    most: int = MAX_POINTS,
 ) -> dict[str, Any]:
     """Return a scan as plain data: numbers of points are base64 of little-endian integers.
 
     Points are in the order of the pixels of the range image, row by row, the nearest of each pixel
     first, those without a pixel last. So the number of points of every pixel says which are whose.
-
-    `shown`: the scan; `space`: classes of the labels; `sensor`: sensor of the range image;
-    `scales`: as `scales_of` returns them; `most`: most points; of more, evenly spaced ones are
-    taken.
     """
     points = shown.results.scan.points
     measured = np.flatnonzero((np.abs(points) <= FARTHEST_M).all(axis=1))
-    step = -(-len(measured) // most)
+    step = -(-len(measured) // MAX_POINTS)
     taken = measured[:: max(step, 1)]
     image = project(shown.results.scan.take(taken), sensor)
     pixel = image.pixel_of_point
@@ -82,7 +74,7 @@ def encode_cloud(
     width = np.min_scalar_type(of_pixel.max(initial=0)).itemsize
     index = taken[order]
     position, low, step_m = _positions(points[index])
-    values = {
+    values = _classes(shown.results, space, index) | {
         name: _bytes_on_scale(of_points[index], *scales[name])
         for name, of_points in shown.values().items()
     }
@@ -98,10 +90,7 @@ def encode_cloud(
         "position": base64_of(position, "<u2"),
         "of_pixel": base64_of(of_pixel, f"<u{width}"),
         "of_pixel_bytes": width,
-        "values": {
-            name: base64_of(each, "u1")
-            for name, each in {**_classes(shown.results, space, index), **values}.items()
-        },
+        "values": {name: base64_of(each, "u1") for name, each in values.items()},
     }
 
 
@@ -131,11 +120,11 @@ def _classes(
     results: ScanResults, space: LabelSpace, index: npt.NDArray[np.intp]
 ) -> dict[str, npt.NDArray[np.uint8]]:
     """Return train ids of label and truth, and wrong: 0 not judged, 1 right, 2 wrong."""
-    found: dict[str, npt.NDArray[np.uint8]] = {}
+    classes: dict[str, npt.NDArray[np.uint8]] = {}
     if results.label is not None:
-        found["label"] = space.to_train(results.label[index], strict=False)
+        classes["label"] = space.to_train(results.label[index], strict=False)
     if results.truth is not None:
-        found["truth"] = space.to_train(results.truth[index], strict=False)
+        classes["truth"] = space.to_train(results.truth[index], strict=False)
         if results.label is not None:
-            found["wrong"] = np.nan_to_num(results.wrong(space)[index] + 1).astype(np.uint8)
-    return found
+            classes["wrong"] = np.nan_to_num(results.wrong(space)[index] + 1).astype(np.uint8)
+    return classes

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from statistics import mean
@@ -35,44 +36,43 @@ CHECKED_STAGES = ("project", "predict", "uncertainty")
 """Stages that check scans."""
 
 
-def facts_of_run(out: Path, sensor: Sensor) -> list[tuple[str, str]]:
-    """Return what was run and how, as pairs of a title and a text."""
-    return [
-        ("Weights", _weights(out)),
-        ("Sensor", f"{sensor.name}, {sensor.height}×{sensor.width}, {view_text(sensor)}"),
-        *(("Labels", text) for text in _labels(out)),
-        *(("Uncertainty", text) for text in _uncertainty(out)),
-        *(("Time", text) for text in _times(out)),
-    ]
-
-
-def _weights(out: Path) -> str:
-    """Describe the weights behind the labels, else those behind the uncertainty."""
+def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
+    """Yield what was run and how, as pairs of a title and a text."""
     records = StageRecords(out)
+    yield "Weights", _weights(records)
+    yield "Sensor", f"{sensor.name}, {sensor.height}×{sensor.width}, {view_text(sensor)}"
+    if stage := records.owner("predictions"):
+        yield "Labels", _labels(stage, records.settings(stage) or {})
+    if settings := records.settings("uncertainty"):
+        numbers = ("samples", "seed", "aleatoric")
+        given = (f"{key} {settings[key]}" for key in numbers if key in settings)
+        yield "Uncertainty", ", ".join([str(settings.get("method")), *given])
+    if records.owner(ERROR) == "predict":
+        yield "Uncertainty", "probability of error, of predict --error"
+    folders = ("predictions", "uncertainty/epistemic")
+    for stage, folder in {records.owner(folder): folder for folder in folders}.items():
+        if stage and (seconds := _seconds_per_scan(out, folder)):
+            yield "Time", f"{stage}: {seconds:.2g} s per scan"
+
+
+def _weights(records: StageRecords) -> str:
+    """Describe the weights behind the labels, else those behind the uncertainty."""
     folders = ("predictions", "uncertainty/epistemic", "uncertainty/error", "pixel_labels")
-    found = (records.weights(folder) for folder in folders)
-    sha256 = next((each for each in found if each), None)
+    sha256 = next(filter(None, map(records.weights, folders)), None)
     if sha256 is None:
         return "not recorded"
     name = f"SHA-256 {sha256[:SHOWN_DIGITS]}"
     path = default_weights()
-    try:
+    # An installation without its weights still has results to show.
+    with suppress(SalsanextError):
         if fingerprint(path) == sha256:
             description = read_card(path).description.replace("`", "")
             own = re.sub(r"See docs/\S+ (.)", lambda rest: rest[1].upper(), description)
             return f"the default ones, {name}. {own} {DEFAULT_LIMITS}"
-    except SalsanextError:
-        pass  # An installation without its weights still has results to show.
     return f"{name}, not the default ones; salsanext models FILE describes a file of weights"
 
 
-def _labels(out: Path) -> Iterator[str]:
-    """Say how labels came about, if a stage recorded it."""
-    records = StageRecords(out)
-    stage = records.owner("predictions")
-    settings: Mapping[str, Any] = records.settings(stage) or {} if stage else {}
-    if not stage:
-        return
+def _labels(stage: str, settings: Mapping[str, Any]) -> str:
     words = [stage]
     if settings.get("engine"):
         words.append(f"{settings['engine']} in {settings.get('precision')}")
@@ -82,42 +82,24 @@ def _labels(out: Path) -> Iterator[str]:
         words.append("batch norm adapted to the scans")
     if settings.get("reject") is not None:
         words.append(f"points unlabelled whose error is above {settings['reject']:g}")
-    yield ", ".join(words)
+    return ", ".join(words)
 
 
-def _uncertainty(out: Path) -> Iterator[str]:
-    """Say how the uncertainty came about, if a stage recorded it."""
-    records = StageRecords(out)
-    settings: Mapping[str, Any] = records.settings("uncertainty") or {}
-    if settings:
-        numbers = ("samples", "seed", "aleatoric")
-        given = (f"{key} {settings[key]}" for key in numbers if key in settings)
-        yield ", ".join([str(settings.get("method")), *given])
-    if records.owner(ERROR) == "predict":
-        yield "probability of error, of predict --error"
+def _seconds_per_scan(out: Path, folder: str) -> float | None:
+    """Return the mean time between two results, pauses left out.
 
-
-def _times(out: Path) -> Iterator[str]:
-    """Say how long scans took each stage: the mean time between two results, pauses left out.
-
-    Nothing is said of a folder whose files are not those that were written there, such as a copy.
+    None of a folder whose files are not those that were written there, such as a copy.
     """
-    records = StageRecords(out)
-    folders = ("predictions", "uncertainty/epistemic")
-    for stage, folder in {records.owner(folder): folder for folder in folders}.items():
-        paths = list(find_outputs(out, folder).values())
-        if stage and len(paths) >= LEAST_TIMED and not OwnedFolder(out).others(paths):
-            written = sorted(path.stat().st_mtime_ns for path in paths)
-            gaps_s = [gap / 1e9 for a, b in pairwise(written) if (gap := b - a) < PAUSE_S * 1e9]
-            if gaps_s:
-                yield f"{stage}: {mean(gaps_s):.2g} s per scan"
+    paths = list(find_outputs(out, folder).values())
+    if len(paths) < LEAST_TIMED or OwnedFolder(out).others(paths):
+        return None
+    written = sorted(path.stat().st_mtime_ns for path in paths)
+    gaps_s = [gap / 1e9 for a, b in pairwise(written) if (gap := b - a) < PAUSE_S * 1e9]
+    return mean(gaps_s) if gaps_s else None
 
 
 def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:
-    """Return what the stages found doubtful about some scans, a line for each kind of doubt.
-
-    `wanted` has their names, as sequence/scan.
-    """
+    """Return what the stages found doubtful about the wanted scans, a line for each kind."""
     scans: dict[str, list[str]] = {}
     words: dict[str, Counter[str]] = {}
     for stage in CHECKED_STAGES:

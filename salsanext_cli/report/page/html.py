@@ -6,21 +6,35 @@ from __future__ import annotations
 import json
 import math
 from base64 import b64encode
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from html import escape
 from importlib import resources
 from string import Template
-from typing import Any, NamedTuple
+from typing import Any
 
-from salsanext_cli.errors import printable
-from salsanext_cli.report.plots import PICTURES
+import numpy as np
+
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import counted, escaped, printable
+from salsanext_cli.measures.scan_counts import RING_NAMES
+from salsanext_cli.measures.scores import Confusion, Counts, scores
+from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
+from salsanext_cli.report.page.clouds import NO_VALUE, base64_of, encode_cloud, plain_scales
+from salsanext_cli.report.page.facts import facts_of_run
+from salsanext_cli.report.page.run_results import (
+    UNCERTAIN,
+    Comparison,
+    RunResults,
+    ScanRow,
+    ShownScan,
+    leading_kind,
+)
+from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
 from salsanext_cli.report.tables import percent
 from salsanext_cli.version import __version__
 
 PARTS = ("page.css", "view.js", "drive.js", "scans.js", "page.js")
 """Files beside this one that the template takes in, as $page_css and so on."""
-
 FILE_WORDS = {
     "openable": "▾ marks those of this page: a click opens them.",
     "note": "This page fetches nothing; it can be kept and sent as one file.",
@@ -32,58 +46,65 @@ LIVE_WORDS = {
     "connect": "connect-src 'self'",
 }
 """Parts of a page that holds its scans, and of one that asks a server for them."""
+OUTCOME_COLOURS = {"not judged": (62, 76, 150), "right": (125, 133, 145), "wrong": WRONG}
+"""Farther apart than in other pictures, where what is not judged has the colour of nothing."""
+DARKEST_STEP = 48
+"""Step of the colour map, of 255, where its scale begins: those below are lost on a dark view."""
+MAX_CONFUSIONS = 10
+"""Confusions that the page names."""
 
 
-class ClassShare(NamedTuple):
-    """A class, its colour, its share of the points and its IoU, 0…1, NaN if not in the truth."""
+def html_of(
+    run: RunResults,
+    compared: Comparison | None,
+    shown: Sequence[ShownScan],
+    scales: Mapping[str, tuple[float, float]],
+    failures: Sequence[str] = (),
+    *,
+    served: Mapping[str, str] | None = None,
+    token: str = "",
+) -> str:
+    """Return the page of a run; every text that comes from files or names is escaped.
 
-    name: str
-    colour: Sequence[int]
-    share: float
-    iou: float
-
-
-@dataclass(frozen=True, slots=True)
-class PageContent:
-    """Content of a page."""
-
-    title: str  # Name of the output folder
-    tiles: Sequence[tuple[str, str]]  # Numbers for the first screen, each with its name
-    facts: Sequence[tuple[str, str]]  # What was run, by title; and warnings about the scans
-    warnings: Sequence[str]
-    shares: Sequence[ClassShare]  # Classes; empty without predictions
-    data: Mapping[str, Any]  # What the scripts show besides: classes, scales, the drive
-    clouds: Sequence[Mapping[str, Any]]  # As `encode_cloud` returns them
-    sentence: str = ""  # Sentence on risk; empty without labels
-    # Distance, mean IoU, accuracy and points as text; empty if not asked for
-    rings: Sequence[tuple[str, ...]] = ()
-    confusions: Sequence[str] = ()  # What is taken for what, in words
-    # PNG by a name of `PICTURES`, all of one size
-    pictures: Mapping[str, bytes] = field(default_factory=dict)
-    # Whether the page asks a server for its clouds, and so for those of any number of scans
-    live: bool = False
-
-
-def html_of(content: PageContent, token: str = "") -> str:
-    """Return the page; every text that comes from files or names is escaped.
-
-    `token` is that of the server of a live page.
+    `shown`: scans whose points the page holds; `failures`: reasons why scans are left out;
+    `served`: scans whose points it asks a server for, by name, with the reason to look at them,
+    which may be empty; `token`: that of the server.
     """
-    blocks = [script_data(f"cloud-{i}", each) for i, each in enumerate(content.clouds)]
-    data = {**content.data, "live": content.live, "token": token}
-    template = Template(_part("page.html"))
-    return template.substitute(
-        title=_text(content.title),
+    out, space, sensor = run.reader.out, run.reader.space, run.reader.sensor
+    live = served is not None
+    offered = {scan.name: scan.reason for scan in shown} if served is None else served
+    colours, class_points = screen_colours(space), _class_points(run.rows, space)
+    data = {
+        "classes": [
+            {"name": name, "rgb": rgb}
+            for name, rgb in zip(space.names, colours.tolist(), strict=True)
+        ],
+        "outcomes": [{"name": name, "rgb": rgb} for name, rgb in OUTCOME_COLOURS.items()],
+        "scales": plain_scales(scales),
+        "uncertain": list(UNCERTAIN),
+        "map": _light_map().ravel().tolist(),
+        "shown": [{"name": name, "reason": reason} for name, reason in offered.items()],
+        "drive": _drive(run.rows, class_points, list(offered)),
+        "occurring": _occurring(class_points, compared),
+    }
+    blocks = [script_data("data", {**escaped(data), "live": live, "token": token})]
+    for i, each in enumerate(shown):
+        blocks.append(script_data(f"cloud-{i}", escaped(encode_cloud(each, space, sensor, scales))))
+    comparison = _comparison(compared, space) if compared else ""
+    facts = facts_of_run(out, sensor)
+    warnings = [*run.warnings(), *failures]
+    return Template(_part("page.html")).substitute(
+        title=_text("/".join(out.absolute().parts[-2:])),  # The folder above often says more.
         version=_text(__version__),
-        tiles="".join(f"<div><b>{_text(v)}</b>{_text(n)}</div>" for n, v in content.tiles),
-        sentence=f'<p class="sentence">{_text(content.sentence)}</p>' if content.sentence else "",
-        facts="".join(f"<dt>{_text(n)}</dt><dd>{_text(v)}</dd>" for n, v in content.facts),
-        warnings=_warnings(content.warnings),
-        shares=_shares(content.shares),
-        plots=(plots := _plots(content)),
-        plots_link='<a href="#plots">Comparison</a>' if plots else "",
-        data=script_data("data", data) + "".join(blocks),
-        **(LIVE_WORDS if content.live else FILE_WORDS),
+        tiles=_tiles(run.rows, compared),
+        sentence=_sentence(compared),
+        facts="".join(f"<dt>{_text(name)}</dt><dd>{_text(fact)}</dd>" for name, fact in facts),
+        warnings=_listed("Warnings", '<ul class="warnings">', "</ul>", warnings),
+        shares=_shares(class_points.sum(axis=0), compared, space, colours),
+        plots=comparison,
+        plots_link='<a href="#plots">Comparison</a>' if comparison else "",
+        data="".join(blocks),
+        **(LIVE_WORDS if live else FILE_WORDS),
         **{name.replace(".", "_"): _part(name) for name in PARTS},
     )
 
@@ -104,32 +125,68 @@ def _text(text: object) -> str:
     return escape(printable(str(text)))
 
 
-def _warnings(lines: Sequence[str]) -> str:
+def _listed(heading: str, start: str, end: str, lines: Sequence[str]) -> str:
     if not lines:
         return ""
     items = "".join(f"<li>{_text(line)}</li>" for line in lines)
-    return f'<h3>Warnings</h3><ul class="warnings">{items}</ul>'
+    return f"<h3>{heading}</h3>{start}{items}{end}"
 
 
-def _shares(shares: Sequence[ClassShare]) -> str:
-    """Return a table of the classes, the largest first, with bars."""
-    if not shares:
+def _tiles(rows: Sequence[ScanRow], compared: Comparison | None) -> str:
+    points = sum(row.points for row in rows)
+    tiles = [("scans", f"{len(rows):,}"), ("points", f"{points:,}")]
+    if compared:
+        found, scans = compared.scores, counted(compared.counts.scans, "scan")
+        which = "trained on" if compared.counts.trained_on else "with labels"
+        present = sum(each.points > 0 for each in found.classes)
+        tiles += [
+            (f"accuracy, {scans} {which}", percent(found.accuracy, 1, " %")),
+            (f"mean IoU of {present} classes present", percent(found.iou_mean_present, 1, " %")),
+        ]
+        if present < len(found.classes):
+            official = percent(found.iou_mean_official, 1, " %")
+            tiles.append((f"mean IoU of all {len(found.classes)}, official", official))
+    return "".join(f"<div><b>{_text(value)}</b>{_text(name)}</div>" for name, value in tiles)
+
+
+def _sentence(compared: Comparison | None) -> str:
+    """Return the sentence on risk; none without labels and uncertainty."""
+    if compared is None or compared.uncertainty.kept is None:
+        return ""
+    words = compared.uncertainty.kept.sentence
+    return f'<p class="sentence">{_text(words[:1].upper() + words[1:])}.</p>'
+
+
+def _class_points(rows: Sequence[ScanRow], space: LabelSpace) -> Counts:
+    """Return the number of points by scan and predicted train id, (R, C)."""
+    none = np.zeros(space.class_count, np.int64)
+    return np.array([none if row.class_points is None else row.class_points for row in rows])
+
+
+def _shares(
+    points: Counts, compared: Comparison | None, space: LabelSpace, colours: Colours
+) -> str:
+    """Return a table of the classes that are predicted or in the truth, the largest first."""
+    if not points.any():
         return "<p>No stage has predicted labels.</p>"
-    judged = not all(math.isnan(each.iou) for each in shares)
-    largest = max(each.share for each in shares)
-    heading = "<th>class</th><th>share of the points</th>" + "<th>IoU</th>" * judged
+    ious = {c.train_id: c.iou for c in compared.scores.classes if c.points} if compared else {}
+    shares = points / points.sum()
+    heading = "<th>class</th><th>share of the points</th>" + "<th>IoU</th>" * bool(ious)
     rows = []
-    for name, colour, share, iou in sorted(shares, key=lambda each: -each.share):
-        cells = f"<td>{_text(name)}</td><td>{_bar(share / largest, colour)}{_percent(share)}</td>"
-        if judged:
-            bar = "" if math.isnan(iou) else _bar(iou, colour)
-            cells += f"<td>{bar}{percent(iou, 1, ' %')}</td>"
+    for i in np.argsort(-shares, kind="stable").tolist():
+        if not points[i] and i not in ious:
+            continue
+        rgb = ",".join(map(str, colours[i].tolist()))
+        share = _bar(shares[i] / shares.max(), rgb) + _percent(shares[i])
+        cells = f"<td>{_text(space.names[i])}</td><td>{share}</td>"
+        if ious:
+            bar = _bar(ious[i], rgb) if i in ious else ""
+            cells += f"<td>{bar}{percent(ious.get(i, math.nan), 1, ' %')}</td>"
         rows.append(f"<tr>{cells}</tr>")
     return f'<table class="shares"><tr>{heading}</tr>{"".join(rows)}</table>'
 
 
-def _bar(share: float, colour: Sequence[int]) -> str:
-    rgb = ",".join(map(str, colour))
+def _bar(share: float, rgb: str) -> str:
     return f'<i style="width:{65 * share:.1f}%;background:rgb({rgb})"></i> '
 
 
@@ -137,33 +194,77 @@ def _percent(share: float) -> str:
     return f"{100 * share:.2f} %" if share < 0.1 else f"{100 * share:.1f} %"
 
 
-def _plots(content: PageContent) -> str:
-    """Return the section that only labelled scans have."""
-    figures = f'<div class="plots">{_pictures(content.pictures)}</div>' * bool(content.pictures)
-    parts = _rings(content.rings) + _confusions(content.confusions) + figures
+def _comparison(compared: Comparison, space: LabelSpace) -> str:
+    """Return the section that only labelled scans have: rings, confusions and plots."""
+    confusions = _confusions(compared.counts.confusion, space)
+    parts = _rings(compared, space)
+    parts += _listed("Largest confusions", '<ol class="confusions">', "</ol>", confusions)
+    figures = "".join(
+        f'<figure tabindex="0"><img alt="{_text(PICTURES[name])}" '
+        f'src="data:image/png;base64,{b64encode(png).decode("ascii")}"></figure>'
+        for name, png in uncertainty_pictures(compared.uncertainty, space).items()
+    )
+    parts += f'<div class="plots">{figures}</div>' * bool(figures)
     return f'<section id="plots"><h2>Comparison with labels</h2>{parts}</section>' * bool(parts)
 
 
-def _rings(rows: Iterable[Sequence[str]]) -> str:
-    cells = [f"<tr>{''.join(f'<td>{_text(cell)}</td>' for cell in row)}</tr>" for row in rows]
-    if not cells:
-        return ""
+def _rings(compared: Comparison, space: LabelSpace) -> str:
+    """Return a table of the scores of the rings of distance; none if they were not counted."""
     names = ("distance", "mean IoU %", "accuracy %", "points")
+    lines = []
+    for name, ring in zip(RING_NAMES, compared.counts.rings, strict=bool(compared.counts.rings)):
+        if (found := scores(ring, space)).points:
+            shares = (percent(found.iou_mean_present), percent(found.accuracy))
+            cells = (name, *shares, f"{found.points:,}")
+            lines.append("".join(f"<td>{_text(cell)}</td>" for cell in cells))
     heading = "".join(f"<th>{name}</th>" for name in names)
-    return f"<h3>By distance</h3><table><tr>{heading}</tr>{''.join(cells)}</table>"
+    table = "".join(f"<tr>{line}</tr>" for line in (heading, *lines))
+    return f"<h3>By distance</h3><table>{table}</table>" if lines else ""
 
 
-def _confusions(lines: Sequence[str]) -> str:
-    if not lines:
-        return ""
-    items = "".join(f"<li>{_text(line)}</li>" for line in lines)
-    return f'<h3>Largest confusions</h3><ol class="confusions">{items}</ol>'
+def _confusions(confusion: Confusion, space: LabelSpace) -> list[str]:
+    """Say what is taken for what, most points first."""
+    matrix, names = confusion.counted(space.scored), space.names
+    truths, wrong = matrix.sum(axis=1), np.where(np.eye(len(matrix), dtype=bool), 0, matrix)
+    most = np.argsort(-wrong, axis=None, kind="stable")[:MAX_CONFUSIONS]
+    return [
+        f"{names[true]} taken for {names[predicted]}: "
+        f"{percent(points / truths[true], 1, ' %')} of {counted(int(truths[true]), 'point')}"
+        for true, predicted in zip(*np.unravel_index(most, wrong.shape), strict=True)
+        if (points := wrong[true, predicted])
+    ]
 
 
-def _pictures(pictures: Mapping[str, bytes]) -> str:
-    """Return the plots in their order, each with its words for those who cannot see it."""
-    return "".join(
-        f'<figure tabindex="0"><img alt="{_text(PICTURES[name])}" '
-        f'src="data:image/png;base64,{b64encode(png).decode("ascii")}"></figure>'
-        for name, png in pictures.items()
-    )
+def _light_map() -> Colours:
+    """Return the colours of the values 0 to 254."""
+    steps = np.linspace(DARKEST_STEP, 255, NO_VALUE)
+    return map_colours(COLOUR_MAP)[steps.astype(np.intp)]
+
+
+def _occurring(class_points: Counts, compared: Comparison | None) -> dict[str, list[int]]:
+    """Return the classes of some scan, by colour: the legend is the same for all scans."""
+    true = compared.counts.confusion.matrix.sum(axis=1) if compared else ()
+    found = {"label": class_points.sum(axis=0), "truth": true, "wrong": np.ones(3)}
+    return {name: np.flatnonzero(points).tolist() for name, points in found.items()}
+
+
+def _drive(rows: Sequence[ScanRow], class_points: Counts, shown: Sequence[str]) -> dict[str, Any]:
+    """Return the numbers of all scans; base64 of float32, empty without any."""
+    places = {name: place for place, name in enumerate(shown)}
+    kind = leading_kind(rows) or ""
+    means = np.array([row.uncertainty.get(kind, np.nan) for row in rows])
+    wrong = np.array([row.wrong for row in rows])
+    numbers = {
+        "uncertainty": "" if np.isnan(means).all() else base64_of(means, "<f4"),
+        "wrong": "" if np.isnan(wrong).all() else base64_of(wrong, "<f4"),
+        "shares": "",
+    }
+    if class_points.any():
+        shares = class_points / np.maximum(class_points.sum(axis=1, keepdims=True), 1)
+        numbers["shares"] = base64_of(shares, "<f4")
+    return {
+        "names": [row.name for row in rows],
+        "shown": [places.get(row.name, -1) for row in rows],
+        "kind": kind.replace("_", " "),
+        **numbers,
+    }

@@ -1,81 +1,248 @@
 # SPDX-License-Identifier: MIT
-"""Results of a run, from which its page is put together."""
+"""Results of a run, scan by scan: numbers of all of them, all points of those to look at."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+import random
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.errors import counted, first_few, printable
-from salsanext_cli.measures.drive import ScanRow
-from salsanext_cli.measures.scan_counts import ScanCounts
-from salsanext_cli.report.page.content import Comparison, content_of
-from salsanext_cli.report.page.facts import facts_of_run, warnings_of_run
-from salsanext_cli.report.page.html import PageContent
-from salsanext_cli.report.page.shown_scans import ShownScan, read_shown
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.classes.merging import ClassMerging
+from salsanext_cli.errors import UsageError, counted, first_few
+from salsanext_cli.files.reading import present
+from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.measures.histograms import lack_of_confidence
+from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts, count_scan, read_softmax
+from salsanext_cli.measures.scores import Confusion, Counts, Scores, scores
+from salsanext_cli.measures.uncertainty_evaluation import (
+    UncertaintyEvaluation,
+    evaluate_uncertainty,
+)
+from salsanext_cli.records import Float
+from salsanext_cli.report.page.facts import warnings_of_run
+from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
+from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
+from salsanext_cli.sensors.sensor import Sensor
+
+LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
+"""Kinds of uncertainty by how well they tell which scan is uncertain."""
+DOUBT = "doubt"
+"""1 − the largest probability, which is shown as confidence."""
+UNCERTAIN = ("error", "entropy", DOUBT, "epistemic", "aleatoric", "total", "mutual_information")
+"""Values by which points can be hidden, in the order in which they are offered."""
+SCALARS = (*UNCERTAIN, "range", "intensity")
+"""Values that are shown on a scale; labels are not."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunReader:
+    """Settings with which the scans of a run are read."""
+
+    out: Path  # Output folder
+    space: LabelSpace  # Classes of the predictions, which the truth is compared with
+    labels: LabelSpace  # Meaning of the raw ids of the truth
+    merging: ClassMerging | None  # Of the classes of the probabilities into those of `space`
+    sensor: Sensor  # Sensor of the range images, and origin of the scans
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanRow:
+    """One scan in numbers."""
+
+    file: ScanFile
+    points: int  # Number of its points that have a label or an uncertainty
+    class_points: Counts | None  # (C,) int64 or None: number of points by predicted train id
+    uncertainty: dict[str, float]  # Mean over the points by kind; NaN without any
+    confusion: Counts | None = None  # (C, C) as `Confusion.counted`; None without labels
+
+    @property
+    def name(self) -> str:
+        """Sequence and stem."""
+        return f"{self.file.sequence}/{self.file.stem}"
+
+    @property
+    def wrong(self) -> float:
+        """Share of the labelled points that is wrong, 0…1; NaN without any."""
+        if self.confusion is None or not self.confusion.any():
+            return math.nan
+        return float(1 - self.confusion.trace() / self.confusion.sum())
+
+
+def read_row(
+    file: ScanFile, reader: RunReader, by_distance: bool = False, trained_on: Collection[str] = ()
+) -> tuple[ScanRow, ScanCounts | None]:
+    """Read the results of a scan, and compare them with its labels.
+
+    `by_distance`, `trained_on`: as for `count_scan`, whose counts are None without labels or
+    without predictions.
+    """
+    out, space = reader.out, reader.space
+    path_of = partial(output_path, out, file.sequence, stem=file.stem)
+    class_points, points = None, 0
+    if present(path := path_of(folder="predictions")):
+        predicted = space.to_train(read_labels(path), strict=False, source=path)
+        points = len(predicted)
+        class_points = np.bincount(predicted, minlength=space.class_count)
+    uncertainty = {}
+    for kind in UNCERTAINTY:
+        if present(path := path_of(folder=f"uncertainty/{kind}")):
+            values = read_kind(path, kind, points or None)
+            points = len(values)
+            finite = values[np.isfinite(values)]
+            uncertainty[kind] = float(finite.mean(dtype=np.float64)) if len(finite) else math.nan
+    if class_points is None or not present(file.label_path):
+        return ScanRow(file, points, class_points, uncertainty), None
+    compared_in = (reader.sensor, reader.labels, reader.merging)
+    counts = count_scan(file, out, space, by_distance, *compared_in, trained_on)
+    confusion = counts.confusion.counted(space.scored)
+    return ScanRow(file, points, class_points, uncertainty, confusion), counts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownScan:
+    """Scan to show point by point."""
+
+    name: str  # Sequence and stem
+    reason: str  # Why it is shown
+    results: ScanResults  # N points and what is known about them
+    doubt: Float | None  # (N,) float32, NaN for points without a probability; None without any
+
+    def values(self) -> dict[str, npt.NDArray[Any]]:
+        """Return all values of `SCALARS` that are known, (N,) each."""
+        known = dict(self.results.uncertainty)
+        known |= {"range": self.results.range, "intensity": self.results.scan.intensity}
+        if self.doubt is not None:
+            known[DOUBT] = self.doubt
+        return {name: known[name] for name in SCALARS if name in known}
+
+
+def read_shown(file: ScanFile, reason: str, reader: RunReader) -> ShownScan:
+    """Read a scan, its results, and the confidence of its points."""
+    space = reader.space
+    results = ResultFolder(reader.out).read(file, reader.sensor, space, (reader.labels, space))
+    doubt = None
+    if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
+        every = np.ones(len(results.scan), bool)
+        doubt = lack_of_confidence(read_softmax(path, every, space, reader.merging))
+    return ShownScan(f"{file.sequence}/{file.stem}", reason, results, doubt)
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Comparison of the scans that have labels with these."""
+
+    counts: ScanCounts  # Counts of their points
+    scores: Scores  # Scores of the labels
+    uncertainty: UncertaintyEvaluation  # Results for the probabilities and uncertainties
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunResults:
-    """Results of a run in numbers per scan, and what its scans are read with."""
+    """Results of a run in numbers per scan."""
 
-    out: Path
+    reader: RunReader
     rows: Sequence[ScanRow]  # Scans that could be read, in their order; at least one
     counts: ScanCounts | None  # Of the scans with labels; None without any
     missing: MissingResults  # Scans without results, left out
-    how: dict[str, Any]  # Arguments that `read_row` and `read_shown` take alike for all scans
 
     def read(self, row: ScanRow, reason: str = "") -> ShownScan:
-        """Read a scan to be shown; raises as `read_shown`."""
-        return read_shown(row.file, reason, self.out, **self.how)
+        """Read a scan to be shown."""
+        return read_shown(row.file, reason, self.reader)
 
     def compared(self) -> Comparison | None:
-        """Compare the scans that have labels with these; None without any."""
-        return Comparison.of(self.counts, self.how["space"]) if self.counts else None
+        """Divide the counts; None without labels."""
+        if self.counts is None:
+            return None
+        space = self.reader.space
+        uncertainty = evaluate_uncertainty(self.counts, space)
+        return Comparison(self.counts, scores(self.counts.confusion, space), uncertainty)
 
-    def content(
-        self,
-        shown: Sequence[ShownScan],
-        compared: Comparison | None,
-        failed: Sequence[str],
-        scales: Mapping[str, tuple[float, float]],
-        served: Mapping[str, str] | None = None,
-    ) -> PageContent:
-        """Put the page together.
-
-        `shown`, `compared`, `scales`, `served`: as for `content_of`; `failed`: reasons why scans
-        are left out.
-        """
-        # The folder above often says more.
-        title = "/".join(self.out.absolute().parts[-2:])
-        space, sensor = self.how["space"], self.how["sensor"]
-        warnings = [*self._warnings(), *map(printable, failed)]
-        return content_of(
-            *(title, facts_of_run(self.out, sensor), warnings),
-            rows=self.rows,
-            compared=compared,
-            shown=shown,
-            scales=scales,
-            space=space,
-            sensor=sensor,
-            served=served,
-        )
-
-    def _warnings(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """Return every reason to doubt the page, a line each."""
-        lines = warnings_of_run(self.out, {row.name for row in self.rows})
+        lines = warnings_of_run(self.reader.out, {row.name for row in self.rows})
         if self.counts:
-            lines = [*self.counts.label_warnings(self.how["space"]), *lines]
-        for what, ids in (
-            ("labels", self.counts.unknown_truth if self.counts else {}),
-            ("predictions", self.counts.unknown_predictions if self.counts else {}),
-        ):
-            if ids:
-                listed = first_few([f"{i} ({n:,}×)" for i, n in sorted(ids.items())])
-                lines.append(f"{what}: unknown ids {listed} are taken as unlabelled")
+            lines = [*self.counts.label_warnings(self.reader.space), *lines]
+            for what, ids in (
+                ("labels", self.counts.unknown_truth),
+                ("predictions", self.counts.unknown_predictions),
+            ):
+                if ids:
+                    listed = first_few([f"{i} ({n:,}×)" for i, n in sorted(ids.items())])
+                    lines.append(f"{what}: unknown ids {listed} are taken as unlabelled")
         if self.missing.scans:
             lines.append(f"{counted(len(self.missing.scans), 'scan')} without results left out")
         return lines
+
+
+def leading_kind(rows: Sequence[ScanRow]) -> str | None:
+    """Return the first of `LEADING_KINDS` that is known of some scan, None without any."""
+    return next((kind for kind in LEADING_KINDS if any(kind in r.uncertainty for r in rows)), None)
+
+
+def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, str]:
+    """Choose the most uncertain scan, the most wrong, that of the worst class, and one at random.
+
+    Returns the reasons by the scan's name; one or two for each.
+    """
+    reasons: dict[str, list[str]] = {}
+
+    def add_largest(values: Sequence[float], reason: Callable[[float], str]) -> None:
+        place = int(np.nan_to_num(values).argmax())
+        if values[place] > 0:
+            reasons.setdefault(rows[place].name, []).append(reason(values[place]))
+
+    if kind := leading_kind(rows):
+        means = [row.uncertainty.get(kind, math.nan) for row in rows]
+        words = f"most uncertain (mean {kind.replace('_', ' ')}"
+        add_largest(means, lambda mean: f"{words} {mean:.3g})")
+    add_largest(
+        [row.wrong for row in rows], lambda share: f"most wrong ({100 * share:.1f} % of the points)"
+    )
+    worst = _worst_class(rows, space)
+    if worst is not None:
+        missed = [_missed(row.confusion, worst) for row in rows]
+        name = space.names[worst]
+        add_largest(missed, lambda n: f"worst class: {n:,.0f} points of {name} wrong")
+    if left := [row for row in rows if row.name not in reasons]:
+        # The same for the same scans.
+        reasons[random.Random(len(rows)).choice(left).name] = ["at random"]
+    return {name: ", ".join(given) for name, given in reasons.items()}
+
+
+def _worst_class(rows: Sequence[ScanRow], space: LabelSpace) -> int | None:
+    """Return the class of the lowest IoU of those that the truth holds."""
+    matrix = np.zeros((space.class_count, space.class_count), np.int64)
+    for row in rows:
+        matrix += 0 if row.confusion is None else row.confusion
+    held = [each for each in scores(Confusion(len(matrix), matrix), space).classes if each.points]
+    return min(held, key=lambda each: each.iou).train_id if held else None
+
+
+def _missed(confusion: Counts | None, train_id: int) -> float:
+    """Return the number of points of a class, or called so, that are wrong."""
+    if confusion is None:
+        return math.nan
+    of_class = confusion[train_id].sum() + confusion[:, train_id].sum()
+    return float(of_class - 2 * confusion[train_id, train_id])
+
+
+def named(rows: Sequence[ScanRow], names: Sequence[str]) -> dict[str, str]:
+    """Choose scans by name, ``08/000000``, or by stem where only one sequence has it."""
+    chosen: dict[str, str] = {}
+    for name in names:
+        found = [row.name for row in rows if name in (row.name, row.file.stem)]
+        if len(found) != 1:
+            what = f"{len(found)} scans" if found else "no results of a scan of that name"
+            there = first_few(found or [row.name for row in rows])
+            raise UsageError("--scans", f"{name}: {what}", f"names such as {there}")
+        chosen[found[0]] = "named"
+    return chosen

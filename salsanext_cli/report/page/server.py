@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 import secrets
 import sys
 from abc import ABC, abstractmethod
@@ -21,20 +22,16 @@ OWN_NAMES = (LOOPBACK, "localhost")
 """Hosts that a browser may ask for: a page of another name that resolves to this machine may not
 read the scans.
 """
-MAX_DIGITS = 9
-"""Digits of the place of a scan."""
 
 
 class PageServer(ABC, ThreadingHTTPServer):
     """Server on the loopback interface, of `page` and `cloud`.
 
-    `token`: part of the address of the clouds, so that the page of an earlier server gets none of
-    this one's.
-
-    `port`: port; 0 for any free one. It is taken at once; requests wait until `serve_forever`.
+    The port, any free one if 0, is taken at once; requests wait until `serve_forever`.
     """
 
     def __init__(self, port: int) -> None:
+        # Part of the address of the clouds: the page of an earlier server gets none of this one's.
         self.token = secrets.token_urlsafe(12)
         try:
             super().__init__((LOOPBACK, port), _Handler)
@@ -82,19 +79,20 @@ class _Handler(BaseHTTPRequestHandler):
         match path.split("/"):
             case ["", ""]:
                 self._answer(HTTPStatus.OK, "text/html; charset=utf-8", self.server.page())
-            case ["", "cloud", token, place] if place.isascii() and place.isdecimal():
-                self._answer_cloud(token, place)
+            case ["", "cloud", token, place] if re.fullmatch("[0-9]{1,9}", place):
+                self._answer_cloud(token, int(place))
             case _:
                 self.send_error(HTTPStatus.NOT_FOUND)
 
-    def _answer_cloud(self, token: str, place: str) -> None:
-        data: Mapping[str, Any] | None = None
+    def _answer_cloud(self, token: str, place: int) -> None:
+        status = HTTPStatus.OK
+        data: Mapping[str, Any] | None
         if token != self.server.token:
             error = "this page is of an earlier salsanext view: reload it"
             status, data = HTTPStatus.GONE, {"error": error}
-        elif len(place) <= MAX_DIGITS:
+        else:
             try:
-                status, data = HTTPStatus.OK, self.server.cloud(int(place))
+                data = self.server.cloud(place)
             except SalsanextError as error:
                 status, data = HTTPStatus.INTERNAL_SERVER_ERROR, {"error": str(error)}
         if data is None:

@@ -17,8 +17,7 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import TrainingError, counted
 from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
-from salsanext_cli.measures.kept_points import kept_points
-from salsanext_cli.measures.risk_coverage import ranking_scores
+from salsanext_cli.measures.risk_coverage import kept_points, ranking_scores
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile

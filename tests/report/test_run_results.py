@@ -7,7 +7,7 @@ import pytest
 from evaluated import small_space
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.measures.drive import ScanRow, leading_kind, named, worth_looking_at
+from salsanext_cli.report.page.run_results import ScanRow, leading_kind, named, worth_looking_at
 from salsanext_cli.results.layout import ScanFile
 
 SPACE = small_space("unlabeled", "car", "road")
