@@ -163,16 +163,17 @@ class View(PageServer):
             return None
         run = self._run
         if _state_of(run.reader.out) != self._state:
-            found = "results were made anew since"
-            raise OutputError(run.reader.out, found, remedy="start view again")
+            raise OutputError(
+                run.reader.out, "results were made anew since", remedy="start view again"
+            )
         shown = run.read(run.rows[place])
         with self._lock:
             if new := shown.values().keys() - self._scales:
                 self._scales |= {name: scales_of([shown])[name] for name in new}
         cloud = encode_cloud(shown, run.reader.space, run.reader.sensor, self._scales)
         cloud["scales"] = plain_scales(self._scales)
-        found: dict[str, Any] = escaped(cloud)
-        return found
+        plain_cloud: dict[str, Any] = escaped(cloud)
+        return plain_cloud
 
 
 def view(out: Path, *, port: int = 0, **choice: Unpack[RunChoice]) -> View:
