@@ -14,8 +14,7 @@ from salsanext_cli.synthesis.presets import BRIGHTNESS, STYLES, Numbers
 from salsanext_cli.synthesis.rig import Rig, RigMaker, hdl64_rig
 from salsanext_cli.synthesis.street import lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder, with_brightness
-from salsanext_cli.synthesis.street.ground import ground
-from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan, draw_plan
+from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan, draw_plan, ground
 from salsanext_cli.synthesis.street.traffic import Mover, moving
 from salsanext_cli.synthesis.surfaces import Material
 
@@ -143,8 +142,7 @@ class _Track:
 
         def turned(vectors: Array) -> Array:
             before, after = vectors @ first[:3, :3].T, vectors @ last[:3, :3].T
-            between: Array = before * (1 - share) + after * share
-            return between
+            return before * (1 - share) + after * share
 
         starts = first[:3, 3] * (1 - share) + last[:3, 3] * share + turned(origins)
         mixed = turned(directions)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
-from salsanext_cli.synthesis.presets import HDL64_RESPONSE
+from salsanext_cli.synthesis.presets import Numbers
 from salsanext_cli.synthesis.surfaces import OPTICS
 
 GRAZING_COSINE = 0.14
@@ -44,22 +44,6 @@ RELATIVE_RESPONSE = (0.82, 0.86, 0.92, 1.0, 1.05, 0.92, 0.66, 0.45)
 """Reported brightness of one surface by distance: optics and gain control of the sensor."""
 
 
-class Response(NamedTuple):
-    """Limits, noise and brightness of the pulses that a sensor reports."""
-
-    noise: float  # Standard deviation of the range, metres
-    nearest: float  # Smallest and largest reported range, metres
-    farthest: float
-    lost_pulses: float  # Share of pulses lost whatever the surface
-    threshold: float  # Signal (brightness · cos / range²) at which half of the pulses are lost
-    gain: float  # Factor and exponent of the reported brightness
-    gamma: float
-    steps: int  # Number of steps of the reported brightness from 0 to 1
-
-
-HDL64 = Response(**HDL64_RESPONSE)
-
-
 class Lasers(NamedTuple):
     """What tells lasers apart: of each laser (L,), or of the laser that fires each ray (R,)."""
 
@@ -89,7 +73,7 @@ class Scene:
 
 
 def measure(
-    rng: Rng, scenes: list[Scene], rays: Array, lasers: Lasers, response: Response
+    rng: Rng, scenes: list[Scene], rays: Array, lasers: Lasers, response: Numbers
 ) -> tuple[Array, Array, RawIds]:
     """Measure along rays (R, 6), origins and unit directions, the nearest hit over all scenes.
 

@@ -41,7 +41,7 @@ TRUCKS = {
 TRAFFIC: dict[str, float] = _TABLES["traffic"]
 """Frequency of each kind of vehicle, parked or driving, relative to the others."""
 BRIGHTNESS = Numbers(**_TABLES["brightness"])
-HDL64_RESPONSE: dict[str, float] = _TABLES["hdl64"]
+HDL64 = Numbers(**_TABLES["hdl64"])
 RANDOM_SENSOR = Numbers(**_TABLES["random_sensor"])
 VEHICLE_OUTLINES_DEG = tuple(np.array(outline) for outline in _TABLES["outlines"])
 """Outlines of the recording vehicle, each (corners, 3): azimuth, upper edge and lower edge."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.synthesis.lidar import HDL64, Lasers, Response
+from salsanext_cli.synthesis.lidar import Lasers
 from salsanext_cli.synthesis.mesh import Array, Rng
+from salsanext_cli.synthesis.presets import HDL64, VEHICLE_OUTLINES_DEG, Numbers
 from salsanext_cli.synthesis.presets import RANDOM_SENSOR as BOUNDS
-from salsanext_cli.synthesis.presets import VEHICLE_OUTLINES_DEG
 
 ENCODER_STEP_DEG = 0.09
 """Resolution of the azimuth."""
@@ -68,7 +68,7 @@ class Rig:
     """A sensor and its mounting."""
 
     beams: Beams  # Its lasers
-    response: Response  # What it makes of the pulses that return
+    response: Numbers  # What it makes of the pulses that return
     seen: npt.NDArray[np.bool_]  # (L * columns,) bool: rays that the vehicle does not block
     mount: float  # Height above the road, metres
     tilt: Array  # (2,): pitch and roll of the mounting, radians
@@ -165,11 +165,11 @@ def _random_elevations(rng: Rng) -> Array:
     return np.sort(elevation + jitter)[::-1]
 
 
-def _random_response(rng: Rng) -> Response:
+def _random_response(rng: Rng) -> Numbers:
     low, high = np.log(list(BOUNDS.response.values())).T
     values = np.exp(rng.uniform(low, high)).tolist()
     drawn = dict(zip(BOUNDS.response, values, strict=True))
-    return Response(**drawn, steps=int(rng.choice(BOUNDS.intensity_steps)))
+    return Numbers(**drawn, steps=int(rng.choice(BOUNDS.intensity_steps)))
 
 
 def _random_shadow(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:

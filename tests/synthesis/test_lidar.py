@@ -4,15 +4,9 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis.lidar import (
-    HDL64,
-    INTENSITY_NOISE,
-    USUAL_ECHO,
-    Lasers,
-    Scene,
-    measure,
-)
+from salsanext_cli.synthesis.lidar import INTENSITY_NOISE, USUAL_ECHO, Lasers, Scene, measure
 from salsanext_cli.synthesis.mesh import Skin, quads
+from salsanext_cli.synthesis.presets import HDL64, Numbers
 from salsanext_cli.synthesis.rig import hdl64_rig
 from salsanext_cli.synthesis.surfaces import BUILDING, CAR, ROAD, Material
 
@@ -126,7 +120,7 @@ def test_gamma_darkens_what_is_darker_than_usual_and_changes_no_range(echo):
     rays, _ = fan(4000, spread=0.03)
     at_13_m = wall(13, shade=echo / Material.PLASTER.optics[0])
     usual = look([at_13_m], rays)
-    other = look([at_13_m], rays, response=HDL64._replace(gamma=1.6))
+    other = look([at_13_m], rays, response=Numbers(**vars(HDL64) | {"gamma": 1.6}))
     np.testing.assert_array_equal(usual[0], other[0])
     before, after = (seen[1].mean() + INTENSITY_NOISE for seen in (usual, other))
     assert before == pytest.approx(echo, rel=0.03)

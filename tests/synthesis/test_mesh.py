@@ -4,13 +4,7 @@
 import numpy as np
 import pytest
 
-from salsanext_cli.synthesis.mesh import (
-    Mesh,
-    Skin,
-    box,
-    merge,
-    tube,
-)
+from salsanext_cli.synthesis.mesh import Mesh, Skin, box, merge, tube
 from salsanext_cli.synthesis.surfaces import CAR, POLE, Material
 
 STEEL = Skin(POLE, Material.METAL, 0.5)

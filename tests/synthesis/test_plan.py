@@ -6,8 +6,7 @@ import pytest
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.presets import STYLES
-from salsanext_cli.synthesis.street.ground import ground
-from salsanext_cli.synthesis.street.plan import REACH_M, draw_plan
+from salsanext_cli.synthesis.street.plan import REACH_M, draw_plan, ground
 
 PLANS = [draw_plan(np.random.default_rng(seed), STYLES[seed], 160.0) for seed in range(len(STYLES))]
 

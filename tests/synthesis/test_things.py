@@ -35,12 +35,7 @@ THINGS = {
         furniture.traffic_light, {surfaces.POLE, surfaces.CLUTTER},
         (0.1, 0.1, 3.2), (0.5, 0.6, 4.0),
     ),
-    "dustbin": (furniture.dustbin, {surfaces.CLUTTER}, (0.4, 0.4, 0.8), (0.8, 0.9, 1.2)),
-    "cabinet": (furniture.cabinet, {surfaces.CLUTTER}, (0.5, 0.24, 1.1), (1.8, 0.6, 1.9)),
     "bench": (furniture.bench, {surfaces.CLUTTER}, (1.4, 0.4, 1.1), (2.2, 0.5, 1.2)),
-    "planter": (furniture.planter, {surfaces.CLUTTER}, (0.4, 0.4, 0.6), (1.6, 1.6, 1.1)),
-    "column": (furniture.column, {surfaces.CLUTTER}, (1.4, 1.4, 3.6), (1.5, 1.5, 3.6)),
-    "crates": (furniture.crates, {surfaces.CLUTTER}, (0.3, 0.3, 0.15), (4.0, 4.0, 0.9)),
     "clutter": (furniture.clutter, {surfaces.CLUTTER}, (0.3, 0.2, 0.15), (4.0, 4.0, 3.6)),
     "shelter": (furniture.shelter, {surfaces.STRUCTURE}, (2.4, 1.3, 2.4), (4.8, 1.8, 2.9)),
 }  # fmt: skip

@@ -16,6 +16,7 @@ CAR_ROOM_M = 5.2
 """Distance from the kerb to the house that a car in the driveway needs."""
 SOLID_M = 1.5
 """Largest height of a wall or boards around a lot; higher walls are rarely labelled fence."""
+Span = tuple[float, float]
 Maker = Callable[[float], Mesh]
 """Returns a piece of something long from its length in metres."""
 
@@ -84,7 +85,7 @@ def _house(builder: Builder, side: Side, lot: Lot) -> None:
         kind = vegetation.tree if builder.chance(0.7) else vegetation.conifer
         _scatter(builder, side, lot, kind, (3.0, 8.0), 1.2)
     if drive and builder.chance(0.55) and front > CAR_ROOM_M:
-        _park(builder, side, sum(lot.drive) / 2, front - min(2.6, lot.setback / 2), np.pi / 2)
+        _park(builder, side, sum(lot.drive) / 2, front - min(2.6, lot.setback / 2), np.pi / 2, 2.0)
     if builder.chance(0.5):
         end = front + builder.between(2, 12)
         builder.put_outward(_boundary(builder), side, lot.end, side.depth + 0.3, end)
@@ -97,10 +98,9 @@ def _yard(builder: Builder, side: Side, lot: Lot) -> None:
     _scatter(builder, side, lot, vegetation.bush, (0.5, 1.5), 3, reach=12)
     _scatter(builder, side, lot, _clutter, (0, 1), 1.5, reach=8)
     if builder.chance(0.35):
-        _park(builder, side, builder.between(lot.start + 2, lot.end - 2), side.depth + 5, 0.3)
+        _park(builder, side, builder.between(lot.start + 2, lot.end - 2), side.depth + 5, 0.3, 2.0)
     if builder.chance(0.5) and lot.end - lot.start > 8:
-        middle = (lot.start + lot.end) / 2
-        garage = buildings.garage(builder.rng)
+        garage, middle = buildings.garage(builder.rng), (lot.start + lot.end) / 2
         builder.put(garage, side, middle, side.depth + builder.between(4, 12))
 
 
@@ -128,21 +128,17 @@ def _field(builder: Builder, side: Side, lot: Lot) -> None:
 
 
 def _thicket(builder: Builder, side: Side, lot: Lot) -> None:
-    height, depth = builder.between(2.5, 7), builder.between(3, 8)
+    undergrowth = _undergrowth(builder, (2.5, 7), (3, 8))
     if builder.chance(0.5):
         _close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
     out = side.depth + builder.between(0.8, 4)
-    _undergrowth(builder, side, lot.start, lot.end, out, height, depth)
+    builder.put_line(undergrowth, side, lot.start, lot.end, out)
 
 
 def _scrub(builder: Builder, side: Side, lot: Lot) -> None:
-    """Grow a long hedge or tall scrub close to the street."""
     out = side.depth + builder.between(0.3, 1.5)
-    if builder.chance(0.55):
-        builder.put_line(_hedge(builder), side, lot.start, lot.end, out + 0.4)
-    else:
-        height, depth = builder.between(1.5, 5), builder.between(1.5, 4)
-        _undergrowth(builder, side, lot.start, lot.end, out + 0.4, height, depth)
+    scrub = _hedge(builder) if builder.chance(0.55) else _undergrowth(builder, (1.5, 5), (1.5, 4))
+    builder.put_line(scrub, side, lot.start, lot.end, out + 0.4)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 10.0), 2.0, reach=12)
     _house_behind(builder, side, lot, out + builder.between(4, 9))
 
@@ -189,15 +185,13 @@ def _carpark(builder: Builder, side: Side, lot: Lot) -> None:
     yaw = float(builder.rng.choice([np.pi / 2, -np.pi / 2]))
     while s < lot.end - 1.2:
         if builder.chance(0.7):
-            _park(builder, side, s, side.depth + builder.between(2.6, 3.2), yaw, radius=1.1)
+            _park(builder, side, s, side.depth + builder.between(2.6, 3.2), yaw, 1.1)
         s += builder.between(2.5, 2.8)
     _close(builder, side, lot.start, lot.end, side.depth + lot.setback + 0.5)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 8.0), 1, reach=20)
 
 
-def _park(
-    builder: Builder, side: Side, s: float, out: float, yaw: float, radius: float = 2.0
-) -> None:
+def _park(builder: Builder, side: Side, s: float, out: float, yaw: float, radius: float) -> None:
     """Set down a parked car, sometimes the other way round."""
     turned = yaw + np.pi * builder.chance(0.5) + builder.rng.normal(0, 0.03)
     builder.put_if_free(car(builder.rng), side, s, out, radius, turned)
@@ -208,7 +202,7 @@ def _scatter(
     side: Side,
     lot: Lot,
     make: Callable[[Rng, float], Mesh],
-    size: tuple[float, float],
+    size: Span,
     count: float,
     reach: float | None = None,
 ) -> None:
@@ -235,31 +229,20 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
     """Close the view behind a lot: a second row of houses, or woods."""
     rng, width = builder.rng, lot.end - lot.start
     out = side.depth + lot.setback + builder.between(20, 30)
-    middle = (lot.start + lot.end) / 2
     if builder.plan.half + out > REACH_M - 14:
         return
     if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.55):
         mesh = buildings.house(rng, width * builder.between(0.7, 1), 10, int(rng.integers(2, 6)))
-        builder.put(mesh, side, middle, out)
+        builder.put(mesh, side, (lot.start + lot.end) / 2, out)
     elif builder.chance(0.9):
-        _undergrowth(builder, side, lot.start, lot.end, out, builder.between(4, 9), depth=4)
+        wood = partial(vegetation.thicket, rng, height=builder.between(4, 9), depth=4)
+        builder.put_line(wood, side, lot.start, lot.end, out)
 
 
 def _boundary(builder: Builder) -> Maker:
-    """Return a maker of pieces of a fence or a hedge."""
-    return _hedge(builder) if builder.chance(0.52) else _fence(builder)
-
-
-def _hedge(builder: Builder) -> Maker:
-    """Return a maker of pieces of a hedge: low or high, clipped or ragged."""
-    height, depth = builder.between(0.7, 2.7), builder.between(0.5, 1.5)
-    clipped = builder.chance(0.5)
-    ragged = builder.between(0.003, 0.03) if clipped else builder.between(0.03, 0.2)
-    return partial(boundaries.hedge, builder.rng, height=height, depth=depth, ragged=ragged)
-
-
-def _fence(builder: Builder) -> Maker:
-    """Return a maker of pieces of a fence or a wall."""
+    """Return a maker of pieces of a hedge, a fence or a wall."""
+    if builder.chance(0.52):
+        return _hedge(builder)
     kind = str(builder.rng.choice(boundaries.FENCES))
     if kind in ("wall", "boards"):
         height = builder.between(0.4, SOLID_M)
@@ -267,6 +250,17 @@ def _fence(builder: Builder) -> Maker:
         height = builder.between(1.2, 2.4) if builder.chance(0.35) else builder.between(0.8, 1.3)
     shade = builder.between(0.7, 1.5)
     return partial(boundaries.fence, builder.rng, kind=kind, height=height, shade=shade)
+
+
+def _hedge(builder: Builder) -> Maker:
+    height, depth = builder.between(0.7, 2.7), builder.between(0.5, 1.5)
+    ragged = builder.between(*(0.003, 0.03) if builder.chance(0.5) else (0.03, 0.2))
+    return partial(boundaries.hedge, builder.rng, height=height, depth=depth, ragged=ragged)
+
+
+def _undergrowth(builder: Builder, heights: Span, depths: Span) -> Maker:
+    height, depth = builder.between(*heights), builder.between(*depths)
+    return partial(vegetation.thicket, builder.rng, depth=depth, height=height)
 
 
 def _close(
@@ -277,16 +271,8 @@ def _close(
         return
     builder.put_line(_boundary(builder), side, start, end, out)
     if builder.chance(0.6):
-        height, depth = builder.between(1.2, 4.0), builder.between(0.8, 1.6)
-        _undergrowth(builder, side, start, end, out + builder.between(0.3, 0.9), height, depth)
-
-
-def _undergrowth(
-    builder: Builder, side: Side, start: float, end: float, out: float, height: float, depth: float
-) -> None:
-    """Grow undergrowth from `start` to `end`, beginning `out` metres beyond the kerb."""
-    piece = partial(vegetation.thicket, builder.rng, depth=depth, height=height)
-    builder.put_line(piece, side, start, end, out)
+        bushes = _undergrowth(builder, (1.2, 4.0), (0.8, 1.6))
+        builder.put_line(bushes, side, start, end, out + builder.between(0.3, 0.9))
 
 
 KINDS: dict[str, Callable[[Builder, Side, Lot], None]] = {

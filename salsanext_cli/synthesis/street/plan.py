@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Ground plan of a street: road, pavements, lots and side streets.
+"""Ground plan of a street, road, pavements, lots and side streets, and its mesh.
 
 Positions are given along the street and across it: ``s`` metres along the centre line, ``t``
 metres to its left. Everything here is vectorised over s and t.
@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.synthesis import surfaces
-from salsanext_cli.synthesis.mesh import Array, Rng
-from salsanext_cli.synthesis.presets import Numbers, weighted_choice
+from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
+from salsanext_cli.synthesis.presets import BRIGHTNESS, Numbers, weighted_choice
+from salsanext_cli.synthesis.surfaces import Material
 
 REACH_M = 62.0
 """Extent of the world to either side of the centre line."""
@@ -25,6 +26,8 @@ RUN_OUT_M = 70.0
 """Length of the street behind the first scan and beyond the last one."""
 MULTILANE_HALF_WIDTH_M = 5.5
 """Half the width of a carriageway from which on it has more than a lane per direction."""
+PAVED = (Material.PAVING, Material.PAVING, Material.PAVING, Material.ASPHALT)
+"""What paved ground is made of, each as likely as it is listed."""
 CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
 """Distances from the kerb of the grid lines that rounded corners need."""
 
@@ -130,11 +133,9 @@ class Plan:
     y: Array
     heading: Array
     waves: Array  # (4, M): amplitude, x and y wave number and phase of the rolling ground
-    bank: tuple[
-        float, float
-    ]  # Slope of the ground beyond the verge, and the sides themselves, left and right
+    bank: tuple[float, float]  # Slope of the ground beyond the verge, left and right
     crossings: tuple[Crossing, ...]
-    sides: tuple[Side, Side]
+    sides: tuple[Side, Side]  # Left and right
 
     def yaw(self, s: npt.ArrayLike) -> Array:
         """Heading of the street at s, radians."""
@@ -300,3 +301,60 @@ def _lot(rng: Rng, kind: str, start: float, end: float, setback: float) -> Lot:
     elif kind == "yard" and rng.random() < 0.3:
         front = surfaces.PARKING
     return Lot(kind, start, end, setback, front, back, drive)
+
+
+def ground(rng: Rng, plan: Plan) -> Mesh:
+    """Return the ground of a street; each cell has the label of its middle."""
+    s_edges, t_edges = plan.edges()
+    s = _lines(np.arange(0.0, plan.length + 1, 1.0), s_edges, 0.0, plan.length)
+    across = np.concatenate([np.arange(-10, 10.1, 0.5), np.linspace(10, REACH_M, 26)])
+    t = _lines(np.concatenate([across, -across]), t_edges, -REACH_M, REACH_M)
+    grid_s, grid_t = np.meshgrid(s, t, indexing="ij")
+    vertices = plan.world(grid_s, grid_t)
+    rough = (plan.label(grid_s, grid_t) == surfaces.TERRAIN) * rng.normal(0, 0.03, grid_s.shape)
+    vertices[..., 2] += rough
+    middle = plan.label(
+        (grid_s[:-1, :-1] + grid_s[1:, 1:]) / 2, (grid_t[:-1, :-1] + grid_t[1:, 1:]) / 2
+    )
+    patchwork = _patches(rng, (s[:-1] + s[1:]) / 2, (t[:-1] + t[1:]) / 2, plan.length)
+    labels = np.repeat(middle.ravel(), 2)
+    materials = np.zeros(len(labels), np.uint8)
+    shades = np.ones(len(labels), np.float32)
+    materials_of = {
+        surfaces.ROAD: Material.PAVING if rng.random() < 0.12 else Material.ASPHALT,
+        surfaces.MARKING: Material.MARKING,
+        surfaces.PARKING: PAVED[rng.integers(4)],
+        surfaces.SIDEWALK: PAVED[rng.integers(4)],
+        surfaces.OTHER_GROUND: (*PAVED, Material.GRASS)[rng.integers(5)],
+        surfaces.TERRAIN: Material.GRASS,
+    }
+    for label, material in materials_of.items():
+        materials[labels == label] = material
+        shades[labels == label] = rng.uniform(0.75, 1.25)
+    shades *= np.repeat(patchwork.ravel(), 2).astype(np.float32)
+    shades *= np.repeat(rng.normal(1, 0.03, middle.size), 2).astype(np.float32)
+    index = np.arange(grid_s.size).reshape(grid_s.shape)
+    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
+    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], 2)
+    return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), labels, materials, shades)
+
+
+def _lines(regular: Array, edges: Array, low: float, high: float) -> Array:
+    lines: Array = np.unique(np.concatenate([regular, edges - KERB_M, edges + KERB_M]))
+    lines = lines[(lines >= low) & (lines <= high)]
+    apart: Array = lines[np.concatenate([[True], np.diff(lines) > 0.01])]
+    return apart
+
+
+def _patches(rng: Rng, s: Array, t: Array, length: float) -> Array:
+    """Return the brightness of cells (s, t): mended asphalt, worn and wet places, tracks."""
+    shade = np.ones((len(s), len(t)))
+    for _ in range(int(length / 6)):
+        centre = rng.uniform([0, -12], [length, 12])
+        half = rng.uniform([0.4, 0.2], [9, 1.6]) * rng.choice([1, 1, 1, 3])
+        inside = (np.abs(s - centre[0]) < half[0])[:, None] & (np.abs(t - centre[1]) < half[1])
+        if rng.random() < BRIGHTNESS.wet_patch:
+            shade[inside] *= rng.uniform(*BRIGHTNESS.wet_brightness)
+        else:
+            shade[inside] *= np.exp(rng.normal(0, BRIGHTNESS.patch))
+    return np.clip(shade, BRIGHTNESS.least, BRIGHTNESS.most)

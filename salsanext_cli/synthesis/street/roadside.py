@@ -36,10 +36,8 @@ def separate_directions(builder: Builder) -> None:
 
 
 def _parked(builder: Builder, side: Side) -> None:
-    """Park vehicles at the kerb in groups with gaps."""
-    style = builder.plan.style
     out = side.parking / 2 if side.parking else 0.75
-    share = style.parked if side.parking else style.parked * 0.45
+    share = builder.plan.style.parked * (1 if side.parking else 0.45)
     s, occupied = 2.5, builder.chance(share)
     while s < builder.plan.length - 2.5:
         if builder.chance(0.35):
@@ -49,15 +47,13 @@ def _parked(builder: Builder, side: Side) -> None:
             mesh = vehicle(builder.rng)
             length = length_of(mesh) + builder.between(0.6, 1.6)
             yaw = np.pi * (builder.chance(0.15) ^ (side.sign > 0)) + builder.rng.normal(0, 0.02)
-            wide = 0.2 if length > 7 else 0.0
-            beyond = out + wide + builder.rng.normal(0, 0.08)
+            beyond = out + (0.2 if length > 7 else 0.0) + builder.rng.normal(0, 0.08)
             facing = yaw + (0 if side.sign > 0 else np.pi)
             builder.put_if_free(mesh, side, s + length / 2, beyond, length / 2 - 0.35, facing)
         s += length
 
 
 def _trees(builder: Builder, side: Side) -> None:
-    style = builder.plan.style
     if not side.verge and builder.chance(0.5):
         return
     out = side.parking + side.verge / 2 if side.verge else side.parking + 0.7
@@ -69,7 +65,7 @@ def _trees(builder: Builder, side: Side) -> None:
         if side.verge and builder.chance(0.5):
             weeds = vegetation.weeds(builder.rng, builder.between(0.3, 0.8))
             builder.put(weeds, side, s + builder.between(1, 4), out)
-        s += builder.between(*style.tree_gap)
+        s += builder.between(*builder.plan.style.tree_gap)
     if side.verge and builder.chance(0.3):
         for s in np.arange(3, builder.plan.length, builder.between(2, 8)):
             radius = min(1.0, 0.5 * side.verge) * builder.between(0.5, 1)
@@ -89,10 +85,7 @@ def _lamps(builder: Builder, side: Side) -> None:
 
 
 def _signs(builder: Builder, side: Side) -> None:
-    """Set up signs: most face the traffic on their side, some what comes from behind, or the road.
-
-    Signs and traffic lights at side streets face either way along the street.
-    """
+    """Set up signs, most of which face the traffic on their side, and traffic lights."""
     for _ in builder.count(builder.plan.length / 40):
         s = builder.along()
         make = furniture.board if builder.chance(0.22) else furniture.sign
@@ -102,12 +95,11 @@ def _signs(builder: Builder, side: Side) -> None:
     for crossing in builder.plan.crossings:
         reach = crossing.half + 0.5 * crossing.corner + builder.between(0.4, 2.0)
         for s in (crossing.s - reach, crossing.s + reach):
-            if not builder.chance(0.45):
-                continue
-            make = furniture.traffic_light if builder.chance(0.3) else furniture.sign
-            yaw = -TOWARDS_TRAFFIC_RAD * builder.rng.choice([1, -1])
-            out = side.parking + 0.5 + 0.2 * crossing.corner
-            builder.put_if_free(make(builder.rng), side, s, out, 0.3, yaw)
+            if builder.chance(0.45):
+                make = furniture.traffic_light if builder.chance(0.3) else furniture.sign
+                yaw = -TOWARDS_TRAFFIC_RAD * builder.rng.choice([1, -1])
+                out = side.parking + 0.5 + 0.2 * crossing.corner
+                builder.put_if_free(make(builder.rng), side, s, out, 0.3, yaw)
 
 
 def _clutter(builder: Builder, side: Side) -> None:
@@ -121,7 +113,6 @@ def _clutter(builder: Builder, side: Side) -> None:
 
 
 def _crowd(builder: Builder, side: Side) -> None:
-    """Fill the pavement with groups of people and with bicycles and motorcycles."""
     crowd = builder.plan.style.crowd * builder.plan.length / 100
     for _ in builder.count(0.13 * crowd):
         _group(builder, side, builder.along(), _distance_from_kerb(builder, side))
@@ -140,7 +131,6 @@ def _distance_from_kerb(builder: Builder, side: Side) -> float:
 
 
 def _group(builder: Builder, side: Side, s: float, out: float) -> None:
-    """Stand one to eight people close together, some with a bicycle beside them."""
     count = int(builder.rng.choice([1, 1, 2, 2, 3, 4, 6, 8]))
     for _ in range(count):
         place = s + builder.rng.normal(0, 0.35 * count**0.5), out + builder.rng.normal(0, 0.35)
@@ -152,7 +142,6 @@ def _group(builder: Builder, side: Side, s: float, out: float) -> None:
 
 
 def _bench(builder: Builder, side: Side, s: float, out: float) -> None:
-    """Seat people side by side on a bench."""
     if not builder.put_if_free(furniture.bench(builder.rng), side, s, out, 0.3):
         return
     for x in np.arange(-0.6, 0.9, builder.between(0.5, 0.8)):
@@ -175,7 +164,6 @@ def _bicycles(builder: Builder, side: Side, s: float) -> None:
 
 
 def _motorcycles(builder: Builder, side: Side, s: float) -> None:
-    """Park motorcycles at the kerb or on the pavement, along it or across."""
     at_kerb = builder.chance(0.4)
     out = builder.between(-0.7, -0.4) if at_kerb else _distance_from_kerb(builder, side)
     yaw = builder.rng.choice([0.0, np.pi / 2, 1.0]) + np.pi * builder.chance(0.5)
@@ -203,19 +191,16 @@ def _park_along(builder: Builder, side: Side, crossing: Crossing) -> None:
 
 
 def _side_street(builder: Builder, side: Side, crossing: Crossing) -> None:
-    """Set vehicles, people and poles down in and along a side street."""
     _park_along(builder, side, crossing)
     if builder.chance(0.5):
-        yaw = -np.pi / 2
         s = crossing.s - side.sign * crossing.half * 0.45
-        builder.put(car(builder.rng), side, s, builder.between(2.6, 5), yaw)
+        builder.put(car(builder.rng), side, s, builder.between(2.6, 5), TOWARDS_ROAD_RAD)
     for _ in builder.count(2 if crossing.pavement else 0.5):
         away = (crossing.half + builder.between(0.4, 1.4)) * builder.rng.choice([-1, 1])
-        make_thing = (people.person, people.person, furniture.post, cycles.bicycle, furniture.sign)
-        mesh = make_thing[builder.rng.integers(5)](builder.rng)
+        makers = (people.person, people.person, furniture.post, cycles.bicycle, furniture.sign)
+        mesh = makers[builder.rng.integers(5)](builder.rng)
         out = side.depth + builder.between(0, 25)
         builder.put(mesh, side, crossing.s + away, out, builder.between(0, 6.28))
     wide = 2 * crossing.half + 6
-    height = builder.between(4, 8)
-    wood = vegetation.thicket(builder.rng, wide, 3, height).moved((-wide / 2, 0, 0))
-    builder.put(wood, side, crossing.s, SIDE_STREET_END_M)
+    wood = vegetation.thicket(builder.rng, wide, 3, builder.between(4, 8))
+    builder.put(wood.moved((-wide / 2, 0, 0)), side, crossing.s, SIDE_STREET_END_M)

@@ -16,16 +16,12 @@ from salsanext_cli.synthesis.things.vehicles import vehicle
 
 @dataclass(frozen=True, slots=True)
 class Mover:
-    """A thing that keeps its speed and its distance from the centre line.
+    """A thing that keeps its speed and its distance from the centre line."""
 
-    Its mesh is in its own frame, x forward. At time 0 it is ``start`` metres along the street and
-    ``t`` metres to the left; a negative ``speed``, in metres per second, leads towards the start.
-    """
-
-    mesh: Mesh
-    start: float
-    t: float
-    speed: float
+    mesh: Mesh  # In its own frame, x forward
+    start: float  # Along the street at time 0, metres
+    t: float  # To the left of the centre line, metres
+    speed: float  # Metres per second; negative towards the start of the street
 
     def at(self, plan: Plan, time: float) -> Mesh | None:
         """Return it in world coordinates at a time, None while it is off the street."""
@@ -37,12 +33,9 @@ class Mover:
 
 
 def moving(builder: Builder, ego_speed: float, duration: float) -> tuple[Mover, ...]:
-    """Return the things that move during a drive of `duration` seconds, metres per second."""
-    return (
-        *_vehicles(builder, ego_speed, duration),
-        *_walkers(builder, duration),
-        *_riders(builder, ego_speed, duration),
-    )
+    """Return what moves during a drive of `duration` seconds at `ego_speed` metres per second."""
+    movers = [*_vehicles(builder, ego_speed, duration), *_walkers(builder, duration)]
+    return (*movers, *_riders(builder, ego_speed, duration))
 
 
 def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
@@ -51,10 +44,9 @@ def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover
     *others, own = lanes(plan.half)
     ahead, behind = builder.between(9, 40), builder.between(9, 50)
     drive = speed * duration
-    for s in _in_a_row(builder, RUN_OUT_M + ahead, plan.length + drive, 10):
-        yield Mover(_vehicle(builder), s, -own, speed)
-    for s in _in_a_row(builder, RUN_OUT_M - behind, -drive, 10):
-        yield Mover(_vehicle(builder), s, -own, speed)
+    for start, end in ((ahead, plan.length + drive), (-behind, -drive)):
+        for s in _in_a_row(builder, RUN_OUT_M + start, end, 10):
+            yield Mover(_vehicle(builder), s, -own, speed)
     for t in others:
         pace = speed * builder.between(0.9, 1.3)
         for s in _in_a_row(builder, -pace * duration, plan.length, 10):
@@ -89,7 +81,6 @@ def _in_motion(mesh: Mesh) -> Mesh:
 
 
 def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
-    """Yield pedestrians, alone or in twos."""
     plan = builder.plan
     for side in plan.sides:
         for _ in builder.count(0.16 * plan.style.crowd * plan.length / 100):

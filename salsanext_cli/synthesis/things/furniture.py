@@ -37,8 +37,9 @@ def post(rng: Rng) -> Mesh:
     return tube([[0, 0, FOOT_M], [0, 0, height]], radius, _steel(rng), 8)
 
 
-def _face(rng: Rng, kind: str) -> Mesh:
+def _face(rng: Rng) -> Mesh:
     """Return a sign's plate in the x-z plane around the origin, its bright side towards -y."""
+    kind = ("round", "triangle", "panel")[rng.integers(3)]
     bright = Skin.drawn(rng, SIGN, Material.RETRO, 0.75, 1.1)
     radius = float(rng.uniform(0.28, 0.45))
     if kind == "round":
@@ -58,8 +59,7 @@ def sign(rng: Rng) -> Mesh:
     height = float(rng.uniform(2.0, 3.0) if rng.random() < 0.75 else rng.uniform(1.0, 2.0))
     parts = [tube([[0, 0, FOOT_M], [0, 0, height + 0.35]], rng.uniform(0.03, 0.05), _steel(rng), 7)]
     for place in range(int(rng.integers(1, 3))):
-        kind = ("round", "triangle", "panel")[rng.integers(3)]
-        parts.append(_face(rng, kind).moved((0, -0.07, height - 0.75 * place)))
+        parts.append(_face(rng).moved((0, -0.07, height - 0.75 * place)))
     return merge(parts)
 
 
@@ -86,16 +86,14 @@ def traffic_light(rng: Rng) -> Mesh:
     return merge(parts)
 
 
-def dustbin(rng: Rng) -> Mesh:
-    """Return a dustbin with a lid."""
+def _dustbin(rng: Rng) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.WOOD, 0.2, 1.1)
     x, y, z = rng.uniform([0.2, 0.2, 0.8], [0.35, 0.4, 1.15])
     lid = box((-x - 0.02, -y - 0.05, z), (x + 0.02, y, z + 0.08), skin)
     return merge([box((-x, -y, 0.05), (x, y, z), skin), lid])
 
 
-def cabinet(rng: Rng) -> Mesh:
-    """Return a switch cabinet."""
+def _cabinet(rng: Rng) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.5, 1.1)
     x, y, z = rng.uniform([0.25, 0.12, 0.8], [0.9, 0.3, 1.6])
     return box((-x, -y, FOOT_M), (x, y, z), skin)
@@ -112,22 +110,19 @@ def bench(rng: Rng) -> Mesh:
     return merge(slats + legs)
 
 
-def planter(rng: Rng) -> Mesh:
-    """Return a round planter."""
+def _planter(rng: Rng) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.BRICK, 0.7, 1.1)
     radius, height = float(rng.uniform(0.25, 0.7)), float(rng.uniform(0.35, 0.7))
     path = [[0, 0, FOOT_M], [0, 0, height], [0, 0, height + 0.01]]
     return tube(path, [radius, radius * 1.1, 0.02], skin, 10)
 
 
-def column(rng: Rng) -> Mesh:
-    """Return an advertising column."""
+def _column(rng: Rng) -> Mesh:
     skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.7, 1.1)
     return tube([[0, 0, FOOT_M], [0, 0, 3.0], [0, 0, 3.3]], [0.6, 0.6, 0.75], skin, 12)
 
 
-def crates(rng: Rng) -> Mesh:
-    """Return a heap of two to five crates."""
+def _crates(rng: Rng) -> Mesh:
     parts = []
     for _ in range(int(rng.integers(2, 6))):
         low = np.array([*rng.normal(0, 0.6, 2), 0.0])
@@ -139,7 +134,7 @@ def crates(rng: Rng) -> Mesh:
 
 def clutter(rng: Rng) -> Mesh:
     """Return a dustbin, cabinet, bench, planter, advertising column or a heap of crates."""
-    makers = (*[dustbin] * 3, *[cabinet] * 3, bench, planter, column, crates)
+    makers = (*[_dustbin] * 3, *[_cabinet] * 3, bench, _planter, _column, _crates)
     return makers[rng.integers(len(makers))](rng)
 
 

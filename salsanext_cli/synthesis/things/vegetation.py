@@ -28,7 +28,6 @@ def _leaves(
 
 
 def _lumps(rng: Rng, spread: float) -> Array:
-    """Return the unevenness of an ellipsoid."""
     return spread * rng.standard_normal((6, 8, 1)).clip(-2, 2)
 
 

@@ -10,8 +10,6 @@ from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, disc, loft
 from salsanext_cli.synthesis.presets import Numbers, weighted_choice
 from salsanext_cli.synthesis.surfaces import BUS, CAR, OTHER_VEHICLE, TRUCK, Material
 
-SECTION_POINTS = 8
-"""Points of a cross-section of a body."""
 STEEL = Skin(TRUCK, Material.METAL, 0.5)
 IRON = Skin(OTHER_VEHICLE, Material.METAL, 0.6)
 
@@ -45,11 +43,11 @@ def _body(body: Numbers, paint: Skin, stretch: Array) -> Mesh:
     z = np.stack([sill, middle, belt, roof, roof, belt, middle, sill], -1)
     sections = np.stack([np.broadcast_to(x[:, None], y.shape), y, z], -1)
     shell = loft(sections, paint)
-    windows = np.zeros((len(x) - 1, SECTION_POINTS), bool)
+    windows = np.zeros((len(x) - 1, y.shape[1]), bool)
     windows[np.ix_(body.cabin, (2, 4))] = windows[np.ix_(body.screens, (2, 3, 4))] = True
     glass = np.tile(windows.ravel(), 2)
     shell.materials[glass], shell.shades[glass] = Material.GLASS, 0.8
-    fan = np.array([[0, k, k + 1] for k in range(1, SECTION_POINTS - 1)])
+    fan = np.array([[0, k, k + 1] for k in range(1, y.shape[1] - 1)])
     ends = [Mesh.of(sections[i], fan, paint) for i in (0, -1)]
     return merge([shell, *ends]).scaled(stretch)
 
@@ -68,7 +66,6 @@ def _wheels(label: int, axles: list[float], track: float, radius: float, wide: f
 
 
 def _fittings(body: Numbers, label: int, stretch: Array) -> list[Mesh]:
-    """Return lamps, reflectors, number plates and mirrors."""
     lamp, retro = Skin(label, Material.LAMP), Skin(label, Material.RETRO)
     mirror = Skin(label, Material.PAINT, 0.4)
     front, rear = body.length / 2 * stretch[0], -body.length / 2 * stretch[0]
