@@ -53,7 +53,7 @@ def read_values(
 ) -> npt.NDArray[Any]:
     """Read values (count,) from the current position of an open file that holds as many."""
     values = np.empty(count * np.dtype(dtype).itemsize, np.uint8)
-    if file.readinto(values) != len(values):
+    if file.readinto(values.data) != len(values):
         raise FormatError(path, "changed while it was read", "a file that no program is writing")
     return values.view(dtype)
 

@@ -89,18 +89,20 @@ def knn_refine(
     ranges = _framed(np.where(empty, np.float32(np.inf), image.channels[0]), half, np.inf)
     labels = _framed(np.where(empty, np.uint8(0), labels), half, 0)
     offsets, weights = candidates(parameters, width)
-    framed, votes = (ranges, labels, width, half), (offsets, weights, parameters.k)
     if device != "cpu":
         from salsanext_cli.geometry import knn_torch
 
-        points = (image.pixel_of_point, image.point_range)
-        return knn_torch.refine(*points, *framed, *votes, parameters.cutoff, device)
+        points, votes = (image.pixel_of_point, image.point_range), (parameters.k, parameters.cutoff)
+        return knn_torch.refine(
+            *points, ranges, labels, width, half, offsets, weights, *votes, device
+        )
     pixel_of_point = argument(image.pixel_of_point, np.int32)
     point_range = argument(image.point_range, np.float32)
     frame = half * (width + 2 * half) + half
     mixed = np.empty(labels.size - 2 * frame, np.bool_)
     refined = np.empty(len(pixel_of_point), np.uint8)
-    view, vote = (ranges, labels, mixed, width, half), (*votes, np.float32(parameters.cutoff))
+    view = (ranges, labels, mixed, width, half)
+    vote = (offsets, weights, parameters.k, np.float32(parameters.cutoff))
 
     def mark(part: slice) -> None:
         mark_mixed(labels, frame + part.start, offsets, mixed[part])

@@ -193,8 +193,11 @@ class Sensor:
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
         """Return the same sensor with another image size."""
-        sizes = {"height": height, "width": width}
-        return replace(self, **{key: size for key, size in sizes.items() if size is not None})
+        return replace(
+            self,
+            height=self.height if height is None else height,
+            width=self.width if width is None else width,
+        )
 
 
 def are_beams(elevations: tuple[float, ...]) -> bool:
