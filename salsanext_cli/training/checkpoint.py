@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import safetensors
 import safetensors.torch
 import torch
 from torch import Tensor
@@ -24,6 +25,16 @@ from salsanext_cli.training.log import Row
 
 KEY = "salsanext-checkpoint"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""
+DAMAGE = (
+    safetensors.SafetensorError,
+    OSError,
+    ArithmeticError,
+    LookupError,
+    TypeError,
+    ValueError,
+    RuntimeError,
+)
+"""Errors that reading a damaged checkpoint may end in."""
 OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
 """Names of the tensors that torch's optimisers keep for each parameter."""
 
@@ -70,7 +81,7 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
             raise TypeError("a scaler of another precision")
         learner.scaler.load_state_dict(values["scaler"])
         _restore(learner, tensors)
-    except Exception as error:  # a damaged file may lead to any
+    except DAMAGE as error:
         raise TrainingError(
             path,
             f"cannot be resumed from: {error_text(error)}",
