@@ -45,7 +45,7 @@ RELATIVE_RESPONSE = (0.82, 0.86, 0.92, 1.0, 1.05, 0.92, 0.66, 0.45)
 
 
 class Lasers(NamedTuple):
-    """What tells lasers apart: of each laser (L,), or of the laser that fires each ray (R,)."""
+    """Differences between lasers: of each laser (L,), or of the laser that fires each ray (R,)."""
 
     gain: Array  # Brightness that it reports relative to the others
     offset: Array  # What it reports less

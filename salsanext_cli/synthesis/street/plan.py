@@ -27,7 +27,7 @@ RUN_OUT_M = 70.0
 MULTILANE_HALF_WIDTH_M = 5.5
 """Half the width of a carriageway from which on it has more than a lane per direction."""
 PAVED = (Material.PAVING, Material.PAVING, Material.PAVING, Material.ASPHALT)
-"""What paved ground is made of, each as likely as it is listed."""
+"""Materials of paved ground, each as likely as it is listed."""
 CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
 """Distances from the kerb of the grid lines that rounded corners need."""
 
@@ -87,7 +87,7 @@ class Side:
         return height
 
     def on_side_street(self, s: Array, beyond: Array) -> npt.NDArray[np.bool_]:
-        """Whether a place `beyond` the kerb is on a side street or its rounded corners."""
+        """Say whether a place `beyond` the kerb is on a side street or its rounded corners."""
         on_street = np.zeros(np.broadcast_shapes(np.shape(s), np.shape(beyond)), bool)
         for crossing in self.crossings:
             away, radius = np.abs(s - crossing.s) - crossing.half, crossing.corner
