@@ -48,7 +48,8 @@ def _draw_brightness(rng: Rng) -> Array:
     """Draw the brightness of each material in a street, (materials,), relative to the usual."""
     brightness = np.exp(rng.normal(0, BRIGHTNESS.street, len(Material)))
     dark = rng.random(len(Material)) < BRIGHTNESS.dark
-    brightness[dark] = rng.uniform(*BRIGHTNESS.dark_brightness, int(dark.sum()))
+    low, high = BRIGHTNESS.dark_brightness
+    brightness[dark] = rng.uniform(low, high, int(dark.sum()))
     return np.clip(brightness, BRIGHTNESS.least, BRIGHTNESS.most)
 
 
@@ -142,7 +143,8 @@ class _Track:
 
         def turned(vectors: Array) -> Array:
             before, after = vectors @ first[:3, :3].T, vectors @ last[:3, :3].T
-            return before * (1 - share) + after * share
+            between: Array = before * (1 - share) + after * share
+            return between
 
         starts = first[:3, 3] * (1 - share) + last[:3, 3] * share + turned(origins)
         mixed = turned(directions)

@@ -95,7 +95,7 @@ class Side:
             on_street |= (away <= 0) | ((away < radius) & (beyond < radius) & cut)
         return on_street
 
-    def from_side_street(self, s: npt.ArrayLike) -> Array:
+    def from_side_street(self, s: Array | float) -> Array:
         """Distance along s to the nearest side street's carriageway; negative inside."""
         distance = np.full(np.shape(s), 1e3)
         for crossing in self.crossings:
@@ -180,7 +180,7 @@ class Plan:
     def _painted(self, s: Array, t: Array) -> npt.NDArray[np.bool_]:
         """Say where the carriageway is painted: dashes, edge lines, zebra and stop lines."""
         dashed = (np.abs(t) < 0.08) & (np.mod(s, 9.0) < 3.0)
-        edge = (np.abs(np.abs(t) - (self.half - 0.3)) < 0.06) & (self.style.lane[1] > 4)
+        edge = (np.abs(np.abs(t) - (self.half - 0.3)) < 0.06) & bool(self.style.lane[1] > 4)
         painted = dashed | edge
         for crossing in self.crossings:
             away = np.abs(s - crossing.s) - crossing.half

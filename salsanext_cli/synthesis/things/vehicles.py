@@ -166,8 +166,8 @@ def _box(rng: Rng, bed: Bed) -> list[Mesh]:
         low, high = (x, -half_width - 0.02, floor), (x + 0.05, half_width + 0.02, top)
         parts.append(box(low, high, STEEL))
     if rng.random() < 0.3:
-        low, high = (half_length, -half_width * 0.8), (half_length + 0.6, half_width * 0.8)
-        parts.append(box((*low, top - 0.5), (*high, top), skin))
+        front, side = half_length, half_width * 0.8
+        parts.append(box((front, -side, top - 0.5), (front + 0.6, side, top), skin))
     return parts
 
 
