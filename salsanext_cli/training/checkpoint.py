@@ -26,6 +26,8 @@ KEY = "salsanext-checkpoint"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""
 OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
 """Names of the tensors that torch's optimisers keep for each parameter."""
+DAMAGE = (safetensors.SafetensorError, OSError, RuntimeError, LookupError, TypeError, ValueError)
+"""Errors that reading a damaged checkpoint may end in."""
 
 
 @dataclass(slots=True)
@@ -60,7 +62,9 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
         with safetensors.safe_open(path, framework="pt") as file:
             tensors = {name: file.get_tensor(name) for name in list(file.keys())}
             values = json.loads((file.metadata() or {})[KEY])
-        if values.pop("sha256") != _checksum(values, tensors):
+        checksum = values["sha256"]
+        del values["sha256"]
+        if checksum != _checksum(values, tensors):
             raise ValueError("the checksum is wrong")
         _require_fitting(tensors, learner)
         state = TrainingState(**values["progress"], losses=tensors.pop("losses").tolist())
@@ -70,7 +74,7 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
             raise TypeError("a scaler of another precision")
         learner.scaler.load_state_dict(values["scaler"])
         _restore(learner, tensors)
-    except Exception as error:  # a damaged file may lead to any
+    except DAMAGE as error:
         raise TrainingError(
             path,
             f"cannot be resumed from: {error_text(error)}",
