@@ -37,6 +37,8 @@ DAMAGE = (
 """Errors that reading a damaged checkpoint may end in."""
 OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
 """Names of the tensors that torch's optimisers keep for each parameter."""
+DAMAGE = (safetensors.SafetensorError, OSError, RuntimeError, LookupError, TypeError, ValueError)
+"""Errors that reading a damaged checkpoint may end in."""
 
 
 @dataclass(slots=True)
@@ -71,7 +73,9 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
         with safetensors.safe_open(path, framework="pt") as file:
             tensors = {name: file.get_tensor(name) for name in list(file.keys())}
             values = json.loads((file.metadata() or {})[KEY])
-        if values.pop("sha256") != _checksum(values, tensors):
+        checksum = values["sha256"]
+        del values["sha256"]
+        if checksum != _checksum(values, tensors):
             raise ValueError("the checksum is wrong")
         _require_fitting(tensors, learner)
         state = TrainingState(**values["progress"], losses=tensors.pop("losses").tolist())
