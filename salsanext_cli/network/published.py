@@ -2,8 +2,10 @@
 """Checkpoints of the published implementation, read without running anything they contain."""
 
 import re
+import struct
 import warnings
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, Self
 
 import torch
@@ -28,6 +30,11 @@ MAX_IGNORED = 64
 """Names of classes and functions that a checkpoint may mention beside its tensors."""
 BUILTINS = ("builtins", "__builtin__")
 UNKNOWN_NAME = re.compile(r"GLOBAL ([\w.]+)")
+UNREADABLE = (
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
+    *(RecursionError, RuntimeError, TypeError, ValueError, UnpicklingError, struct.error),
+)
+"""Errors over bytes that `torch.save` did not write."""
 
 
 class Ignored:
@@ -94,7 +101,7 @@ def _read_torch_file(path: Path) -> Any:
                 return torch.load(path, map_location="cpu", weights_only=True)
         except OSError as error:
             raise WeightsError(path, f"cannot be read: {reason(error)}") from error
-        except Exception as error:
+        except UNREADABLE as error:
             unknown = UNKNOWN_NAME.search(str(error))
             name = unknown[1] if unknown else ""
             names = [name] if "." in name else [f"{module}.{name}" for module in BUILTINS]
