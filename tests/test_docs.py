@@ -23,7 +23,7 @@ from command_line import every_command, parsed
 from scans import SMALL, make_scan, write_array, write_sequence
 
 import salsanext_cli
-from salsanext_cli import LabelSpace, Sensor, label_space, load_network, read_scan
+from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project, read_scan
 from salsanext_cli.cli.app import COMMANDS, app
 from salsanext_cli.formats import SCAN_SUFFIXES
 from salsanext_cli.formats.las import asprs_class
@@ -323,6 +323,8 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
             sys.setprofile(None)
             threading.setprofile(None)
 
+    # A graph that is compiled for the first time is written to the cache.
+    network.load().probabilities(project(make_scan(), SMALL))
     monkeypatch.setattr(stage, "predict_scan", followed)
     files_visited(world.scan(), world.out)
     in_order = visited[1]
