@@ -35,11 +35,6 @@ MAX_IGNORED = 64
 """Names of classes and functions that a checkpoint may mention beside its tensors."""
 BUILTINS = ("builtins", "__builtin__")
 UNKNOWN_NAME = re.compile(r"GLOBAL ([\w.]+)")
-UNREADABLE = (
-    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
-    *(RecursionError, RuntimeError, TypeError, ValueError, UnpicklingError, struct.error),
-)
-"""Errors over bytes that `torch.save` did not write."""
 
 
 class Ignored:

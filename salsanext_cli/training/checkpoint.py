@@ -37,8 +37,6 @@ DAMAGE = (
 """Errors that reading a damaged checkpoint may end in."""
 OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
 """Names of the tensors that torch's optimisers keep for each parameter."""
-DAMAGE = (safetensors.SafetensorError, OSError, RuntimeError, LookupError, TypeError, ValueError)
-"""Errors that reading a damaged checkpoint may end in."""
 
 
 @dataclass(slots=True)
