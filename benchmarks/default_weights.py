@@ -51,10 +51,10 @@ SECTORS = 8
 """Sectors of 46° that fill a circle."""
 POINTS_OF_SCAN = 10_000
 """Points of each validation scan that the model of errors is fitted to."""
-STREETS = ("--train", "240", "--valid", "5", "--scans", "8", "--spacing", "10", "--jobs", "2")
+STREETS = ("--train", "160", "--valid", "5", "--scans", "8", "--spacing", "10", "--jobs", "2")
 
 DESCRIPTION = (
-    "Trained on simulated streets and sensors and on two drives of PandaSet: 1 920 scans each of "
+    "Trained on simulated streets and sensors and on two drives of PandaSet: 1 280 scans each of "
     "`salsanext synth` with an HDL-64 and with random sensors, 32 of PandaSet (Hesai and Scale AI, "
     "CC BY 4.0).{aachen} The error is fitted to simulated scans only. See docs/model-card.md; not "
     "for use on real roads."
