@@ -42,7 +42,9 @@ def refusing_damage(path: Path, expected: str, remedy: str = "") -> Iterator[Non
     except SalsanextError:
         raise
     except BaseException as error:
-        if not isinstance(error, Exception) and type(error).__name__ != PANIC:
+        if isinstance(error, MemoryError | NameError | ImportError) or (
+            not isinstance(error, Exception) and type(error).__name__ != PANIC
+        ):
             raise
         found = f"damaged or cut off: {error_text(error)}"
         raise FormatError(path, found, expected, remedy) from error

@@ -18,8 +18,6 @@ MAX_LINE_CHARACTERS = 1000
 """Longest line of TOML; a key of thousands of parts takes hundreds of megabytes."""
 MAX_NESTED_BRACKETS = 20
 """Deepest nesting of brackets in YAML; each makes later characters slower to read."""
-
-
 YAML_ERRORS = (
     *(yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError),
     RecursionError,
@@ -76,6 +74,8 @@ def _text(path: Path, largest: int, expected: str) -> str:
     try:
         with reading(path) as file:
             content = file.read(largest + 1)
+    except ValueError as error:  # a path with a NUL
+        raise UsageError(path, error_text(error), expected) from error
     except FormatError as error:
         if isinstance(error.__cause__, FileNotFoundError):
             raise error.__cause__ from None

@@ -36,11 +36,13 @@ def columns_of(message: Any, path: Path) -> Columns:
     with refusing_damage(path, EXPECTED, REMEDY):
         if row_step < width * step:
             raise ValueError(f"rows of {row_step} bytes for {width} points of {step}")
-        fields = {
-            field.name: (order + TYPES[field.datatype], field.offset)
-            for field in reversed(message.fields)
-            if field.count <= 1  # Old drivers write 0.
-        }
+        promised = (height - 1) * row_step + width * step if height and width else 0
+        if len(message.data) < promised:
+            raise ValueError(f"{len(message.data)} bytes of data, not {promised}")
+        fields: dict[str, tuple[str, int]] = {}
+        for field in message.fields:
+            if field.count <= 1:  # Old drivers write 0.
+                fields.setdefault(field.name, (order + TYPES[field.datatype], field.offset))
         point = np.dtype(
             {
                 "names": [*fields],

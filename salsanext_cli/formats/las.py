@@ -48,7 +48,8 @@ def las_columns(path: Path) -> Columns:
 def _read(path: Path, columns_of: Callable[[Any], Columns]) -> Columns:
     """Read a file part by part; a function takes the columns from some points."""
     with reading(path) as file, refusing_damage(path, "a whole .las or .laz file"):
-        laspy, size = import_laspy(path), size_of(file)
+        laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
+        size = size_of(file)
         # laspy looks for as many records as a header promises, and in memory for what is between.
         offset, record_count = PLACES.unpack(file.read(PLACES.size))
         if record_count * RECORD_BYTES > offset or offset > size:
@@ -96,7 +97,8 @@ def encode_las(
     become extra dimensions of their name and type. Points that are not finite are written at the
     origin and marked as withheld. `classification` (N,): classes of the ASPRS.
     """
-    laspy = import_laspy(path)
+    compressed = path.suffix == COMPRESSED_SUFFIX
+    laspy = import_laspy(path, compressed=compressed)
     points = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
     finite = np.isfinite(points).all(axis=1)
     points[~finite] = 0
@@ -125,19 +127,20 @@ def encode_las(
     for name, values in extra.items():
         cloud[name] = values
     with io.BytesIO() as buffer:
-        compressed = path.suffix == COMPRESSED_SUFFIX
-        cloud.write(buffer, do_compress=compressed, laz_backend=laspy.LazBackend.Lazrs)
+        backend = laspy.LazBackend.Lazrs if compressed else None
+        cloud.write(buffer, do_compress=compressed, laz_backend=backend)
         content = bytearray(buffer.getvalue())
     # Without the day of its creation a file depends on its points only.
     content[ORIGIN_OF_DATE : ORIGIN_OF_DATE + DATE_BYTES] = bytes(DATE_BYTES)
     return bytes(content)
 
 
-def import_laspy(subject: object) -> Any:
+def import_laspy(subject: object, *, compressed: bool) -> Any:
     """Import laspy, for whose lack the error names a subject, and keep it from printing."""
     try:
         laspy = import_extra("laspy", "las")
-        import_extra("lazrs", "las")
+        if compressed:
+            import_extra("lazrs", "las")
     except MissingDependency as error:
         found = f"LAS needs {error.subject}"
         raise MissingDependency(subject, found, remedy=error.remedy) from error

@@ -27,7 +27,8 @@ def load_array(file: BufferedIOBase, size: int, path: Path, expected: str) -> np
     with refusing_damage(path, expected):
         # A header of version 1 has 64 kB at most; those of later versions may promise gigabytes.
         if (version := npy.read_magic(file)) != (1, 0):
-            raise ValueError(f"not a .npy file of version 1.0, but {version}")
+            number = ".".join(map(str, version))
+            raise FormatError(path, f"a .npy file of version {number}", f"{expected}, version 1.0")
         with warnings.catch_warnings():
             # A header that is parsed as Python may warn before it is refused.
             warnings.simplefilter("ignore")

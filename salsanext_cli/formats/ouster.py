@@ -17,6 +17,7 @@ from salsanext_cli.formats.columns import Columns, rows_as_rings
 
 EXPECTED = "a recording of Ouster sensors"
 REMEDY = "put the metadata of the sensor beside a .pcap, as a .json of the same name"
+PROBE_TIMEOUT_S = 600
 PROBE = "import sys; from ouster.sdk import open_source; open_source(sys.argv[1], collate=False)"
 PCAP_BYTE_ORDER = {
     **dict.fromkeys((b"\xd4\xc3\xb2\xa1", b"\x4d\x3c\xb2\xa1"), "<"),
@@ -98,5 +99,9 @@ def _is_cut(file: BufferedReader) -> bool:
 def _probe(path: Path) -> None:
     """Open a recording in a process of its own first, which the library ends if it is damaged."""
     command = [sys.executable, "-c", PROBE, str(path)]
-    if subprocess.run(command, capture_output=True, check=False).returncode < 0:
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=PROBE_TIMEOUT_S, check=False)
+    except subprocess.TimeoutExpired as error:
+        raise FormatError(path, f"not opened in {PROBE_TIMEOUT_S} s", "an OSF file") from error
+    if done.returncode < 0:
         raise FormatError(path, "damaged: ouster-sdk crashes at it", "an OSF file", "copy it anew")

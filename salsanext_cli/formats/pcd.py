@@ -83,10 +83,12 @@ def _read_ascii(file: BufferedReader, header: Header) -> Columns:
     if values.shape != (header.point_count, first[-1]):
         found = f"{len(values)} lines of {values.shape[1]} values"
         raise ValueError(f"{found}, not {header.point_count} of {first[-1]}")
-    column_of = dict(zip(header.point.names or (), values.T[first[:-1]], strict=True))
+    column_of = dict(zip(header.point.names or (), first[:-1], strict=True))
     # A NaN in an integer field that is not used is no reason to fail.
     with np.errstate(invalid="ignore", over="ignore"):
-        return {name: column_of[name].astype(header.point[name]) for name in header.scalars}
+        return {
+            name: values[:, column_of[name]].astype(header.point[name]) for name in header.scalars
+        }
 
 
 def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:

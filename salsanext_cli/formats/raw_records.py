@@ -29,6 +29,8 @@ TEXT_BYTES = 4096
 """Size of the start of a file that shows whether it is text."""
 MIN_TEXT_BYTES = 256
 """Size from which on float32 values hold some of the bytes that do not occur in text."""
+MIN_ASCII_BYTES = 16
+"""The same, if all are of ASCII: as float32 they are hardly ever coordinates in metres."""
 CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")
 """Bytes that do not occur in text; blanks, line ends and escapes do."""
 LEAST, MOST = 1e-12, 1e7
@@ -45,7 +47,8 @@ SAMPLE = 4096
 def other_suffix(start: bytes) -> str | None:
     """Return the suffix for a file that begins as one of another format or text does, else None."""
     of_magic = (suffix for magic, suffix in MAGIC.items() if start.startswith(magic))
-    is_text = len(start) >= MIN_TEXT_BYTES and not CONTROL.search(start)
+    least = MIN_ASCII_BYTES if start.isascii() else MIN_TEXT_BYTES
+    is_text = len(start) >= least and not CONTROL.search(start)
     return next(of_magic, TEXT_SUFFIX if is_text else None)
 
 

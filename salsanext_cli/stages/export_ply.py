@@ -99,7 +99,7 @@ def export_ply(
     if form not in FORMATS:
         raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
     if form != "ply":
-        import_laspy(f"--format {form}")
+        import_laspy(f"--format {form}", compressed=form == "laz")
     chosen = results.chosen(selection, space, network.classes)
     scans, space = chosen.scans, chosen.space
     if max_error is not None:

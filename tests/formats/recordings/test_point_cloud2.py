@@ -77,6 +77,7 @@ def test_a_field_of_several_values_and_a_second_one_of_a_name_are_passed_over():
         {"point_step": 10**12},
         {"point_step": 11},
         {"data": np.zeros(23, np.uint8)},
+        {"data": np.zeros(0, np.uint8)},
         {"fields": [SimpleNamespace(name="x", offset=10, datatype=7, count=1)]},
         {"fields": [SimpleNamespace(name="x", offset=0, datatype=9, count=1)]},
     ],
