@@ -159,14 +159,6 @@ def intensity_findings(
         yield Finding("intensity-scale", found, remedy)
         return
     quantiles = matched or trained.intensity_quantiles
-    if matched == NO_INTENSITY:
-        return
-    if bright < 0 and not matched:
-        found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}: negative"
-        yield Finding(
-            "intensity-scale", found, "name another column: --columns, or --intensity none"
-        )
-        return
     if quantiles:
         usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
         near = usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import LabelError, SalsanextError, counted
+from salsanext_cli.errors import LabelError, OutputError, SalsanextError, counted
 from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile
@@ -98,7 +98,11 @@ class LabelRecords:
 
     @cached_property
     def _imported(self) -> dict[str, dict[str, Any]]:
-        return _table(self.owned.record_path, "scans")
+        entries = _table(self.owned.record_path, "scans")
+        if not all(map(_is_entry, entries.values())):
+            remedy = "delete it or use another folder"
+            raise OutputError(self.owned.record_path, f"not what `{STAGE}` writes", remedy=remedy)
+        return entries
 
     @cached_property
     def _states(self) -> States:
@@ -123,8 +127,9 @@ class LabelRecords:
         not among theirs, which may hold other points, nor from files that contradicted each other
         in fewer points.
         """
-        path, earlier = scan.label_path, self._imported.get(name_of(scan), {})
-        imported = Counter(Path(file).name for file in earlier.get("files", ()))
+        path, earlier = scan.label_path, self._imported.get(name_of(scan), {"files": []})
+        # Files that are not recorded may be any.
+        imported = Counter(Path(file).name for file in earlier.get("files", ["?"]))
         lost = imported - Counter(file.name for file in edited)
         more = imported and contradicted > earlier.get("contradicted", 0)
         if (lost or more) and present(path):
@@ -167,6 +172,13 @@ def digest_of_file(path: Path) -> str:
     """Return the SHA-256 of the content of a file, hexadecimal."""
     with reading(path) as file:
         return hashlib.sha256(file.read()).hexdigest()
+
+
+def _is_entry(value: object) -> bool:
+    if not isinstance(value, dict) or not isinstance(files := value.get("files", []), list):
+        return False
+    is_count = isinstance(value.get("contradicted", 0), int)
+    return is_count and all(isinstance(file, str) for file in files)
 
 
 def _table(path: Path, key: str) -> dict[str, Any]:

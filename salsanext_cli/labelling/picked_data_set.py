@@ -24,6 +24,7 @@ from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.version import __version__
 
 STAGE = "pick"
+FAILURE_KEYS = ("scan", "reason", "code")
 LABEL_SPACE, TABLE, SHEET = "labels.yaml", "picked.csv", "picked.png"
 POSES, CALIBRATION = "poses.txt", "calib.txt"
 COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
@@ -74,8 +75,10 @@ class PickRecord:
         """Read what `to_dict` returned from a file; `OutputError` if it is something else."""
         try:
             picked = [PickedScan(**row) for row in data["picked"]]
+            failures = [{key: str(row[key]) for key in FAILURE_KEYS} for row in data["failures"]]
+            warnings = [{**row, "scans": [*map(str, row["scans"])]} for row in data["warnings"]]
             settings, guesses = dict(data["settings"]), dict(data["guesses"])
-            return cls(settings, picked, data["failures"], data["warnings"], guesses)
+            return cls(settings, picked, failures, warnings, guesses)
         except (TypeError, KeyError, ValueError) as error:
             remedy = "delete it or use another folder"
             raise OutputError(path, f"not what `{STAGE}` writes", remedy=remedy) from error
@@ -129,10 +132,15 @@ class PickedDataSet(OwnedFolder):
             content = encode_bin(read_scan(file.path, replace(sensor, intensity_scale=1.0)))
         self.write_missing(self.paths(file.sequence, file.stem).points, content)
 
-    def write_guesses(self, record: PickRecord, labels: Mapping[ScanFile, bytes]) -> None:
+    def write_guesses(self, labels: Mapping[ScanFile, bytes]) -> None:
         """Write the labels of scans that the network guessed, and record that they are guesses."""
         paths = {file: self.paths(file.sequence, file.stem).labels for file in labels}
         missing = {file: content for file, content in labels.items() if not filled(paths[file])}
+        if not missing:
+            return
+        if (record := self._record()) is None:
+            remedy = "run again"
+            raise OutputError(self.record_path, "was removed during the run", remedy=remedy)
         digests = {name_of(file): hashlib.sha256(missing[file]).hexdigest() for file in missing}
         guesses = dict(sorted({**record.guesses, **digests}.items()))
         # Recorded first: in a run that is cut off nothing passes for labels of a person.

@@ -69,9 +69,10 @@ class Shard:
         if any(name not in environment for name in names):
             return None
         texts = (*map(environment.__getitem__, names), environment.get(PREFIX + "STEP", "1"))
-        number, least, count, step = (int(text) if text.isdecimal() else -1 for text in texts)
+        digits = re.compile(r"\d{1,9}", re.ASCII)
+        number, least, count, step = (int(t) if digits.fullmatch(t) else -1 for t in texts)
         index, rest = divmod(number - least, max(1, step))
-        if rest or min(number, least) < 0 or not 0 <= index < count:
+        if rest or min(number, least, step) < 0 or not 0 <= index < count:
             raise UsageError(
                 f"{names[0]}={texts[0]}",
                 f"an array of {texts[2]} tasks from {texts[1]} in steps of {texts[3]}",

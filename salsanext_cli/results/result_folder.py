@@ -289,6 +289,8 @@ class ResultFolder(StageRecords):
 
     def require_column(self, column: str, scans: Sequence[ScanFile]) -> None:
         """Refuse a column that is known of none of the scans, with `missing_column`."""
+        if not scans:
+            raise NoInputError(self.root, "no scans", f"some of which the {column} is known")
         if not self.with_column(column, scans):
             raise self.missing_column(column, scans[0])
 

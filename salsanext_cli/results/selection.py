@@ -139,9 +139,13 @@ def data_set_label_space(root: Path) -> LabelSpace | None:
 
 def with_splits(space: LabelSpace, root: Path | None = None) -> LabelSpace:
     """Return a label space that has splits: its own, else the data set's, else SemanticKITTI's."""
+    own = data_set_label_space(root) if root and not space.splits else None
+    return _with_splits_of(own, space)
+
+
+def _with_splits_of(own: LabelSpace | None, space: LabelSpace) -> LabelSpace:
     if space.splits:
         return space
-    own = data_set_label_space(root) if root else None
     return replace(space, splits=(own and own.splits) or label_space().splits)
 
 
@@ -156,7 +160,7 @@ def with_splits_and_alternatives(space: LabelSpace, root: Path) -> LabelSpace:
         return space
     if own is not None and is_merged(space, own):
         space = ClassMerging.between(own, space).space
-    return with_splits(space, root)
+    return _with_splits_of(own, space)
 
 
 @cache

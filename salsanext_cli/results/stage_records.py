@@ -96,7 +96,10 @@ class StageRecords:
                 raise TypeError
             sources = content.get("scans", {}).items()
             scans = {name: ScanSource.from_dict(source) for name, source in sources}
-            return StageRecord(stage, settings, folders, scans, frozenset(content.get("kept", ())))
+            kept = frozenset(content.get("kept", ()))
+            if not all(isinstance(path, str) for path in kept):
+                raise TypeError
+            return StageRecord(stage, settings, folders, scans, kept)
         except (TypeError, KeyError, AttributeError) as error:
             remedy = "delete it or use another folder"
             raise OutputError(path, f"not what `{stage}` writes", remedy=remedy) from error

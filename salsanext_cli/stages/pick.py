@@ -204,7 +204,7 @@ def _written(
 
     picked = [files[each.name] for each in record.picked if each.name in files]
     outcome = run_over_scans(task, picked, options, on_result=keep)
-    data_set.write_guesses(record, {guess.file: guess.labels for guess in guesses.values()})
+    data_set.write_guesses({guess.file: guess.labels for guess in guesses.values()})
     written = [each for each in record.picked if each.name in guesses]
     data_set.write_label_space(space, record.picked)
     data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))

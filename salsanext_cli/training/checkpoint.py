@@ -8,6 +8,7 @@ header. Nothing in it is ever unpickled.
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
-from salsanext_cli.errors import TrainingError, error_text
+from salsanext_cli.errors import TrainingError, error_text, shortened
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row
@@ -29,6 +30,7 @@ DAMAGE = (
     safetensors.SafetensorError,
     OSError,
     ArithmeticError,
+    AttributeError,
     LookupError,
     TypeError,
     ValueError,
@@ -37,6 +39,8 @@ DAMAGE = (
 """Errors that reading a damaged checkpoint may end in."""
 OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
 """Names of the tensors that torch's optimisers keep for each parameter."""
+DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.int64: "I64"}
+"""Types of a checkpoint's tensors, as safetensors names them."""
 
 
 @dataclass(slots=True)
@@ -69,19 +73,19 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
     """Restore a saved state; `TrainingError` if damaged or of another network or optimiser."""
     try:
         with safetensors.safe_open(path, framework="pt") as file:
-            tensors = {name: file.get_tensor(name) for name in list(file.keys())}
+            _require_fitting({name: file.get_slice(name) for name in [*file.keys()]}, learner)
+            tensors = {name: file.get_tensor(name) for name in [*file.keys()]}
             values = json.loads((file.metadata() or {})[KEY])
         checksum = values["sha256"]
         del values["sha256"]
         if checksum != _checksum(values, tensors):
             raise ValueError("the checksum is wrong")
-        _require_fitting(tensors, learner)
         state = TrainingState(**values["progress"], losses=tensors.pop("losses").tolist())
-        if state.epoch > learner.recipe.epochs:
-            raise ValueError(f"epoch {state.epoch} of {learner.recipe.epochs}")
-        if values["scaler"].keys() != learner.scaler.state_dict().keys():
+        _require_numbers(state, learner.recipe.epochs)
+        scaler, own = values["scaler"], learner.scaler.state_dict()
+        if {k: type(v) for k, v in scaler.items()} != {k: type(v) for k, v in own.items()}:
             raise TypeError("a scaler of another precision")
-        learner.scaler.load_state_dict(values["scaler"])
+        learner.scaler.load_state_dict(scaler)
         _restore(learner, tensors)
     except DAMAGE as error:
         raise TrainingError(
@@ -110,20 +114,35 @@ def _checksum(values: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
     return digest.hexdigest()
 
 
-def _require_fitting(tensors: Mapping[str, Tensor], learner: Learner) -> None:
-    """Raise `ValueError` unless tensors are those of the learner, in type and shape too."""
-    wanted = {"losses": torch.empty(tensors["losses"].numel(), dtype=torch.float64)}
+def _require_numbers(state: TrainingState, epochs: int) -> None:
+    """Raise `TypeError` or the like unless a state is of plain numbers."""
+    if type(state.epoch) is not int or not 0 <= state.epoch <= epochs:
+        raise TypeError(f"epoch {shortened(state.epoch)} of {epochs}")
+    numbers = [state.best, state.seconds]
+    for row in state.rows:
+        numbers += [row["epoch"], row["loss"], *row.values()]
+    if any(type(number) not in (int, float) for number in numbers):
+        raise TypeError("a log that is not of numbers")
+    # An integer may be too large for a float.
+    sum(map(float, numbers))
+
+
+def _require_fitting(slices: Mapping[str, Any], learner: Learner) -> None:
+    """Raise `ValueError` unless tensors, not read yet, are of the learner's types and shapes."""
+    count = math.prod(slices["losses"].get_shape())
+    wanted = {"losses": torch.empty(count, dtype=torch.float64, device="meta")}
     wanted |= _networks(learner)
     for name, parameter in learner.module.named_parameters():
         keys = {f"optimiser.{name}.{key}": key for key in OPTIMISER_STATE[learner.recipe.optimiser]}
         # Parameters have none before the first step, or if they are never used.
-        if tensors.keys() & keys.keys():
+        if slices.keys() & keys.keys():
             step = torch.zeros(())
             wanted |= {key: step if k == "step" else parameter for key, k in keys.items()}
-    if unlike := tensors.keys() ^ wanted.keys():
+    if unlike := slices.keys() ^ wanted.keys():
         raise ValueError(f"{min(unlike)} is of another network or optimiser, or is missing")
     for name, tensor in wanted.items():
-        if tensors[name].dtype != tensor.dtype or tensors[name].shape != tensor.shape:
+        kind = slices[name].get_dtype(), slices[name].get_shape()
+        if kind != (DTYPES[tensor.dtype], [*tensor.shape]):
             raise ValueError(f"{name} is of another type or shape")
 
 

@@ -71,6 +71,9 @@ class Training:
         state = TrainingState()
         if checkpoint.exists():
             state = load_checkpoint(checkpoint, self.learner)
+        if len(state.losses) >= steps:
+            found = f"{len(state.losses)} steps of an epoch of {steps}"
+            raise TrainingError(checkpoint, found, "a checkpoint of this training")
         first, group = state.epoch * steps + len(state.losses), self.learner.group
         if (of_main := group.on_main(lambda: first)) != first:
             found = f"the first worker goes on after step {of_main}, this one after step {first}"

@@ -80,7 +80,10 @@ def test_arrays_of_slurm(environment, shard):
 
 @pytest.mark.parametrize(
     "environment",
-    [slurm(7, 1, 3, STEP=1), slurm(0, 1, 3), slurm(3, 0, 4, STEP=2), slurm("x", 0, 4)],
+    [
+        *(slurm(7, 1, 3, STEP=1), slurm(0, 1, 3), slurm(3, 0, 4, STEP=2), slurm("x", 0, 4)),
+        *(slurm(1, 0, 4, STEP="x"), slurm(1, 0, 4, STEP="")),
+    ],
 )
 def test_arrays_that_are_no_shards(environment):
     with pytest.raises(UsageError, match=r"SLURM_ARRAY_TASK_ID.* --shard i/n"):

@@ -165,6 +165,10 @@ def test_what_was_found_is_told_by_later_runs_too(dataset):
     assert projected() == first
     assert found(projected(ScanSelection(sequences=("08",)))) == {"out-of-view": ["08/0"]}
     assert found(projected(ScanSelection())) == {"out-of-view": ["00/0", "00/1", "00/2", "08/0"]}
+    kept = out / "project.warnings.json"
+    kept.write_text('{"scans": {"00/0": [["a", 1, "b"]]}}')
+    assert projected() == []
+    projected(overwrite=True)
     scan.write_bytes(b"")
     # Its results stay, and what was found of them.
     assert projected(overwrite=True) == first

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,31 @@ def test_a_flipped_bit_is_noticed(share: float, tmp_path: Path) -> None:
     refused(tmp_path / NAME, learner(), "the checksum is wrong")
 
 
+def rewritten(path: Path, change: Callable[[dict[str, Any], dict[str, Any]], object]) -> None:
+    """Change the values and tensors of a checkpoint, and mend its checksum."""
+    with safetensors.safe_open(path, "pt") as file:
+        values = json.loads(file.metadata()[KEY])
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    del values["sha256"]
+    change(values, tensors)
+    values["sha256"] = _checksum(values, tensors)
+    safetensors.torch.save_file(tensors, path, {KEY: json.dumps(values)})
+
+
+@pytest.mark.parametrize(
+    "progress",
+    [
+        *({"epoch": "1"}, {"epoch": -1}, {"epoch": True}, {"epoch": 10}, {"best": None}),
+        *({"rows": [{"loss": 1.0}]}, {"rows": [{"epoch": 1, "loss": "x"}]}, {"rows": 3}),
+        *({"rows": [{"epoch": 10**400, "loss": 1.0}]}, {"seconds": [1]}, {"other": 1}),
+    ],
+)
+def test_progress_that_is_none(tmp_path: Path, progress: dict[str, object]) -> None:
+    save_checkpoint(tmp_path / NAME, trained(), TrainingState())
+    rewritten(tmp_path / NAME, lambda values, _: values["progress"].update(progress))
+    refused(tmp_path / NAME, learner())
+
+
 @pytest.mark.parametrize(
     ("name", "tensor"),
     [
@@ -124,14 +150,10 @@ def test_a_flipped_bit_is_noticed(share: float, tmp_path: Path) -> None:
 def test_tensors_that_are_others(tmp_path: Path, name: str, tensor: torch.Tensor | None) -> None:
     """Also where the checksum is right."""
     save_checkpoint(tmp_path / NAME, trained(), TrainingState())
-    with safetensors.safe_open(tmp_path / NAME, "pt") as file:
-        values = json.loads(file.metadata()[KEY])
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    del values["sha256"]
-    tensors[name] = tensor
-    tensors = {name: tensor for name, tensor in tensors.items() if tensor is not None}
-    values["sha256"] = _checksum(values, tensors)
-    safetensors.torch.save_file(tensors, tmp_path / NAME, {KEY: json.dumps(values)})
+    rewritten(
+        tmp_path / NAME,
+        lambda _, tensors: tensors.pop(name) if tensor is None else tensors.update({name: tensor}),
+    )
     refused(tmp_path / NAME, learner())
 
 

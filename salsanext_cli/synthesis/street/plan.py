@@ -42,9 +42,8 @@ class Lot:
     setback: float  # From the street to the house
     front: int  # Raw ids of the ground before and behind the front of the house
     back: int
-    drive: tuple[
-        float, float
-    ]  # Interval along s that is paved as a driveway, empty where both are equal
+    # Interval along s that is paved as a driveway, empty where both are equal
+    drive: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)

@@ -167,6 +167,8 @@ def _kept(
         return None
     try:
         points, warnings = known["points"], known["warnings"]
+        if points.keys() != {*names} or any(type(n) is not int or n < 0 for n in points.values()):
+            return None
         counts = np.array([points[name] for name in names], np.int64)
         texts = [
             text for each in warnings for text in (*map(each.get, WARNING_TEXTS), *each["scans"])
