@@ -79,7 +79,7 @@ def engines(load: Callable[[str, str], Network], image: np.ndarray) -> dict[str,
     plain = load("torch", "float32").module
     found = {"eager float32": by_torch(plain, torch.contiguous_format)}
     for kind in KINDS:
-        module = load("torch", kind).torch_module
+        module = load("torch", kind).engine.torch_module
         found[f"channels last {kind}"] = by_torch(module, torch.channels_last)
     if find_spec("onnx") and find_spec("onnxruntime"):
         found["ONNX Runtime float32"] = by_onnx_runtime(plain, image)

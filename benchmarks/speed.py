@@ -30,7 +30,7 @@ from salsanext_cli.errors import SalsanextError, UsageError, WeightsError, count
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.network_input import noise_of
-from salsanext_cli.network.card import WeightsCard, default_weights, read_card, require_tensors
+from salsanext_cli.network.card import WeightsCard, read_card, require_tensors
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.report.tables import ABSENT, number_table
 from salsanext_cli.results.point_files import write_bin
@@ -71,10 +71,10 @@ def benchmark(
     for name, value in counts.items():
         if value is not None and value < 1:
             raise UsageError(f"--{name}", str(value), "at least 1")
-    weights = network.weights or default_weights()
+    weights = network.path
     require_tensors(weights)
     card = read_card(weights)
-    sensor = network.sensor or card.sensor
+    sensor = network.named_sensor() or card.sensor
     _require(weights, card, sensor, parts)
     scans = [
         read_scan(file.path, sensor)
@@ -198,7 +198,11 @@ def main(*words: str) -> None:
     parser.add_argument("--write", type=Path, help="file for every measurement (.json)")
     given = parser.parse_args(words or None)
     network = NetworkSettings(
-        *(given.weights, given.device, given.sensor, given.precision, given.engine),
+        given.weights,
+        given.device,
+        precision=given.precision,
+        engine=given.engine,
+        sensor=given.sensor,
         fit=False,
         intensity="raw",
     )

@@ -18,7 +18,7 @@ from shrink import shrink
 import salsanext_cli as sn
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.fitting.scan_fit import fitted
+from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.fitting.view_fit import view_text
 from salsanext_cli.geometry.projection import in_sensor_frame
 from salsanext_cli.report.colours import Colours, legend_of, screen_colours
@@ -50,7 +50,7 @@ def draw(picture: Path, path: Path, network: Network) -> None:
     scan = sn.read_scan(path, network.sensor)
     labels = {}
     for title, settings in WAYS.items():
-        used = fitted(settings, network, find_scans(path))
+        used = fit_scans(settings, network, ScanSample(find_scans(path), network.sensor))
         image = sn.project(scan, used.sensor)
         pixel_labels = used.probabilities(image).argmax(axis=0)
         labels[title] = sn.knn_refine(image, pixel_labels, space.class_count)

@@ -15,6 +15,9 @@ from salsanext_cli.errors import UsageError
 
 Group = TypeVar("Group")
 
+LARGEST_WINDOW_PX = 63
+"""Largest side of the window of `KnnParameters`, in pixels."""
+
 
 @dataclass_transform(frozen_default=True)
 def option_group(kind: type[Group]) -> type[Group]:
@@ -55,6 +58,7 @@ def _sequences(text: str | None) -> tuple[str, ...]:
 
 
 selection_option = partial(option, "Selection")
+network_option = partial(option, "Network")
 
 
 @option_group
@@ -74,11 +78,6 @@ class ScanSelection:
             raise UsageError("--limit", str(self.limit), "at least 1")
 
 
-LARGEST_WINDOW_PX = 63
-"""Largest side of the window in pixels."""
-knn_option = partial(option, "Network")
-
-
 @option_group
 class KnnParameters:
     """Settings of the neighbourhood and of the vote; the defaults are the published ones.
@@ -86,14 +85,14 @@ class KnnParameters:
     The point's own pixel is one of the `k` neighbours, and the side of the window is odd.
     """
 
-    k: int = knn_option("Number of neighbours that vote.", "--knn-k", default=5)
-    window: int = knn_option(
+    k: int = network_option("Number of neighbours that vote.", "--knn-k", default=5)
+    window: int = network_option(
         "Side of the window of neighbours, in pixels.", "--knn-window", default=5
     )
-    sigma: float = knn_option(
+    sigma: float = network_option(
         "Standard deviation of the Gaussian weights, in pixels.", "--knn-sigma", default=1.0
     )
-    cutoff: float = knn_option(
+    cutoff: float = network_option(
         "Maximum range difference of a neighbour, in metres.", "--knn-cutoff", default=1.0
     )
 

@@ -123,7 +123,10 @@ for commands in COMMANDS.values():
 def main() -> None:
     """Run the command line."""
     sys.modules.setdefault(UNUSED, None)  # type: ignore[arg-type]
-    # A character that the encoding lacks would be an error, unless the user has said otherwise.
-    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
-        sys.stdout.reconfigure(errors="replace")
+    if isinstance(sys.stdout, TextIOWrapper):
+        # A character that the encoding lacks would be an error by Python's own choice, the second
+        # one that of the C locale. Anything else, the user has set.
+        how = sys.stdout.errors
+        if how == "strict" or (how == "surrogateescape" and sys.stdout.encoding.lower() != "utf-8"):
+            sys.stdout.reconfigure(errors="replace")
     app()

@@ -24,9 +24,9 @@ SCANS_HELP = "Scan file, folder of scans, sequence folder, data set or recording
 SENSOR_HELP = "Name of a built-in sensor, or a .toml file."
 EVENLY_SPACED = {"help": "At most this number of scans, evenly spaced."}
 
-selection = partial(typer.Option, rich_help_panel="Selection")
-network = partial(typer.Option, rich_help_panel="Network")
-running = partial(typer.Option, rich_help_panel="Running")
+selection_option = partial(typer.Option, rich_help_panel="Selection")
+network_option = partial(typer.Option, rich_help_panel="Network")
+running_option = partial(typer.Option, rich_help_panel="Running")
 
 Scans = Annotated[
     Path | None, typer.Argument(metavar="SCANS", help=SCANS_HELP, show_default="the data set")
@@ -50,20 +50,20 @@ ByDistance = Annotated[
     bool, typer.Option("--by-distance", help="Also evaluate by distance from the sensor.")
 ]
 
-topic = partial(
+topic_option = partial(
     typer.Option, help="Topic of the point clouds of a recording.", show_default="the only one"
 )
-TopicOfRecording = Annotated[str | None, topic()]
-Topic = Annotated[str | None, topic(rich_help_panel="Selection")]
+TopicOfRecording = Annotated[str | None, topic_option()]
+Topic = Annotated[str | None, topic_option(rich_help_panel="Selection")]
 DataSet = Annotated[
     Path | None,
-    selection(
+    selection_option(
         help="Data set in SemanticKITTI's layout.", envvar=DATASET_VARIABLE, show_default="."
     ),
 ]
 DataSetOfResults = Annotated[
     Path | None,
-    selection(
+    selection_option(
         help="Data set with the scans and labels; SALSANEXT_DATASET for results that do not record "
         "it.",
         show_default="the one that the results record, else .",
@@ -71,14 +71,14 @@ DataSetOfResults = Annotated[
 ]
 LabelSpaceName = Annotated[
     str | None,
-    selection(
+    selection_option(
         help="Name of a built-in label space, or a .yaml file in SemanticKITTI's format.",
         show_default="that of the data set, else semantic-kitti",
     ),
 ]
 MergedInto = Annotated[
     str | None,
-    selection(
+    selection_option(
         help="Merge the classes into those of a label space: coarse, or a .yaml file. "
         "Probabilities of merged classes are added.",
         show_default="not merged",
@@ -98,13 +98,13 @@ LabelledSelection = Annotated[
 
 AdaptableNetwork = Annotated[NetworkSettings, Default(precision="auto")]
 Network = Annotated[AdaptableNetwork, Without({"adapt"})]
-SensorWithoutWeights = Annotated[str | None, network(help=SENSOR_HELP, show_default="hdl64")]
-Columns = Annotated[str | None, network(help=COLUMNS_HELP, show_default=COLUMNS_DEFAULT)]
+SensorWithoutWeights = Annotated[str | None, network_option(help=SENSOR_HELP, show_default="hdl64")]
+Columns = Annotated[str | None, network_option(help=COLUMNS_HELP, show_default=COLUMNS_DEFAULT)]
 
-Jobs = Annotated[int, running("--jobs", "-j", help="Number of processes; -1: one per core.")]
-Overwrite = Annotated[bool, running("--overwrite", help="Replace existing results.")]
+Jobs = Annotated[int, running_option("--jobs", "-j", help="Number of processes; -1: one per core.")]
+Overwrite = Annotated[bool, running_option("--overwrite", help="Replace existing results.")]
 Strict = Annotated[
-    bool, running("--strict", help="End with status 1 if a scan or its labels are doubtful.")
+    bool, running_option("--strict", help="End with status 1 if a scan or its labels are doubtful.")
 ]
 Unsharded = Annotated[RunOptions, Without({"shard"})]
 Reading = Annotated[RunOptions, Without({"shard", "overwrite"})]

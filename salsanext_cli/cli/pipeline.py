@@ -86,7 +86,7 @@ def predict(
     knn: KnnParameters,
     batch: Annotated[
         str,
-        options.running(
+        options.running_option(
             help="Scans computed together, halved when memory runs out; auto: 1 on a CPU, on a "
             "GPU as many as keep it busy."
         ),
@@ -162,13 +162,13 @@ def knn_refine(
     label_space: options.LabelSpaceName = None,
     sensor: Annotated[
         str | None,
-        options.network(
+        options.network_option(
             help=options.SENSOR_HELP, show_default="the sensor of the earlier stages, else hdl64"
         ),
     ] = None,
     columns: Annotated[
         str | None,
-        options.network(
+        options.network_option(
             help=COLUMNS_HELP,
             show_default="those of the earlier stages, else x,y,z,intensity",
         ),

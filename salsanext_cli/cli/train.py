@@ -10,15 +10,9 @@ import typer
 from salsanext_cli.cli import console, options, run_end
 from salsanext_cli.cli.console import progress
 from salsanext_cli.cli.option_groups import Only
-from salsanext_cli.engines.settings import (
-    COLUMNS_DEFAULT,
-    COLUMNS_HELP,
-    network_option,
-    weights_file,
-    with_columns,
-)
+from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, weights_file, with_columns
 from salsanext_cli.errors import counted
-from salsanext_cli.options import option_group
+from salsanext_cli.options import network_option, option_group
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Progress
@@ -85,7 +79,7 @@ def train(
     jobs: options.Jobs = 1,
     overwrite: options.Overwrite = False,
     strict: Annotated[
-        bool, options.running("--strict", help="Do not train if a scan is doubtful.")
+        bool, options.running_option("--strict", help="Do not train if a scan is doubtful.")
     ] = False,
     output: console.Output,
 ) -> None:

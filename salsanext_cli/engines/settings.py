@@ -3,13 +3,12 @@
 
 import logging
 from contextlib import suppress
-from dataclasses import replace
-from functools import partial
+from dataclasses import KW_ONLY, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from salsanext_cli.errors import NOTICE, UsageError, WeightsError
-from salsanext_cli.options import option, option_group
+from salsanext_cli.options import network_option, option_group
 
 if TYPE_CHECKING:
     from salsanext_cli.classes.label_space import LabelSpace
@@ -24,8 +23,6 @@ COLUMNS_DEFAULT = "those of the sensor, else x,y,z,intensity"
 
 log = logging.getLogger(__name__)
 
-network_option = partial(option, "Network")
-
 
 @option_group
 class NetworkSettings:
@@ -38,6 +35,7 @@ class NetworkSettings:
     device: str = network_option(
         "cpu, cuda, cuda:1 …; auto uses a GPU if there is one.", default=AUTO
     )
+    _: KW_ONLY
     precision: str = network_option(
         "float32, bfloat16 or float16; auto chooses what is fast on the device.",
         default="float32",

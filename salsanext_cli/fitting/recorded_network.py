@@ -79,9 +79,9 @@ def network_of_labels(out: Path, network: NetworkSettings) -> NetworkSettings:
     ways = {(): "raw", NO_INTENSITY: "none"}
     how = ways.get(seen.intensity_quantiles, network.intensity)
     network = replace(network, adapt="adapted" in settings, intensity=how)
-    return (
-        network if network.named_sensor() else replace(network, sensor=_with_noise(seen, network))
-    )
+    if network.named_sensor():
+        return network
+    return replace(network, sensor=_with_noise(seen, network))
 
 
 def _with_noise(seen: Sensor, network: NetworkSettings) -> Sensor:

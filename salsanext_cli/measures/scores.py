@@ -40,13 +40,19 @@ class Confusion:
     __slots__ = ("matrix",)
 
     def __init__(self, class_count: int, matrix: Counts | None = None) -> None:
-        zeros = np.zeros((class_count, class_count), np.int64)
-        self.matrix: Counts = zeros if matrix is None else matrix
+        self.matrix: Counts = np.zeros((class_count, class_count), np.int64)
+        if matrix is not None:
+            self.matrix += matrix
 
     def update(self, truth: npt.NDArray[Any], predicted: npt.NDArray[Any]) -> Self:
         """Count train ids of the points of a scan, or of the pixels of an image; same shape."""
         if truth.shape != predicted.shape:
             raise ValueError(f"truth {truth.shape} and predicted {predicted.shape} differ in shape")
+        last = len(self.matrix) - 1
+        for name, ids in (("truth", truth), ("predicted", predicted)):
+            in_range = 0 <= ids.min(initial=0) <= ids.max(initial=0) <= last
+            if ids.dtype.kind not in "iu" or not in_range:
+                raise ValueError(f"{name}: not integers of 0…{last}")
         cell = np.ravel_multi_index((truth.ravel(), predicted.ravel()), self.matrix.shape)
         self.matrix += np.bincount(cell, minlength=self.matrix.size).reshape(self.matrix.shape)
         return self

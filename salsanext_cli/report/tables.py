@@ -163,13 +163,16 @@ def moved_table(layers: Sequence[Mapping[str, Any]]) -> Table:
     """Return a table of how far batch norms moved, by the part of the network that they are in."""
     numbers = ("layers", "mean moved by, σ", "variance, new / old")
     table = number_table("part", *numbers, title="Batch norm")
-    parts = groupby(layers, lambda layer: layer["layer"].partition(".")[0])
-    for part, members in [*((part, list(members)) for part, members in parts), ("all", layers)]:
-        if part == "all":
-            table.add_section()
+
+    def add(part: str, members: Sequence[Mapping[str, Any]]) -> None:
         shift = fmean(layer["shift"] for layer in members)
         ratio = geometric_mean(layer["variance_ratio"] for layer in members)
         table.add_row(part, str(len(members)), f"{shift:.3f}", f"{ratio:.3f}")
+
+    for part, members in groupby(layers, lambda layer: layer["layer"].partition(".")[0]):
+        add(part, list(members))
+    table.add_section()
+    add("all", layers)
     return table
 
 

@@ -10,7 +10,7 @@ from itertools import groupby
 from pathlib import Path
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import NOTICE, printable
+from salsanext_cli.errors import NOTICE, OutputError, printable
 from salsanext_cli.files.atomic import sweep_stale
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -45,6 +45,11 @@ def export_rrd(
     """
     results = ResultFolder(out, dataset)
     import_rerun()
+    try:
+        str(out).encode()
+    except UnicodeEncodeError as error:
+        found = "its name is no UTF-8, which rerun-sdk cannot open"
+        raise OutputError(out, found, remedy="rename it") from error
     chosen = results.chosen(selection, space, classes)
     scans, space, sensor = chosen.scans, chosen.space, results.sensor()
     OwnedFolder(out).require_own(_path(out, scan.sequence) for scan in scans)

@@ -53,6 +53,7 @@ def tune(
 
     Returns plain data: the name of the `stage`, and what its fit reports.
     """
+    fit = FITS[part]
     require_tensors(network.path)
     loaded = network.load()
     if require := REQUIREMENTS.get(part):
@@ -67,7 +68,7 @@ def tune(
         require_absent(curve_of(target), overwrite)
     loaded = fit_scans(network, loaded, ScanSample(find_scans(source), loaded.sensor))
     network.announce(loaded)
-    tuned = FITS[part](TuningScans(source, files, space, loaded, progress), **numbers)
+    tuned = fit(TuningScans(source, files, space, loaded, progress), **numbers)
     report = tuned.report
     if part == "dropout":
         rate_curve(curve_of(target), report["rates"], report["objectives"], report["best"])

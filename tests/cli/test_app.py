@@ -105,6 +105,7 @@ def test_the_list_of_commands_needs_no_rich():
     [
         ({"PYTHONIOENCODING": "ascii"}, "1 ? 2\n"),
         ({"PYTHONIOENCODING": "ascii:backslashreplace"}, "1 \\xb1 2\n"),
+        ({"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "PYTHONUTF8": "0"}, "1 ? 2\n"),
     ],
 )
 def test_what_the_encoding_of_stdout_lacks_is_replaced_unless_the_user_says_else(

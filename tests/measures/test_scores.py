@@ -37,6 +37,8 @@ def test_counts_are_those_of_scikit_learn_and_add_up(one, two):
     np.testing.assert_array_equal((parts[0] + parts[1]).matrix, expected)
     assert parts[0].matrix.sum() == len(one)
     np.testing.assert_array_equal(parts[0].update(*split(two)).matrix, expected)
+    Confusion(4, parts[1].matrix).update(*split(one))
+    assert parts[1].matrix.sum() == len(two)
 
 
 def test_only_points_of_ignored_truth_are_left_out():
@@ -46,18 +48,19 @@ def test_only_points_of_ignored_truth_are_left_out():
 
 
 @pytest.mark.parametrize(
-    ("truth", "predicted"),
+    ("truth", "predicted", "message"),
     [
-        (ids(1, 2), ids(1)),
-        (ids(1, 2).reshape(1, 2), ids(1, 2)),
-        (ids(1, 4), ids(1, 2)),
-        (ids(1, 4), ids(1, 255)),
-        (np.array([-1]), ids(1)),
+        (ids(1, 2), ids(1), "shape"),
+        (ids(1, 2).reshape(1, 2), ids(1, 2), "shape"),
+        (ids(1, 4), ids(1, 2), "truth: not integers of 0…3"),
+        (ids(1, 2), ids(1, 255), "predicted: not"),
+        (np.array([-1]), ids(1), "truth: not"),
+        (np.array([1.0]), ids(1), "truth: not"),
     ],
 )
-def test_invalid_train_ids_are_refused_and_nothing_is_counted(truth, predicted):
+def test_invalid_train_ids_are_refused_and_nothing_is_counted(truth, predicted, message):
     confusion = Confusion(4)
-    with pytest.raises(ValueError, match=r"shape|invalid entry"):
+    with pytest.raises(ValueError, match=message):
         confusion.update(truth, predicted)
     assert not confusion.matrix.any()
 
