@@ -94,7 +94,7 @@ def test_the_three_lines_as_typed(shell, tmp_path):
 
 
 def test_the_same_lines_when_the_scans_lie_elsewhere(weights, tmp_path, monkeypatch):
-    for module in ("engines.settings", "engines.loading"):
+    for module in ("network.card", "engines.loading"):
         monkeypatch.setattr(f"salsanext_cli.{module}.default_weights", lambda: weights)
     elsewhere = write_sequence(tmp_path / "disk 2/Fahrt ü", ["000000"])
     (tmp_path / "here").mkdir()

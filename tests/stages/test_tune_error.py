@@ -87,8 +87,7 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     results = ResultFolder(few).read(scans[0], truth_in=(space, space))
     np.testing.assert_array_equal(np.isnan(results.wrong(space)), ~scored[0] | (errors[0] > 0.5))
     scans = find_scans(world.data)
-    found = evaluate(scans, world.out, label_space()).uncertainty.error
-    assert found is not None
+    found = evaluate(scans, world.out, label_space()).uncertainty.kinds["error"]
     assert found.ece < 0.1
     # Errors go with the labels that they are of.
     some = UncertaintyMethod(samples=2, aleatoric="none")
