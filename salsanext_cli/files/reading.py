@@ -47,6 +47,8 @@ def refusing_damage(path: Path, expected: str, remedy: str = "") -> Iterator[Non
         ):
             raise
         found = f"damaged or cut off: {error_text(error)}"
+        if isinstance(error, OSError) and error.errno:  # of the system, not of a library
+            found = f"cannot be read: {reason(error)}"
         raise FormatError(path, found, expected, remedy) from error
 
 

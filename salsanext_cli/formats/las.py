@@ -60,6 +60,7 @@ def _read(path: Path, columns_of: Callable[[Any], Columns]) -> Columns:
             header = reader.header
             room = size // header.point_format.size
             if header.are_points_compressed:
+                import_laspy(path, compressed=True)  # in a .las too
                 room = size * MAX_POINTS_PER_BYTE
             if header.point_count > room:
                 raise ValueError("its header promises more points than it holds")

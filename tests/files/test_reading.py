@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """One scan in every format, names that are no files, files that change while they are read."""
 
+import errno
 import os
 import struct
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 from scans import IN_BYTES, make_scan
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.files.reading import filled, is_folder, present
+from salsanext_cli.files.reading import filled, is_folder, present, refusing_damage
 from salsanext_cli.formats import SCAN_SUFFIXES, kitti, labels, read_scan
 from salsanext_cli.formats.kitti import read_bin
 from salsanext_cli.formats.labels import read_labels
@@ -123,6 +124,18 @@ def test_names_that_lead_nowhere(tmp_path):
     with pytest.raises(FormatError, match="name too long"):
         present(tmp_path / ("x" * 300))
     assert not is_folder(tmp_path / ("x" * 300))
+
+
+@pytest.mark.parametrize(
+    ("error", "found"),
+    [
+        (OSError(errno.EIO, "Input/output error"), "cannot be read: input/output error"),
+        (OSError("Invalid data"), "damaged or cut off: Invalid data"),
+    ],
+)
+def test_what_the_system_refuses_is_no_damage(tmp_path, error, found):
+    with pytest.raises(FormatError, match=found), refusing_damage(tmp_path, "a file"):
+        raise error
 
 
 @pytest.mark.parametrize(("name", "read"), [("a.bin", read_bin), ("a.label", read_labels)])

@@ -115,10 +115,13 @@ def test_a_panic_of_lazrs_is_a_damaged_file(tmp_path):
         read_scan(path)
 
 
-@pytest.mark.parametrize("name", ["laspy", "lazrs"])
-def test_a_missing_package_is_named_with_the_file(tmp_path, monkeypatch, name):
-    path = tmp_path / "drive.laz"
-    laspy.create().write(path)
+@pytest.mark.parametrize(
+    ("name", "suffix"), [("laspy", ".laz"), ("lazrs", ".laz"), ("lazrs", ".las")]
+)
+def test_a_missing_package_is_named_with_the_file(tmp_path, monkeypatch, name, suffix):
+    path = tmp_path / f"drive{suffix}"
+    laspy.create().write(tmp_path / "s.laz")
+    (tmp_path / "s.laz").rename(path)
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(MissingDependency) as caught:
         read_scan(path)
