@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from salsanext_cli.errors import SalsanextError
     from salsanext_cli.fitting.scan_fit import fit_network
     from salsanext_cli.formats import read_scan
-    from salsanext_cli.formats.labels import read_labels
+    from salsanext_cli.formats.kitti import read_labels
     from salsanext_cli.geometry.knn import knn_refine
     from salsanext_cli.geometry.projection import project
     from salsanext_cli.options import KnnParameters
@@ -54,7 +54,7 @@ _HOMES = {
     "classes.label_space": ("LabelSpace", "label_space"),
     "errors": ("SalsanextError",),
     "formats": ("read_scan",),
-    "formats.labels": ("read_labels",),
+    "formats.kitti": ("read_labels",),
     "geometry.knn": ("knn_refine",),
     "geometry.projection": ("project",),
     "engines.loading": ("load_network",),

@@ -337,7 +337,8 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
     assert [name for name in in_order if name in steps] == steps
     # Messages go through the console where a command was run in this process before.
     seen = {name for name in visited[3] | visited[4] if not name.startswith("cli/")}
-    assert seen == {*steps, *others, "stages/predict.py", "parallel/network_task.py"}
+    assert seen == {*steps, *others, "stages/predict.py", "parallel/run.py"}
+    assert len(seen) == 20
 
 
 def test_every_link_leads_somewhere():

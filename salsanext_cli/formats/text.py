@@ -12,7 +12,7 @@ import numpy.typing as npt
 from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.reading import reading
 from salsanext_cli.formats.columns import INTENSITY_NAMES, columns_of_width, scan_of
-from salsanext_cli.formats.raw_records import CONTROL, TEXT_BYTES
+from salsanext_cli.formats.kitti import CONTROL, TEXT_BYTES
 from salsanext_cli.records import Scan
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"

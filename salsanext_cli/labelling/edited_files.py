@@ -14,6 +14,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.errors import LabelError, NoInputError, counted, first_few
 from salsanext_cli.files.reading import is_folder, present
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.label_scalars import (
     READERS,
     LabelIds,
@@ -21,7 +22,6 @@ from salsanext_cli.formats.label_scalars import (
     read_labelled_cloud,
     whole_numbers,
 )
-from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_integers
 from salsanext_cli.geometry.label_transfer import (
     TOLERANCE_M,

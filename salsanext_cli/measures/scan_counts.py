@@ -17,7 +17,7 @@ from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import LabelError, counted
 from salsanext_cli.files.reading import present
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_probabilities
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability

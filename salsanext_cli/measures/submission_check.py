@@ -11,8 +11,7 @@ from salsanext_cli.classes.label_space import MOVING, RAW_ID_COUNT, LabelSpace, 
 from salsanext_cli.errors import LabelError, SalsanextError, counted, first_few
 from salsanext_cli.files.reading import reading, size_of
 from salsanext_cli.formats import read_scan, scan_suffix
-from salsanext_cli.formats.kitti import count_points
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import count_points, read_labels
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import counted, printable
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import in_sensor_frame, pixels_from_points, project
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.report import canvas

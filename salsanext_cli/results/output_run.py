@@ -12,7 +12,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import OutputError, shortened
 from salsanext_cli.files.reading import filled
-from salsanext_cli.formats.labels import encode_labels
+from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.formats.npy import encode_array
 from salsanext_cli.results.layout import ERROR, ScanFile, find_outputs, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own

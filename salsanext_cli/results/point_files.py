@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.files.atomic import write_bytes
-from salsanext_cli.formats.kitti import encode_bin
-from salsanext_cli.formats.labels import encode_labels
+from salsanext_cli.formats.kitti import encode_bin, encode_labels
 from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.records import Scan
 

@@ -16,7 +16,7 @@ from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.errors import NoInputError, counted, first_few, shortened
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats import read_scan, scan_suffix
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_uncertainty
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges

@@ -23,8 +23,8 @@ from salsanext_cli.errors import (
 )
 from salsanext_cli.files.reading import is_folder
 from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.formats.label_scalars import LabelIds
-from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.labelling.edited_files import (
     FileLabels,

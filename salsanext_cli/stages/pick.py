@@ -16,7 +16,7 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, NoInputError, counted
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
-from salsanext_cli.formats.labels import encode_labels
+from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.label_records import name_of
 from salsanext_cli.labelling.picked_data_set import (
     SHEET,
@@ -29,8 +29,7 @@ from salsanext_cli.labelling.picked_data_set import (
 from salsanext_cli.labelling.scan_choice import choose_scans, require_choice
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.parallel.network_task import NetworkTask
-from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
+from salsanext_cli.parallel.run import Failure, NetworkTask, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.picked import (
     Preview,
     picked_cloud,

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `predict`: scans to labels in memory, or range images on disk to pixel labels."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,13 +10,10 @@ import numpy as np
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.errors import UsageError
 from salsanext_cli.fitting.label_scan import (
     LabelledScan,
-    ProjectedScan,
     label_scan,
-    labelled,
-    project_for,
     projected_sensor,
     range_image,
     sensor_of_images,
@@ -28,9 +23,7 @@ from salsanext_cli.fitting.scan_fit import fitted_view, network_of_run
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.parallel.network_task import NetworkTask, Steps, named_if_too_large
-from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.parallel.worker import Attempt
+from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, Steps, run_over_scans
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ERROR, ScanFile, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
@@ -85,32 +78,6 @@ def predict_scan(file: ScanFile, network: Network, writer: LabelWriter) -> Steps
     yield writer.write(scan, network)
 
 
-def predict_batch(
-    files: Sequence[ScanFile], network: Network, writer: LabelWriter
-) -> Iterator[Attempt]:
-    """Label the points of several scans, computed together; yield an attempt of each."""
-    scans: list[ProjectedScan] = []
-    for file in files:
-        try:
-            with named_if_too_large(file, network):
-                writer.output.require_replaceable(file)
-                scans.append(project_for(network, file))
-        except SalsanextError as error:
-            yield file, None, error
-    softmax: Sequence[Float | None] = [None] * len(scans)
-    with suppress(MemoryError):
-        softmax = network.pixel_probabilities([scan.image.channels for scan in scans])
-    for scan, probabilities in zip(scans, softmax, strict=True):
-        try:
-            with named_if_too_large(scan.file, network):
-                if probabilities is None:
-                    probabilities = network.probabilities(scan.image, scan.file.path)
-                done = writer.write(labelled(scan, probabilities, network, writer.knn), network)
-            yield scan.file, done, None
-        except SalsanextError as error:
-            yield scan.file, None, error
-
-
 def predict_scans(
     source: Path,
     out: Path,
@@ -152,9 +119,8 @@ def predict_scans(
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
         writer = LabelWriter(knn, output, reject)
-        one = partial(predict_scan, writer=writer)
-        several = partial(predict_batch, writer=writer)
-        task = NetworkTask(one, network.resolved(loaded), loaded, several, batch)
+        label = partial(predict_scan, writer=writer)
+        task = NetworkTask(label, network.resolved(loaded), loaded, takes_softmax=True, batch=batch)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )

@@ -17,8 +17,14 @@ from salsanext_cli.fitting.scan_fit import network_of_run
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.parallel.network_task import NetworkTask, Steps
-from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
+from salsanext_cli.parallel.run import (
+    Failure,
+    NetworkTask,
+    Outcome,
+    RunOptions,
+    Steps,
+    run_over_scans,
+)
 from salsanext_cli.results.layout import ERROR, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder

@@ -76,7 +76,7 @@ def test_equals_the_slow_loop_on_both_devices(problem):
 @pytest.mark.parametrize("cell", [1, 9])
 def test_many_points_on_any_number_of_threads(rings, cell, threads, monkeypatch):
     """Labels that change with every pixel, and labels in patches of 9 × 9."""
-    monkeypatch.setattr("salsanext_cli.compiled.kernels.MIN_SLICE_ITEMS", 100)
+    monkeypatch.setattr("salsanext_cli.compiled.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     image = project(rings, sensor("hdl64").resized(width=512))
     labels = np.random.default_rng(1).integers(0, 20, (64, 512), np.uint8)

@@ -39,7 +39,7 @@ def by_products(rows, given):
 @pytest.mark.parametrize("sizes", [(9, 16, 16, 1), (3, 1), (40, 5, 1), (2, 30, 1)])
 @pytest.mark.parametrize("count", [0, 1, 255, 257, 1300])
 def test_any_sizes_on_any_number_of_threads(count, sizes, threads, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.compiled.kernels.MIN_SLICE_ITEMS", 100)
+    monkeypatch.setattr("salsanext_cli.compiled.MIN_SLICE_ITEMS", 100)
     rows = np.random.default_rng(count).normal(size=(count, sizes[0])).astype("f4")
     rows[count // 2 : count // 2 + 1, -1] = np.nan
     given = layers(*sizes)

@@ -62,7 +62,7 @@ def test_labels_do_not_depend_on_the_scale_of_the_files(knowing, tmp_path):
 
 
 def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, tmp_path):
-    from salsanext_cli.parallel.shards import Shard
+    from salsanext_cli.parallel.options import Shard
 
     run(knowing)
     steps = tmp_path / "steps"

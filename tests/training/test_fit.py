@@ -5,8 +5,7 @@ import numpy as np
 from scans import SMALL, write_sequence
 
 from salsanext_cli import knn_refine, load_network, project
-from salsanext_cli.formats.kitti import read_bin
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_bin, read_labels
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.validation import validate

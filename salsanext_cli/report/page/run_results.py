@@ -18,7 +18,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import UsageError, counted, first_few
 from salsanext_cli.files.reading import present
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.measures.histograms import lack_of_confidence
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts, count_scan, read_softmax
 from salsanext_cli.measures.scores import Confusion, Counts, Scores, scores

@@ -16,7 +16,7 @@ from salsanext_cli.errors import NOTICE, LabelError, NoInputError, counted, firs
 from salsanext_cli.fitting.scan_fit import ScanSample, with_image_statistics
 from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.network_input import on_other_scale
 from salsanext_cli.geometry.projection import ego_points, in_sensor_frame, project
 from salsanext_cli.labelling.label_records import first_guesses
