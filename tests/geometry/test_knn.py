@@ -181,13 +181,3 @@ def test_published_labels(golden, real_image, image_name, labels_name):
     differs = ours != published
     assert differs.mean() < 0.005
     assert (at_edge | no_vote)[differs].all()
-
-
-@pytest.mark.real
-@pytest.mark.parametrize("image_name", ["argmax_image", "blob_image"])
-def test_real_scan_equals_the_slow_loop(golden, real_image, image_name):
-    labels = np.load(golden / "knn.npz")[image_name]
-    ours = knn_refine(real_image, labels)
-    np.testing.assert_array_equal(ours, on_torch(real_image, labels, KnnParameters()))
-    few = some_points(real_image, 11)
-    np.testing.assert_array_equal(ours[::11], slow(few, labels, KnnParameters()))

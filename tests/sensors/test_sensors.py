@@ -96,9 +96,13 @@ def test_unknown_and_missing_keys() -> None:
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("columns", ("x", "y", "z", "_", "ring", "_")), ("beams", (10.5, 2.0, -3.25))],
+    [
+        ("columns", ("x", "y", "z", "_", "ring", "_")),
+        ("beams", (10.5, 2.0, -3.25)),
+        ("origin", (0.9, 0.0, 1.75)),
+    ],
 )
-def test_columns_and_beams_belong_to_the_view_where_they_are_told(
+def test_columns_beams_and_origin_belong_to_the_view_where_they_are_told(
     tmp_path: Path, key: str, value: tuple[object, ...]
 ) -> None:
     told = replace(VALID, **{key: value})

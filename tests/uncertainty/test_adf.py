@@ -2,7 +2,6 @@
 """Every rule against the function's own derivatives; a chain against Monte Carlo; networks."""
 
 from contextlib import nullcontext
-from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from torch import nn
 
 from salsanext_cli.network.blocks import Down, Unit
 from salsanext_cli.network.dropout import ChannelDropout
-from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.uncertainty.adf import Gaussian
 
 SAMPLES = 100_000
@@ -229,18 +227,3 @@ def test_what_the_rules_do_not_cover_is_an_error():
             layer.train()(x)
     with pytest.raises(ValueError, match=r"\(1, 4\) and variance \(4,\) differ in shape"):
         Gaussian(torch.zeros(1, 4), torch.zeros(4))
-
-
-# Whole networks
-
-
-@pytest.fixture(scope="module")
-def network():
-    return lively(SalsaNext(class_count=6))
-
-
-def test_float32_gives_the_variance_of_float64(network):
-    x = gaussian(1, 5, 16, 32)
-    narrow = network(to(x, torch.float32))
-    wide = deepcopy(network).double()(x)
-    torch.testing.assert_close(narrow.variance.double(), wide.variance, rtol=1e-5, atol=0)
