@@ -146,16 +146,12 @@ class View(PageServer):
         page = html_of(
             run, run.compared(), (), self._scales, failed, served=served, token=self.token
         )
-        self._page = page.encode()
+        self.page = page.encode()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         found = {"stage": "view", "url": self.url, "scans": self.scans}
         return found | _left_out(self.missing, self.failures)
-
-    def page(self) -> bytes:
-        """Return the page as HTML."""
-        return self._page
 
     def cloud(self, place: int) -> dict[str, Any] | None:
         """Read a scan; a kind of values keeps the scale that it first got."""

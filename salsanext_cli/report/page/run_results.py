@@ -125,17 +125,6 @@ class ShownScan:
         return {name: known[name] for name in SCALARS if name in known}
 
 
-def read_shown(file: ScanFile, reason: str, reader: RunReader) -> ShownScan:
-    """Read a scan, its results, and the confidence of its points."""
-    space = reader.space
-    results = ResultFolder(reader.out).read(file, reader.sensor, space, (reader.labels, space))
-    doubt = None
-    if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
-        every = np.ones(len(results.scan), bool)
-        doubt = lack_of_confidence(read_softmax(path, every, space, reader.merging))
-    return ShownScan(f"{file.sequence}/{file.stem}", reason, results, doubt)
-
-
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """Comparison of the scans that have labels with these."""
@@ -155,8 +144,14 @@ class RunResults:
     missing: MissingResults  # Scans without results, left out
 
     def read(self, row: ScanRow, reason: str = "") -> ShownScan:
-        """Read a scan to be shown."""
-        return read_shown(row.file, reason, self.reader)
+        """Read a scan to be shown, its results, and the confidence of its points."""
+        file, reader, space = row.file, self.reader, self.reader.space
+        results = ResultFolder(reader.out).read(file, reader.sensor, space, (reader.labels, space))
+        doubt = None
+        if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
+            every = np.ones(len(results.scan), bool)
+            doubt = lack_of_confidence(read_softmax(path, every, space, reader.merging))
+        return ShownScan(row.name, reason, results, doubt)
 
     def compared(self) -> Comparison | None:
         """Divide the counts; None without labels."""
