@@ -16,7 +16,7 @@ from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.report.page.clouds import encode_cloud, plain_scales, scales_of
+from salsanext_cli.report.page.clouds import encode_cloud, scales_of
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import (
     RunReader,
@@ -167,7 +167,7 @@ class View(PageServer):
             if new := shown.values().keys() - self._scales:
                 self._scales |= {name: scales_of([shown])[name] for name in new}
         cloud = encode_cloud(shown, run.reader.space, run.reader.sensor, self._scales)
-        cloud["scales"] = plain_scales(self._scales)
+        cloud["scales"] = self._scales
         plain_cloud: dict[str, Any] = escaped(cloud)
         return plain_cloud
 
