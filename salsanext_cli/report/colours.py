@@ -65,14 +65,6 @@ COLOURS = (*COLOURINGS, "uncertainty")
 """Colourings of points; "uncertainty" is the error, else the entropy."""
 
 
-def error_colours(
-    truth: npt.NDArray[Any], predicted: npt.NDArray[Any], space: LabelSpace
-) -> Colours:
-    """Return `RIGHT`, `WRONG`, or `EMPTY` where the truth is ignored, (…, 3), of train ids."""
-    colours: Colours = OUTCOMES[np.where(space.scored[truth], 1 + (truth != predicted), 0)]
-    return colours
-
-
 def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
     """Return the 1st and the 99th percentile, the ends of a colour scale; (0, 1) without values."""
     finite = values[np.isfinite(values)]
