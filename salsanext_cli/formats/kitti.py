@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.errors import FormatError
+from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, size_of
 from salsanext_cli.formats.columns import normalised_intensity, ring_of, scan_of, unnamed_columns
 from salsanext_cli.formats.raw_records import (
@@ -94,3 +95,8 @@ def count_points(path: Path) -> int:
 def encode_bin(scan: Scan) -> bytes:
     """Return the content of a `.bin` file: float32 x, y, z, intensity of each point."""
     return np.column_stack([scan.points, scan.intensity]).astype("<f4", copy=False).tobytes()
+
+
+def write_bin(path: Path, scan: Scan) -> None:
+    """Write a scan as float32 x, y, z, intensity."""
+    write_bytes(path, encode_bin(scan))

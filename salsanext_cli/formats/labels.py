@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import FormatError, LabelError, counted
+from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, size_of
 
 MAX_CLASS = 0xFFFF
@@ -58,3 +59,8 @@ def _labels(content: npt.NDArray[np.uint8], count: int) -> RawIds:
 def encode_labels(raw: RawIds) -> bytes:
     """Return the content of a `.label` file: the raw id of each point as uint32."""
     return raw.astype("<u4", copy=False).tobytes()
+
+
+def write_labels(path: Path, raw: RawIds) -> None:
+    """Write the raw ids of a scan's points, (N,) integer, as uint32."""
+    write_bytes(path, encode_labels(raw))

@@ -22,7 +22,7 @@ from salsanext_cli import (
     sensor,
     write_labels,
 )
-from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

@@ -17,8 +17,8 @@ from scans import SMALL, make_scan
 from served import served
 
 from salsanext_cli import write_labels
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.results.layout import output_path
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import report, view
 
