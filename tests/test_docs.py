@@ -26,9 +26,9 @@ import salsanext_cli
 from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project, read_scan
 from salsanext_cli.cli.app import COMMANDS, app
 from salsanext_cli.formats import SCAN_SUFFIXES
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.formats.las import asprs_class
 from salsanext_cli.results.layout import SUFFIX_OF_FOLDER
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.sensors import sensor as sensors
 from salsanext_cli.stages import predict as stage
 from salsanext_cli.stages.export_onnx import export_onnx

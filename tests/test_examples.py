@@ -14,12 +14,12 @@ import pytest
 from scans import make_scan, write_array, write_sequence
 
 from salsanext_cli import label_space, load_network, read_labels
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.measures.scores import scores
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SALSANET, SalsaNext
 from salsanext_cli.results.layout import find_scans, output_path
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.log import write_log
 from salsanext_cli.training.validation import validate

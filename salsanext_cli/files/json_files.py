@@ -12,8 +12,6 @@ from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import present, reading
 
-MAX_NESTING = 20
-
 Kind = TypeVar("Kind")
 
 
@@ -37,18 +35,9 @@ def read_json(path: Path) -> dict[str, Any] | None:
         data = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise OutputError(path, "damaged", "JSON", "delete it or use another folder") from error
-    if not isinstance(data, dict) or not _is_shallow(data):
+    if not isinstance(data, dict):
         raise OutputError(path, "damaged", "a JSON object", "delete it or use another folder")
     return data
-
-
-def _is_shallow(data: dict[str, Any]) -> bool:
-    """Say whether data is nested no deeper than records are."""
-    level: list[Any] = [data]
-    for _ in range(MAX_NESTING):
-        members = (each.values() if isinstance(each, dict) else each for each in level)
-        level = [m for each in members for m in each if isinstance(m, dict | list)]
-    return not level
 
 
 def _refuse_constant(name: str) -> None:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import FormatError, LabelError, counted
+from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, size_of
 from salsanext_cli.formats.columns import ring_of, scan_of, unnamed_columns
 from salsanext_cli.records import Float, Scan, normalised_intensity
@@ -29,7 +30,7 @@ MAX_CLASS = 0xFFFF
 """Largest label of four bytes without an instance."""
 
 
-def read_bin(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
+def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring, or of `columns`."""
     has_ring = path.name.lower().endswith(".pcd.bin")
     width = len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS)
@@ -99,6 +100,11 @@ def encode_bin(scan: Scan) -> bytes:
     return np.column_stack([scan.points, scan.intensity]).astype("<f4", copy=False).tobytes()
 
 
+def write_bin(path: Path, scan: Scan) -> None:
+    """Write a scan as float32 x, y, z, intensity."""
+    write_bytes(path, encode_bin(scan))
+
+
 def read_labels(path: Path, count: int | None = None) -> RawIds:
     """Read the raw ids of a scan's points, (N,) uint32.
 
@@ -143,6 +149,11 @@ def _labels(content: npt.NDArray[np.uint8], count: int) -> RawIds:
 def encode_labels(raw: RawIds) -> bytes:
     """Return the content of a `.label` file: the raw id of each point as uint32."""
     return raw.astype("<u4", copy=False).tobytes()
+
+
+def write_labels(path: Path, raw: RawIds) -> None:
+    """Write the raw ids of a scan's points, (N,) integer, as uint32."""
+    write_bytes(path, encode_labels(raw))
 
 
 MAGIC = {

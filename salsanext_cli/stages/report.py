@@ -16,7 +16,7 @@ from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.report.page.clouds import encode_cloud, plain_scales, scales_of
+from salsanext_cli.report.page.clouds import encode_cloud, scales_of
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import (
     RunReader,
@@ -146,16 +146,12 @@ class View(PageServer):
         page = html_of(
             run, run.compared(), (), self._scales, failed, served=served, token=self.token
         )
-        self._page = page.encode()
+        self.page = page.encode()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         found = {"stage": "view", "url": self.url, "scans": self.scans}
         return found | _left_out(self.missing, self.failures)
-
-    def page(self) -> bytes:
-        """Return the page as HTML."""
-        return self._page
 
     def cloud(self, place: int) -> dict[str, Any] | None:
         """Read a scan; a kind of values keeps the scale that it first got."""
@@ -171,7 +167,7 @@ class View(PageServer):
             if new := shown.values().keys() - self._scales:
                 self._scales |= {name: scales_of([shown])[name] for name in new}
         cloud = encode_cloud(shown, run.reader.space, run.reader.sensor, self._scales)
-        cloud["scales"] = plain_scales(self._scales)
+        cloud["scales"] = self._scales
         plain_cloud: dict[str, Any] = escaped(cloud)
         return plain_cloud
 

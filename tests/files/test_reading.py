@@ -12,11 +12,11 @@ from scans import IN_BYTES, make_scan
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.files.reading import filled, is_folder, present, refusing_damage
-from salsanext_cli.formats import SCAN_SUFFIXES, kitti, labels, read_scan
-from salsanext_cli.formats.kitti import read_bin, read_labels
+from salsanext_cli.formats import SCAN_SUFFIXES, kitti, read_scan
+from salsanext_cli.formats.kitti import read_bin, read_labels, write_bin, write_labels
 from salsanext_cli.formats.npy import read_array
+from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.records import Scan
-from salsanext_cli.results.point_files import write_bin, write_labels, write_ply
 
 SCAN = Scan(np.float32([[1, 2, 3], [-4.5, 0, 1e-3], [70, -80, 2]]), np.float32([0.0, 127.5, 255.0]))
 TEXTS = {".csv": ",", ".xyz": " ", ".txt": "; "}

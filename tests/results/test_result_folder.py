@@ -7,9 +7,9 @@ from empty_runs import begin_and_end
 from scans import SMALL, write_array, write_sequence
 
 from salsanext_cli.errors import NoInputError
+from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_labels
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans

@@ -5,8 +5,8 @@ from scans import IN_BYTES, make_scan, write_array
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli.errors import FormatError, LabelError
+from salsanext_cli.formats.kitti import write_bin, write_labels
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_bin, write_labels
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, scalar_columns
 
 SPACE = label_space()

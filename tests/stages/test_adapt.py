@@ -14,13 +14,13 @@ from salsanext_cli.errors import FormatError, NoInputError, OutputError, Weights
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.fitting.batch_norm import PooledStatistics
 from salsanext_cli.fitting.scan_fit import ADAPTED_SHARE, network_of_run
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans

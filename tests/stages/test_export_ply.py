@@ -21,11 +21,11 @@ from salsanext_cli.errors import (
     OutputError,
     UsageError,
 )
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.formats.las import classification
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture

@@ -13,13 +13,13 @@ from world import Kept
 
 from salsanext_cli import label_space, load_network, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError, WeightsError
+from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.labelling.scan_choice import choose_scans
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.point_files import write_ply
 from salsanext_cli.stages.pick import pick
 from salsanext_cli.uncertainty.scan_description import describe_scan, label_sampled
 

@@ -19,9 +19,10 @@ from salsanext_cli import KnnParameters, LabelSpace, Scan, knn_refine, label_spa
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.point_files import write_bin, write_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans

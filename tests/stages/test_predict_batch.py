@@ -8,9 +8,9 @@ import pytest
 import torch
 from scans import files_below, replace_points, write_sequence
 
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.records import Scan
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.predict import predict_scans
 
 EXTRAS = ("pixel_labels", "probabilities")

@@ -14,11 +14,11 @@ from salsanext_cli import LabelSpace, knn_refine, label_space, project, read_lab
 from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.fitting.recorded_network import network_of_labels
+from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.measures.histograms import softmax_errors
 from salsanext_cli.measures.scores import Confusion
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.point_files import write_labels
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply

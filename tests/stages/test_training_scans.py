@@ -13,12 +13,12 @@ from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan
 from salsanext_cli.errors import OutputError
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.measures.scores import Confusion
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_scans

@@ -12,6 +12,7 @@ from scans import SMALL, make_scan, write_sequence
 from salsanext_cli import LabelSpace, Scan, label_space, load_network, project, read_scan
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
 from salsanext_cli.fitting.scan_fit import with_image_statistics
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.network_input import (
     bright_intensity,
     match_intensity,
@@ -20,7 +21,6 @@ from salsanext_cli.geometry.network_input import (
 )
 from salsanext_cli.geometry.projection import pixels_from_points
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.training.data.dataset import SAMPLE, Samples, SamplingPlan
 from salsanext_cli.training.data.other_sensors import change_intensity, mount_otherwise, other_view
 from salsanext_cli.training.data.sources import (
