@@ -322,7 +322,7 @@ def mixed_sensors(
     of the other factors for all points and for the intensity. `selectable` says whether the
     command takes any SCANS.
     """
-    files = sorted(traits, key=lambda file: (file.sequence, file.stem))
+    files = sorted(traits)
     if len(files) < 2:
         return {}
     least = LEAST_SHARE * max(traits[file].points for file in files)

@@ -91,10 +91,6 @@ def _label_findings(
         yield Finding("low-confidence", found, f"{USUAL}; {LOOK}")
 
 
-def _name(file: ScanFile) -> str:
-    return f"{file.sequence}/{file.stem}"
-
-
 @dataclass(slots=True)
 class RunSummary:
     """Summary of the scans that a run has worked on."""
@@ -124,7 +120,7 @@ class RunSummary:
 
     def add(self, scan: ScanSummary) -> None:
         """Add a scan; say at once what is found for the first time."""
-        self.looked_at.add(_name(scan.file))
+        self.looked_at.add(scan.file.name)
         self.rejected_points += scan.rejected_points
         self.ego_shares.append(scan.check.ego_share)
         for finding in scan.check.findings:
@@ -136,7 +132,7 @@ class RunSummary:
             self.class_points = [a + b for a, b in zip(before, scan.class_points, strict=True)]
 
     def _add(self, file: ScanFile, finding: Finding) -> None:
-        name = _name(file)
+        name = file.name
         if finding.code not in self.findings:
             words = f"{finding.found}; {finding.remedy}"
             log.warning("%s: %s (%s)", printable(name), words, finding.code)
@@ -163,7 +159,7 @@ class RunSummary:
                 texts = (finding.code, finding.found, finding.remedy)
                 found.setdefault(name, []).append(texts)
             earlier = run.keep_findings(found, self.looked_at)
-            for name in earlier.keys() & {_name(file) for file in scans if run.is_there(file)}:
+            for name in earlier.keys() & {file.name for file in scans if run.is_there(file)}:
                 for texts in earlier[name]:
                     self.findings.setdefault(texts[0], []).append((name, Finding(*texts)))
 

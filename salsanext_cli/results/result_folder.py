@@ -361,7 +361,7 @@ def _scans_named_themselves(source: ScanSource, known: Container[str]) -> list[S
 def _missing(
     scans: Iterable[ScanFile], sources: Sequence[Mapping[str, ScanSource]]
 ) -> MissingResults:
-    listed = sorted(scans, key=lambda scan: (scan.sequence, scan.stem))
+    listed = sorted(scans)
 
     def is_asked_for(scan: ScanFile) -> bool:
         recorded = [of_stage[scan.sequence] for of_stage in sources if scan.sequence in of_stage]
