@@ -195,8 +195,10 @@ def _simulated_streets(
         log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
         synthesise(
             root,
-            **splits,
+            train=count,
+            valid=0,
             scans=SCANS_OF_STREET,
+            seed=0,
             spacing=STREET_SPACING_M,
             sensor=seen,
             jobs=jobs,

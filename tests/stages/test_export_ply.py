@@ -384,20 +384,6 @@ def test_error_is_a_colour_and_what_uncertainty_means(known, colour, caplog):
     assert not (known.out / "uncertainty.json").exists()
 
 
-def test_uncertainty_is_the_entropy_where_there_is_no_error(known):
-    world = known
-    for path in world.out.rglob("error/*.npy"):
-        path.unlink()
-    for kind in ("epistemic", "entropy", "total"):
-        for scan in SCANS:
-            write_array(world.result(f"uncertainty/{kind}", *scan), ERROR)
-    assert export(world, colour="uncertainty").done == 3
-    assert ply(world).comments[0].startswith("colour entropy viridis ")
-    for colour in ("epistemic", "total"):
-        assert export(world, colour=colour).done == 3
-        assert ply(world, folder=f"ply/{colour}").comments[0].startswith(f"colour {colour} viridis")
-
-
 @pytest.mark.parametrize("max_error", [0.0, 0.5])
 def test_points_above_the_threshold_are_unlabelled(known, max_error):
     outcome = export(known, max_error=max_error)
