@@ -75,9 +75,9 @@ def assert_scored_and_exported(folder, sequence):
     (cloud,) = (out / "sequences" / sequence / "ply").iterdir()
     vertex = plyfile.PlyData.read(cloud)["vertex"]
     names = {p.name for p in vertex.properties}
-    kinds = ("label", "truth", "wrong", "epistemic", "entropy", "mutual_information")
+    kinds = ("label", "truth", "wrong", "least_confidence")
     assert {f"scalar_{kind}" for kind in kinds} <= names
-    assert np.isfinite(vertex["scalar_epistemic"]).all()
+    assert np.isfinite(vertex["scalar_least_confidence"]).all()
     assert len(np.unique(vertex["green"])) > 20
 
 
