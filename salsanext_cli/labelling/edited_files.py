@@ -80,7 +80,7 @@ class ScanNames:
         """Return the scans of some stems, in one sequence if it is named."""
         scans = [scan for stem in stems for scan in self.of_stem.get(stem, ())]
         fitting = [scan for scan in scans if sequence in (None, scan.sequence)]
-        return sorted(fitting, key=lambda scan: (scan.sequence, scan.stem))
+        return sorted(fitting)
 
 
 def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
@@ -99,7 +99,7 @@ def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
     if len(fitting) == 1:
         return fitting[0]
     where = "" if sequence is None else f" in sequence {sequence}"
-    several = first_few([f"{scan.sequence}/{scan.stem}" for scan in fitting])
+    several = first_few([scan.name for scan in fitting])
     raise LabelError(
         path,
         f"may belong to {several}" if fitting else f"belongs to no scan{where}",

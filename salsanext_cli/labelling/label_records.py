@@ -81,11 +81,6 @@ def labels_root(scan: ScanFile) -> Path:
     return data_set_of(scan) or (folder.parent if folder.name == SCAN_FOLDER else folder)
 
 
-def name_of(scan: ScanFile) -> str:
-    """Return sequence and stem of a scan, as records name it."""
-    return f"{scan.sequence}/{scan.stem}"
-
-
 class LabelRecords:
     """Records of the labels of a data set, in its `labels_root`."""
 
@@ -110,14 +105,14 @@ class LabelRecords:
 
     def is_guess(self, scan: ScanFile, digest: str) -> bool:
         """Say whether labels with a SHA-256 are those that a network guessed for a scan."""
-        return self._guesses.get(name_of(scan)) == digest
+        return self._guesses.get(scan.name) == digest
 
     def holds_guess(self, scan: ScanFile) -> bool:
         """Say whether the label file of a scan is still the first guess."""
-        if name_of(scan) not in self._guesses or not present(scan.label_path):
+        if scan.name not in self._guesses or not present(scan.label_path):
             return False
         digest = digest_of_file(scan.label_path)
-        confirmed = self._imported.get(name_of(scan), {}).get("sha256") == digest
+        confirmed = self._imported.get(scan.name, {}).get("sha256") == digest
         return self.is_guess(scan, digest) and not confirmed
 
     def is_replaceable(self, scan: ScanFile, edited: Iterable[Path], contradicted: int = 0) -> bool:
@@ -127,7 +122,7 @@ class LabelRecords:
         not among theirs, which may hold other points, nor from files that contradicted each other
         in fewer points.
         """
-        path, earlier = scan.label_path, self._imported.get(name_of(scan), {"files": []})
+        path, earlier = scan.label_path, self._imported.get(scan.name, {"files": []})
         # Files that are not recorded may be any.
         imported = Counter(Path(file).name for file in earlier.get("files", ["?"]))
         lost = imported - Counter(file.name for file in edited)
@@ -140,7 +135,7 @@ class LabelRecords:
     def write(self, scan: ScanFile, content: bytes, about: Mapping[str, Any]) -> None:
         """Write the imported label file of a scan, and record it and what is known about it."""
         digest = hashlib.sha256(content).hexdigest()
-        self._imported[name_of(scan)] = {"sha256": digest, **about}
+        self._imported[scan.name] = {"sha256": digest, **about}
         scans = dict(sorted(self._imported.items()))
         record = {"stage": STAGE, "version": __version__, "scans": scans}
         # Where this is cut off in between, the label file counts as what it was.

@@ -16,7 +16,7 @@ from salsanext_cli.errors import FormatError, OutputError, UsageError, counted
 from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.kitti import encode_bin
-from salsanext_cli.labelling.label_records import IMPORTED, digest_of_file, name_of
+from salsanext_cli.labelling.label_records import IMPORTED, digest_of_file
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.stage_records import require_same_settings
@@ -141,7 +141,7 @@ class PickedDataSet(OwnedFolder):
         if (record := self._record()) is None:
             remedy = "run again"
             raise OutputError(self.record_path, "was removed during the run", remedy=remedy)
-        digests = {name_of(file): hashlib.sha256(missing[file]).hexdigest() for file in missing}
+        digests = {file.name: hashlib.sha256(missing[file]).hexdigest() for file in missing}
         guesses = dict(sorted({**record.guesses, **digests}.items()))
         # Recorded first: in a run that is cut off nothing passes for labels of a person.
         self.begin(replace(record, guesses=guesses).to_dict())
@@ -159,7 +159,7 @@ class PickedDataSet(OwnedFolder):
 
     def write_poses(self, scans: Iterable[ScanFile]) -> None:
         """Write poses and calibration of the sequences of picked scans, where they are known."""
-        ordered = sorted(scans, key=lambda scan: (scan.sequence, scan.stem))
+        ordered = sorted(scans)
         for name, group in groupby(ordered, lambda scan: scan.sequence):
             picked, folder = list(group), self.root / "sequences" / name
             source = picked[0].path.parent

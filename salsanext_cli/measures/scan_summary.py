@@ -100,10 +100,6 @@ def _label_findings(
         yield Finding("low-confidence", found, f"{USUAL}; {LOOK}")
 
 
-def _name(file: ScanFile) -> str:
-    return f"{file.sequence}/{file.stem}"
-
-
 @dataclass(slots=True)
 class RunSummary:
     """Summary of the scans that a run has worked on."""
@@ -133,7 +129,7 @@ class RunSummary:
 
     def add(self, scan: ScanSummary) -> None:
         """Add a scan; say at once what is found for the first time."""
-        self.looked_at.add(_name(scan.file))
+        self.looked_at.add(scan.file.name)
         self.rejected_points += scan.rejected_points
         self.ego_shares.append(scan.check.ego_share)
         for finding in scan.check.findings:
@@ -145,7 +141,7 @@ class RunSummary:
             self.class_points = [a + b for a, b in zip(before, scan.class_points, strict=True)]
 
     def _add(self, file: ScanFile, finding: Finding) -> None:
-        name = _name(file)
+        name = file.name
         if finding.code not in self.findings:
             words = f"{finding.found}; {finding.remedy}"
             log.warning("%s: %s (%s)", name, words, finding.code)
@@ -172,7 +168,7 @@ class RunSummary:
                 texts = (finding.code, finding.found, finding.remedy)
                 found.setdefault(name, []).append(texts)
             earlier = run.keep_findings(found, self.looked_at)
-            for name in earlier.keys() & {_name(file) for file in scans if run.is_there(file)}:
+            for name in earlier.keys() & {file.name for file in scans if run.is_there(file)}:
                 for texts in earlier[name]:
                     self.findings.setdefault(texts[0], []).append((name, Finding(*texts)))
 
@@ -211,7 +207,7 @@ def mixed_sensors(
     of the other factors for all points and for the intensity. `selectable` says whether the
     command takes any SCANS.
     """
-    files = sorted(traits, key=lambda file: (file.sequence, file.stem))
+    files = sorted(traits)
     if len(files) < 2:
         return {}
     least = LEAST_SHARE * max(traits[file].points for file in files)
@@ -226,7 +222,7 @@ def mixed_sensors(
     others = [file for file, key in zip(files, keys, strict=True) if key != usual]
     most = [file for file, key in zip(files, keys, strict=True) if key == usual]
     remedy = _remedy(others, most, selectable)
-    usual_scan = f"{most[0].sequence}/{most[0].stem} ({_description(traits[most[0]])})"
+    usual_scan = f"{most[0].name} ({_description(traits[most[0]])})"
     findings = {}
     for file in others:
         own = f"seems to be of another sensor ({_description(traits[file])})"

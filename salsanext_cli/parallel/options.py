@@ -143,7 +143,7 @@ class Shard:
         """
         if self.count == 1:
             return list(scans)
-        ordered = sorted(scans, key=lambda scan: (scan.sequence, scan.stem))
+        ordered = sorted(scans)
         start, stop = (len(ordered) * n // self.count for n in (self.number - 1, self.number))
         return ordered[start:stop]
 

@@ -119,7 +119,7 @@ def run_over_scans(
     try:
         with closing(_attempts(task, todo, options)) as attempts:
             for scan, result, error in attempts:
-                log.info("%s/%s: %s", scan.sequence, scan.stem, error or "done")
+                log.info("%s: %s", scan.name, error or "done")
                 if error is None:
                     on_result(result)
                 elif options.on_error == "stop":
@@ -136,11 +136,11 @@ def run_over_scans(
         for failure in failures:
             log.error("%s", failure.reason)
         left = [scan for scan in todo if scan not in tried and not is_done(scan)]
-        names = first_few([f"{scan.sequence}/{scan.stem}" for scan in left])
+        names = first_few([scan.name for scan in left])
         found = f"{lost.found}; {len(left)} of {len(todo)} scans are missing: {names}"
         remedy = f"{lost.remedy}; run again for the rest"
         raise WorkersLost(lost.subject, found, lost.expected, remedy) from lost
-    failures.sort(key=lambda failure: (failure.scan.sequence, failure.scan.stem))
+    failures.sort(key=lambda failure: failure.scan)
     skipped, done = len(mine) - len(todo), len(todo) - len(failures)
     return Outcome(skipped, tuple(failures), done, seconds=time.monotonic() - start)
 

@@ -107,7 +107,7 @@ def _int8(model: Any, network: Network, scans: list[ScanFile]) -> tuple[bytes, f
         full, short = (compute(image)[0][0].argmax(0) for compute in graphs)
         equal += int((full == short)[occupied].sum())
         points += int(occupied.sum())
-        log.info("%s/%s: done", file.sequence, file.stem)
+        log.info("%s: done", file.name)
     return content, equal / max(points, 1)
 
 

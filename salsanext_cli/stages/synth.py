@@ -103,8 +103,8 @@ def manifest(
     """Return the record of a data set, its sequences by split; parameters as of `synthesise`."""
     names = map("{:02d}".format, range(sum(counts.values())))
     splits = {split: tuple(islice(names, count)) for split, count in counts.items()}
-    how = {"scans": scans, "seed": seed, "spacing": spacing, "sensor": sensor}
-    return {"stage": "synth", "version": __version__, "settings": {"splits": splits} | how}
+    settings = {"scans": scans, "seed": seed, "spacing": spacing, "sensor": sensor}
+    return {"stage": "synth", "version": __version__, "settings": {"splits": splits} | settings}
 
 
 def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, jobs: int) -> None:

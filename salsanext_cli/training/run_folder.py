@@ -59,7 +59,7 @@ def training_settings(
 
 def scans_digest(scans: Sequence[ScanFile]) -> str:
     """Return the number of scans and a digest of their names."""
-    names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
+    names = "\n".join(scan.name for scan in scans)
     return f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}"
 
 

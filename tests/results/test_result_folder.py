@@ -101,13 +101,6 @@ def test_refined_labels_are_those_that_predict_was_asked_for(world):
     assert names(ResultFolder(world.out).missing_predictions(scans)) == (["08/000000"], 1)
 
 
-def test_the_results_of_a_scan_that_failed_are_missing(world):
-    world.scan("08", "000001").write_bytes(b"1")
-    predict_scans(world.data, world.out, network=world.network)
-    scans = find_scans(world.data, ["08"])
-    assert names(ResultFolder(world.out).missing_predictions(scans[1:])) == (["08/000001"], 0)
-
-
 def test_a_table_that_was_named_itself_is_found_again_beside_clouds(world, tmp_path):
     folder = write_sequence(tmp_path / "drive", labels=False) / "velodyne"
     write_array(folder / "table.npy", np.ones((5, 4)))

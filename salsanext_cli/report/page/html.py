@@ -263,8 +263,8 @@ def _drive(rows: Sequence[ScanRow], class_points: Counts, shown: Sequence[str]) 
         shares = class_points / np.maximum(class_points.sum(axis=1, keepdims=True), 1)
         numbers["shares"] = base64_of(shares, "<f4")
     return {
-        "names": [row.name for row in rows],
-        "shown": [places.get(row.name, -1) for row in rows],
+        "names": [row.file.name for row in rows],
+        "shown": [places.get(row.file.name, -1) for row in rows],
         "kind": kind.replace("_", " "),
         **numbers,
     }

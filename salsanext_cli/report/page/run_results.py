@@ -87,11 +87,6 @@ class ScanRow:
     confusion: Counts | None = None  # (C, C) as `Confusion.counted`; None without labels
 
     @property
-    def name(self) -> str:
-        """Sequence and stem."""
-        return f"{self.file.sequence}/{self.file.stem}"
-
-    @property
     def wrong(self) -> float:
         """Share of the labelled points that is wrong, 0…1; NaN without any."""
         if self.confusion is None or not self.confusion.any():
@@ -169,11 +164,11 @@ class RunResults:
         """Read a scan to be shown, its results, and the confidence of its points."""
         file, reader, space = row.file, self.reader, self.reader.space
         results = ResultFolder(reader.out).read(file, reader.sensor, space, (reader.labels, space))
-        doubt = None
+        doubt = results.uncertainty.get("least_confidence")
         if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
             every = np.ones(len(results.scan), bool)
             doubt = lack_of_confidence(read_softmax(path, every, space, reader.merging))
-        return ShownScan(row.name, reason, results, doubt)
+        return ShownScan(row.file.name, reason, results, doubt)
 
     def compared(self) -> Comparison | None:
         """Divide the counts; None without labels."""
@@ -185,16 +180,9 @@ class RunResults:
 
     def warnings(self) -> list[str]:
         """Return every reason to doubt the page, a line each."""
-        lines = warnings_of_run(self.reader.out, {row.name for row in self.rows})
+        lines = warnings_of_run(self.reader.out, {row.file.name for row in self.rows})
         if self.counts:
             lines = [*self.counts.label_warnings(self.reader.space), *lines]
-            for what, ids in (
-                ("labels", self.counts.unknown_truth),
-                ("predictions", self.counts.unknown_predictions),
-            ):
-                if ids:
-                    listed = first_few([f"{i} ({n:,}×)" for i, n in sorted(ids.items())])
-                    lines.append(f"{what}: unknown ids {listed} are taken as unlabelled")
         if self.missing.scans:
             lines.append(f"{counted(len(self.missing.scans), 'scan')} without results left out")
         return lines
@@ -215,7 +203,7 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
     def add_largest(values: Sequence[float], reason: Callable[[float], str]) -> None:
         place = int(np.nan_to_num(values).argmax())
         if values[place] > 0:
-            reasons.setdefault(rows[place].name, []).append(reason(values[place]))
+            reasons.setdefault(rows[place].file.name, []).append(reason(values[place]))
 
     if kind := leading_kind(rows):
         means = [row.uncertainty.get(kind, math.nan) for row in rows]
@@ -229,9 +217,9 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
         missed = [_missed(row.confusion, worst) for row in rows]
         name = space.names[worst]
         add_largest(missed, lambda n: f"worst class: {n:,.0f} points of {name} wrong")
-    if left := [row for row in rows if row.name not in reasons]:
+    if left := [row for row in rows if row.file.name not in reasons]:
         # The same for the same scans.
-        reasons[random.Random(len(rows)).choice(left).name] = ["at random"]
+        reasons[random.Random(len(rows)).choice(left).file.name] = ["at random"]
     return {name: ", ".join(given) for name, given in reasons.items()}
 
 
@@ -256,10 +244,10 @@ def named(rows: Sequence[ScanRow], names: Sequence[str]) -> dict[str, str]:
     """Choose scans by name, ``08/000000``, or by stem where only one sequence has it."""
     chosen: dict[str, str] = {}
     for name in names:
-        found = [row.name for row in rows if name in (row.name, row.file.stem)]
+        found = [row.file.name for row in rows if name in (row.file.name, row.file.stem)]
         if len(found) != 1:
             what = f"{len(found)} scans" if found else "no results of a scan of that name"
-            there = first_few(found or [row.name for row in rows])
+            there = first_few(found or [row.file.name for row in rows])
             raise UsageError("--scans", f"{name}: {what}", f"names such as {there}")
         chosen[found[0]] = "named"
     return chosen

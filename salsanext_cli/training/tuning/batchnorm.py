@@ -51,7 +51,7 @@ def fit_batchnorm(scans: TuningScans, share: float = ADAPTED_SHARE) -> Tuned:
             none = f"none of its {len(image.pixel_of_point)} points has a pixel"
             raise FormatError(file.path, none, "points that were measured, in view of the sensor")
         pooled.add(image.channels, file.path)
-        log.info("%s/%s: done", file.sequence, file.stem)
+        log.info("%s: done", file.name)
     new, sensor, trained = pooled.moved(), network.sensor, network.card.sensor
     scanned = counted(len(scans.files), "scan")
     done = f"Batch norm re-estimated on {scanned} of {sensor.name}, share {share:g}."

@@ -97,7 +97,7 @@ def fit_dropout(
             if scans.progress:
                 done = number * len(rates) + index + 1
                 scans.progress(done, len(scans.files) * len(rates))
-        log.info("%s/%s: %d points", file.sequence, file.stem, len(labelled.truth))
+        log.info("%s: %d points", file.name, len(labelled.truth))
     scans.require_points(points)
     objectives: list[float] = (sums / points).tolist()
     if not np.isfinite(objectives).all():

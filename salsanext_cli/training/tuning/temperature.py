@@ -71,7 +71,7 @@ def _samples(scans: TuningScans, most: int) -> Iterator[tuple[Float, Any]]:
         random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
         count = len(labelled.truth)
         chosen = random.choice(count, most, replace=False) if count > most else slice(None)
-        log.info("%s/%s: %d points", file.sequence, file.stem, min(count, most))
+        log.info("%s: %d points", file.name, min(count, most))
         yield labelled.of_points(logits)[chosen].copy(), labelled.truth[chosen]
 
 
