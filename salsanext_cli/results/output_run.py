@@ -1,19 +1,21 @@
 # SPDX-License-Identifier: MIT
 """The owner of an output folder, in which several stages leave results of the same scans."""
 
+import io
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
+from numpy.lib import format as npy
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import OutputError, shortened
 from salsanext_cli.files.reading import filled
 from salsanext_cli.formats.kitti import encode_labels
-from salsanext_cli.formats.npy import encode_array
 from salsanext_cli.results.layout import ERROR, ScanFile, find_outputs, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.stage_records import (
@@ -136,6 +138,14 @@ class OutputRun(OwnedFolder):
         """Remove results that are as salsanext wrote them; return the others."""
         found = [path for f in folders for path in find_outputs(self.root, f).values()]
         return self.remove_own(found)
+
+
+def encode_array(array: npt.NDArray[Any]) -> bytes:
+    """Return the content of a `.npy` file."""
+    array = np.ascontiguousarray(array)
+    with io.BytesIO() as file:
+        npy.write_array(file, array, version=(1, 0), allow_pickle=False)
+        return file.getvalue()
 
 
 def _merged(recorded: StageRecord, wanted: StageRecord) -> StageRecord:

@@ -2,17 +2,19 @@
 """Stage `uncertainty`: scans to labels and uncertainties of their points."""
 
 import logging
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE
+from salsanext_cli.engines.settings import NetworkSettings, recorded_view
+from salsanext_cli.errors import NOTICE, OutputError
 from salsanext_cli.fitting.label_scan import labelled, project_for
-from salsanext_cli.fitting.recorded_network import require_network_of_labels
 from salsanext_cli.fitting.scan_fit import network_of_run
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
@@ -21,7 +23,8 @@ from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, Steps, 
 from salsanext_cli.results.layout import ERROR, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.results.stage_records import StageRecords, as_json
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.uncertainty.error_features import knows_error, label_error
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
@@ -89,7 +92,7 @@ def uncertainty(
         folders = (ERROR, *folders)
     elif knows_error(loaded) and StageRecords(out).owner(ERROR) is None:
         log.log(NOTICE, "no errors: the labels in %s are another stage's; see predict --error", out)
-    require_network_of_labels(out, settings)
+    _require_network_of_labels(out, settings)
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
     run = output_run(out, "uncertainty", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
@@ -99,3 +102,41 @@ def uncertainty(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
     return replace(outcome, summary=summary)
+
+
+def _require_network_of_labels(out: Path, settings: dict[str, Any]) -> None:
+    """Refuse to put the uncertainty of one network beside the labels of another.
+
+    `out`: the output folder; `settings`: of the run of `uncertainty`.
+    """
+    records = StageRecords(out)
+    stage = records.owner("predictions")
+    recorded = records.settings(stage) if stage not in (None, "uncertainty") else None
+    if recorded is None:
+        return
+    compared: dict[str, tuple[str, Callable[..., object]]] = {"sensor": ("sensor", _view)}
+    if weights := records.weights("predictions"):
+        recorded["weights"] = weights
+        compared = {"weights": ("weights, and --adapt for both or neither", str)} | compared
+        # Those of other programs may be in any classes.
+        compared |= {"label_space": ("--classes", _classes)}
+    own = settings | {"weights": settings.get("adapted", settings["weights"])}
+    for key, (same, seen) in compared.items():
+        if key in recorded and seen(recorded[key]) != seen(as_json(own[key])):
+            raise OutputError(
+                out / f"{stage}.json",
+                f"labels made with other {key}",
+                "the same for labels and uncertainty",
+                f"give the same {same}, or use another output folder",
+            )
+
+
+def _view(sensor: dict[str, Any]) -> dict[str, Any]:
+    """Leave out what labels do not depend on."""
+    return {**recorded_view(Sensor.from_dict(sensor)), "name": None}
+
+
+def _classes(space: dict[str, Any]) -> tuple[Any, ...]:
+    """Return names and raw ids of the classes."""
+    found = LabelSpace.from_dict(space)
+    return found.names, found.learning_map_inv
