@@ -150,16 +150,24 @@ class TransposedUnit(nn.Sequential):
 
 
 class UpBlock(nn.Module):
-    """Upsample ×2, concatenate the skip connection, fuse; channel dropout around each.
+    """Upsample ×2, concatenate or add the skip connection, fuse; channel dropout around each.
 
-    `upsampling`: (B, in, H, W) to (B, upsampled, 2H, 2W); `joined`, `outputs`: channels after the
-    concatenation, and of the block; `stack`: factory of the layers that fuse; `dropout`: rate.
+    `upsampling`: (B, in, H, W) to (B, upsampled, 2H, 2W); `joined`: channels with the skip
+    connection; `stack`: factory of the layers that fuse.
     """
 
     def __init__(
-        self, upsampling: nn.Module, joined: int, outputs: int, stack: Stack, dropout: float
+        self,
+        upsampling: nn.Module,
+        joined: int,
+        outputs: int,
+        stack: Stack,
+        dropout: float,
+        *,
+        adds: bool = False,
     ) -> None:
         super().__init__()
+        self.adds = adds
         # The attributes' names are those in weights files.
         self.raising = upsampling
         self.dropout_raised = ChannelDropout(dropout)
@@ -169,21 +177,10 @@ class UpBlock(nn.Module):
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         """Map (B, in, H, W) and (B, skip, 2H, 2W) to (B, out, 2H, 2W)."""
-        joined = self.join(self.dropout_raised(self.raising(x)), skip)
+        upsampled = self.dropout_raised(self.raising(x))
+        joined = upsampled + skip if self.adds else torch.cat((upsampled, skip), dim=1)
         fused: Tensor = self.dropout_fused(self.stack(self.dropout_joined(joined)))
         return fused
-
-    def join(self, upsampled: Tensor, skip: Tensor) -> Tensor:
-        """Concatenate."""
-        return torch.cat((upsampled, skip), dim=1)
-
-
-class AddingUpBlock(UpBlock):
-    """Up block that adds the skip connection, which has as many channels."""
-
-    def join(self, upsampled: Tensor, skip: Tensor) -> Tensor:
-        """Add."""
-        return upsampled + skip
 
 
 def pixel_shuffle(inputs: int, skip: int, outputs: int, stack: Stack, dropout: float) -> UpBlock:
@@ -202,10 +199,10 @@ def concatenating_2x2(
 def adding_3x3(inputs: int, skip: int, outputs: int, stack: Stack, dropout: float) -> UpBlock:
     """Return an up block of a transposed convolution of kernel 3×3 and an addition."""
     unit = TransposedUnit(nn.ConvTranspose2d(inputs, skip, 3, 2, padding=1, output_padding=1))
-    return AddingUpBlock(unit, skip, outputs, stack, dropout)
+    return UpBlock(unit, skip, outputs, stack, dropout, adds=True)
 
 
 def replicating_3x3(inputs: int, skip: int, outputs: int, stack: Stack, dropout: float) -> UpBlock:
     """Return an up block as `adding_3x3` does, the last row and column repeated."""
     unit = TransposedUnit(ReplicatingConvTranspose2d(inputs, skip))
-    return AddingUpBlock(unit, skip, outputs, stack, dropout)
+    return UpBlock(unit, skip, outputs, stack, dropout, adds=True)

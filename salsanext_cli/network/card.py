@@ -31,21 +31,20 @@ TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
 TEMPERATURES = (1e-3, 1e3)
 """Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
 ONNX_SUFFIX = ".onnx"
-COUNT_DIGITS, HASH_DIGITS = 8, 16
+DIGITS = 24
 """Hexadecimal digits of a digest: by chance, two of 20 000 scans agree once in 10¹¹ cases."""
-DIGITS = COUNT_DIGITS + HASH_DIGITS
 
 
 def scan_digest(scan: Scan) -> str:
     """Return the digest of a scan: of the number of its points, then of their coordinates."""
     of_points = hashlib.sha256(np.ascontiguousarray(scan.points).data).hexdigest()
-    return f"{len(scan):0{COUNT_DIGITS}x}{of_points[:HASH_DIGITS]}"
+    return f"{len(scan):08x}{of_points}"[:DIGITS]
 
 
 def is_among(digests: Collection[str], count: int, read: Callable[[], Scan]) -> bool:
     """Return whether digests name a scan of so many points; it is read only where it may be one."""
-    start = f"{count:0{COUNT_DIGITS}x}"
-    return any(digest.startswith(start) for digest in digests) and scan_digest(read()) in digests
+    some = any(digest.startswith(f"{count:08x}") for digest in digests)
+    return some and scan_digest(read()) in digests
 
 
 def joined(digests: Iterable[str]) -> str:

@@ -78,10 +78,9 @@ class RangeNet53(SegmentationNetwork):
         self.logits = nn.Conv2d(width, class_count, 3, padding=1)
 
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:
-        """Compute everything before the first dropout: the same for every Monte-Carlo pass.
+        """Compute the features of stem and first stage, (B, 32, H, W) and (B, 64, H, W/2).
 
-        Takes (B, 5, H, W) with W divisible by 32; returns the features of stem and first stage,
-        (B, 32, H, W) and (B, 64, H, W/2).
+        Of (B, 5, H, W) with W divisible by 32.
         """
         stem: Tensor = self.stem(image)
         return stem, self.stages[0](stem)

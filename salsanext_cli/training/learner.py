@@ -45,10 +45,10 @@ def common_precision(device: torch.device, group: ProcessGroup) -> str:
 
 
 class Float32Convolution(nn.Conv2d):
-    """Convolution that autocast leaves alone."""
+    """Convolution that autocast leaves alone: float32, from features of any type."""
 
     def forward(self, x: Tensor) -> Tensor:
-        """Compute in float32, from features of any type."""
+        """Map (B, in, H, W) to (B, out, H, W)."""
         with torch.autocast(x.device.type, enabled=False):
             return super().forward(x.float())
 
@@ -109,7 +109,8 @@ class Learner:
         truth = truth.to(self.device, non_blocking=True)
         parts = self._parts(images.shape[3])
         several = parts * self.group.size > 1
-        total = self.group.sum(self.loss.weight_of(truth)) if several else None
+        weight = self.loss.weights[truth.long()].sum()
+        total = self.group.sum(weight) if several else None
         losses = []
         self.module.train()
         # Seeded, every step is a function of its number, so that training can be resumed.

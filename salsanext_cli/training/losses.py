@@ -108,10 +108,6 @@ class SegmentationLoss(nn.Module):
         self.smoothing = smoothing
         self.sets = sets
 
-    def weight_of(self, truth: Tensor) -> Tensor:
-        """Return the weight of all pixels of targets (B, H, W), 0-d."""
-        return self.weights[truth.long()].sum()
-
     def forward(
         self,
         logits: Tensor,

@@ -7,9 +7,10 @@ from scans import SMALL, write_sequence
 from salsanext_cli import knn_refine, load_network, project
 from salsanext_cli.formats.kitti import read_bin
 from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.measures.scores import Confusion, scores
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.training.data.sources import Source
-from salsanext_cli.training.validation import validate
+from salsanext_cli.training.fit import validate
 
 
 def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
@@ -24,6 +25,10 @@ def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
         predicted = knn_refine(image, network.probabilities(image).argmax(0))
         truth = space.to_train(read_labels(file.label_path))
         np.add.at(expected, (truth, predicted), 1)
-    confusion = validate(network, Source(files, network.card.space, network.sensor)).confusion
-    np.testing.assert_array_equal(confusion.matrix, expected)
-    assert confusion.matrix.sum() == 4500
+    assert expected.sum() == 4500
+    wanted = scores(Confusion(20, expected), space)
+    row = validate(network, Source(files, space, network.sensor))
+    assert (row["accuracy"], row["miou"]) == (wanted.accuracy, wanted.iou_mean_present)
+    np.testing.assert_equal(
+        [row[f"iou_{s.name}"] for s in wanted.classes], [s.iou for s in wanted.classes]
+    )

@@ -29,8 +29,6 @@ from salsanext_cli.training.data.sources import Source, read_labelled
 Counts = npt.NDArray[np.int64]
 RARE_SHARE = 0.01
 """Share of the scored training points below which a class is rare."""
-WARNING_TEXTS = ("code", "message", "remedy")
-"""Keys of a warning, beside its scans."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,18 +164,11 @@ def _kept(
     if known.get("files") != digest:
         return None
     try:
-        points, warnings = known["points"], known["warnings"]
-        if points.keys() != {*names} or any(type(n) is not int or n < 0 for n in points.values()):
-            return None
-        counts = np.array([points[name] for name in names], np.int64)
-        texts = [
-            text for each in warnings for text in (*map(each.get, WARNING_TEXTS), *each["scans"])
-        ]
+        counts = np.array([known["points"][name] for name in names], np.int64)
         digests = dict(zip(files, parted(known["scans"]), strict=True))
-    except (AttributeError, LookupError, OverflowError, TypeError, ValueError):
+        return ClassCounts(counts, known["warnings"], digests)
+    except (LookupError, OverflowError, TypeError, ValueError):
         return None
-    is_whole = all(isinstance(text, str) for text in texts)
-    return ClassCounts(counts, warnings, digests) if is_whole else None
 
 
 def data_digest(
