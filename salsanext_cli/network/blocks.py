@@ -128,10 +128,7 @@ class StridedDown(nn.Sequential):
 
 
 class ReplicatingConvTranspose2d(nn.ConvTranspose2d):
-    """Transposed 3×3 convolution ×2 of the paper's first version.
-
-    The convolution makes (2H − 1, 2W − 1) of (H, W); its last row and column are repeated.
-    """
+    """Transposed 3×3 convolution, (H, W) to (2H − 1, 2W − 1), last row and column repeated."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(inputs, outputs, 3, stride=2, padding=1)

@@ -62,14 +62,13 @@ class UpStage(nn.Sequential):
 class RangeNet53(SegmentationNetwork):
     """A Darknet53 that keeps the height of the image; 50 377 364 parameters with 20 classes.
 
-    `class_count` includes the unlabelled class 0; `dropout`: rate of the channel dropout after
-    every stage and before the logits; `width`: channels of the stem, doubled by every stage.
+    `width`: channels of the stem, doubled by every stage.
     """
 
     stride = (1, 2 ** len(DEPTHS))
 
     def __init__(self, class_count: int = 20, dropout: float = 0.01, width: int = 32) -> None:
-        super().__init__(class_count)
+        super().__init__()
         widths = [width * 2**level for level in range(len(DEPTHS))]
         self.stem = NormedUnit(len(CHANNELS), width, 3)
         self.stages = nn.ModuleList(map(Stage, widths, DEPTHS))

@@ -80,16 +80,12 @@ V1_POOLING = replace(V1_DROPOUT, pooling=lambda _, dropout: blocks.Down(dropout)
 
 
 class SalsaNext(SegmentationNetwork):
-    """An encoder and a decoder; by default the second version, 6 711 572 parameters.
-
-    `class_count` includes the unlabelled class 0; `dropout`: rate of the channel dropout, 0 ≤ rate
-    < 1; the paper trains with 0.2.
-    """
+    """An encoder and a decoder; by default the second version, 6 711 572 parameters."""
 
     def __init__(
         self, class_count: int = 20, dropout: float = 0.2, design: Design = SALSANEXT
     ) -> None:
-        super().__init__(class_count)
+        super().__init__()
         self.levels = len(design.decoder_widths)
         self.stride = (2**self.levels, 2**self.levels)
         # Blocks before the first dropout.

@@ -21,7 +21,7 @@ from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.network.card import joined, parted, scan_digest
+from salsanext_cli.network.card import parted, scan_digest
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.data.sources import Source, read_labelled
@@ -109,9 +109,8 @@ def class_counts(
 ) -> ClassCounts:
     """Return the points per class of all training data, reading and checking all scans.
 
-    The JSON file keeps the result until a file of scans or labels changes; for a whole
-    SemanticKITTI 55 GB are read. Points count as often as they are drawn: further sources get the
-    share `also` of the samples.
+    The JSON file keeps the result until a file changes: a whole SemanticKITTI is 55 GB. Points
+    count as often as they are drawn: further sources get the share `also` of the samples.
     """
     first, *further = sources
     space, training = first.space, first.files
@@ -140,7 +139,7 @@ def class_counts(
         counts = np.rint(len(training) * per_draw).astype(np.int64)
     result = ClassCounts(counts, warnings, dict(zip(files, digests, strict=True)))
     by_name = dict(zip(space.names, counts.tolist(), strict=True))
-    content = {"files": digest, "points": by_name, "warnings": warnings, "scans": joined(digests)}
+    content = {"files": digest, "points": by_name, "warnings": warnings, "scans": "".join(digests)}
     OwnedFolder(path.parent).write(path, encode_json(content))
     return result
 
