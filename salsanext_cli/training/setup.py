@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.graphs import LOGITS
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, UsageError, WeightsError, first_few
@@ -83,14 +84,13 @@ def initial_network(
     if weights is None:
         return module, WeightsCard(architecture, space, _completed(own, sensor(DEFAULT_SENSOR)))
     trained, card = read_weights(weights)
-    tensors = trained.state_dict()
-    shapes = {name: tensor.shape for name, tensor in tensors.items()}
-    if shapes != _shapes(architecture, card.space.class_count):
+    if _hidden_shapes(trained) != _hidden_shapes(module):
         name = card.architecture["name"]
         remedy = f'set architecture = "{name}" in the recipe'
         raise WeightsError(weights, f"of a {name}", f"of a {recipe.architecture}", remedy)
+    tensors = trained.state_dict()
     if not card.space.fits(space):
-        tensors |= _outputs(module, tensors, card.space, space, architecture)
+        tensors |= _outputs(module, tensors, card.space, space)
     module.load_state_dict(tensors)
     begun = WeightsCard(architecture, space, _completed(own, card.sensor))
     return module, replace(begun, trained_on=card.trained_on)
@@ -110,12 +110,9 @@ def _outputs(
     trained: Mapping[str, Tensor],
     classes: LabelSpace,
     space: LabelSpace,
-    architecture: Mapping[str, Any],
 ) -> dict[str, Tensor]:
     """Return the tensors of the outputs, (C, …), that begin with those of trained classes."""
-    more = _shapes(architecture, space.class_count + 1)
-    own = module.state_dict().items()
-    outputs = {name: tensor.clone() for name, tensor in own if tensor.shape != more[name]}
+    outputs = {f"{LOGITS}.{key}": t.clone() for key, t in module.logits.state_dict().items()}
     places = {name: place for place, name in enumerate(classes.names)}
     kept = [place for place, name in enumerate(space.names) if name in places]
     for name, tensor in outputs.items():
@@ -126,11 +123,10 @@ def _outputs(
     return outputs
 
 
-def _shapes(architecture: Mapping[str, Any], class_count: int) -> dict[str, torch.Size]:
-    """Return the shapes of the tensors of a network, by name."""
-    with torch.device("meta"):
-        module = build({**architecture, "class_count": class_count})
-    return {name: tensor.shape for name, tensor in module.state_dict().items()}
+def _hidden_shapes(module: SegmentationNetwork) -> dict[str, torch.Size]:
+    """Return the shapes of the tensors of all layers but the outputs, by name."""
+    tensors = module.state_dict().items()
+    return {name: tensor.shape for name, tensor in tensors if not name.startswith(f"{LOGITS}.")}
 
 
 def require_pixels(
