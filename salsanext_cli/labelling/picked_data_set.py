@@ -159,20 +159,19 @@ class PickedDataSet(OwnedFolder):
         for name, group in groupby(ordered, lambda scan: scan.sequence):
             picked, folder = list(group), self.root / "sequences" / name
             source = picked[0].path.parent
-            if source.name == SCAN_FOLDER:
-                self._copy_poses(source, folder / POSES, [scan.stem for scan in picked])
-                if present(source.with_name(CALIBRATION)):
-                    with reading(source.with_name(CALIBRATION)) as file:
-                        self.write_missing(folder / CALIBRATION, file.read())
-
-    def _copy_poses(self, source: Path, target: Path, picked: Sequence[str]) -> None:
-        poses = source.with_name(POSES)
-        if present(poses):
+            if source.name != SCAN_FOLDER:
+                continue
+            poses, calibration = source.with_name(POSES), source.with_name(CALIBRATION)
             try:
-                stems = [scan.stem for scan in find_scans(source)]
-                self.write_missing(target, pose_lines(poses, stems, picked))
+                if present(poses):
+                    stems = [scan.stem for scan in find_scans(source)]
+                    lines = pose_lines(poses, stems, [scan.stem for scan in picked])
+                    self.write_missing(folder / POSES, lines)
             except (FormatError, OutputError) as error:
                 log.warning("%s; poses are left out", error)
+            if present(calibration):
+                with reading(calibration) as file:
+                    self.write_missing(folder / CALIBRATION, file.read())
 
     def is_complete(self, record: PickRecord) -> bool:
         """Say whether all files are there, but for poses and calibration, which may be unknown."""

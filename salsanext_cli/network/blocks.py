@@ -34,11 +34,9 @@ class Unit(nn.Sequential):
         )
 
 
-class Shortcut(nn.Sequential):
-    """1×1 convolution → LeakyReLU."""
-
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__(nn.Conv2d(inputs, outputs, 1), nn.LeakyReLU(SLOPE))
+def shortcut(inputs: int, outputs: int) -> nn.Sequential:
+    """Return 1×1 convolution → LeakyReLU: (B, in, H, W) → (B, out, H, W)."""
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 1), nn.LeakyReLU(SLOPE))
 
 
 class ContextBlock(nn.Module):
@@ -46,14 +44,14 @@ class ContextBlock(nn.Module):
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
-        self.shortcut = Shortcut(inputs, outputs)
+        self.shortcut = shortcut(inputs, outputs)
         self.local = Unit(outputs, outputs, 3)
         self.dilated = Unit(outputs, outputs, 3, dilation=2)
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, in, H, W) to (B, out, H, W)."""
-        shortcut = self.shortcut(x)
-        context: Tensor = shortcut + self.dilated(self.local(shortcut))
+        features = self.shortcut(x)
+        context: Tensor = features + self.dilated(self.local(features))
         return context
 
 
@@ -62,7 +60,7 @@ class PlainContextBlock(nn.Module):
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
-        self.shortcut = Shortcut(inputs, outputs)
+        self.shortcut = shortcut(inputs, outputs)
         self.local = UnitChain(inputs, outputs, 2)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -103,7 +101,7 @@ class ResidualBlock(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, stack: Stack = DilatedStack) -> None:
         super().__init__()
-        self.shortcut = Shortcut(inputs, outputs)
+        self.shortcut = shortcut(inputs, outputs)
         self.stack = stack(inputs, outputs)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -112,19 +110,15 @@ class ResidualBlock(nn.Module):
         return features
 
 
-class Down(nn.Sequential):
-    """Channel dropout → 3×3 average pooling, stride 2: (B, C, H, W) → (B, C, H/2, W/2)."""
-
-    def __init__(self, dropout: float) -> None:
-        super().__init__(ChannelDropout(dropout), nn.AvgPool2d(3, stride=2, padding=1))
+def average_pooling(_: int, dropout: float) -> nn.Sequential:
+    """Return channel dropout → 3×3 average pooling: (B, C, H, W) → (B, C, H/2, W/2)."""
+    return nn.Sequential(ChannelDropout(dropout), nn.AvgPool2d(3, stride=2, padding=1))
 
 
-class StridedDown(nn.Sequential):
-    """Channel dropout → 3×3 convolution, stride 2: (B, C, H, W) → (B, C, H/2, W/2)."""
-
-    def __init__(self, channels: int, dropout: float) -> None:
-        convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
-        super().__init__(ChannelDropout(dropout), convolution)
+def strided_convolution(channels: int, dropout: float) -> nn.Sequential:
+    """Return channel dropout → 3×3 convolution: (B, C, H, W) → (B, C, H/2, W/2)."""
+    convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
+    return nn.Sequential(ChannelDropout(dropout), convolution)
 
 
 class ReplicatingConvTranspose2d(nn.ConvTranspose2d):
@@ -138,12 +132,10 @@ class ReplicatingConvTranspose2d(nn.ConvTranspose2d):
         return F.pad(super().forward(x, output_size), (0, 1, 0, 1), mode="replicate")
 
 
-class TransposedUnit(nn.Sequential):
-    """Transposed convolution ×2 → LeakyReLU → batch norm: (B, in, H, W) → (B, out, 2H, 2W)."""
-
-    def __init__(self, convolution: nn.ConvTranspose2d) -> None:
-        norm = nn.BatchNorm2d(convolution.out_channels)
-        super().__init__(convolution, nn.LeakyReLU(SLOPE), norm)
+def transposed_unit(convolution: nn.ConvTranspose2d) -> nn.Sequential:
+    """Return convolution → LeakyReLU → batch norm: (B, in, H, W) → (B, out, 2H, 2W)."""
+    norm = nn.BatchNorm2d(convolution.out_channels)
+    return nn.Sequential(convolution, nn.LeakyReLU(SLOPE), norm)
 
 
 class UpBlock(nn.Module):
@@ -189,17 +181,17 @@ def concatenating_2x2(
     inputs: int, skip: int, outputs: int, stack: Stack, dropout: float
 ) -> UpBlock:
     """Return an up block of a transposed convolution of kernel 2×2 and a concatenation."""
-    unit = TransposedUnit(nn.ConvTranspose2d(inputs, inputs, 2, 2))
+    unit = transposed_unit(nn.ConvTranspose2d(inputs, inputs, 2, 2))
     return UpBlock(unit, inputs + skip, outputs, stack, dropout)
 
 
 def adding_3x3(inputs: int, skip: int, outputs: int, stack: Stack, dropout: float) -> UpBlock:
     """Return an up block of a transposed convolution of kernel 3×3 and an addition."""
-    unit = TransposedUnit(nn.ConvTranspose2d(inputs, skip, 3, 2, padding=1, output_padding=1))
+    unit = transposed_unit(nn.ConvTranspose2d(inputs, skip, 3, 2, padding=1, output_padding=1))
     return UpBlock(unit, skip, outputs, stack, dropout, adds=True)
 
 
 def replicating_3x3(inputs: int, skip: int, outputs: int, stack: Stack, dropout: float) -> UpBlock:
     """Return an up block as `adding_3x3` does, the last row and column repeated."""
-    unit = TransposedUnit(ReplicatingConvTranspose2d(inputs, skip))
+    unit = transposed_unit(ReplicatingConvTranspose2d(inputs, skip))
     return UpBlock(unit, skip, outputs, stack, dropout, adds=True)

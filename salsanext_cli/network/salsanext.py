@@ -45,7 +45,7 @@ SALSANET = Design(
     context=(),
     widths=(32, 64, 128, 256, 256),
     stack=partial(UnitChain, length=2),
-    pooling=blocks.StridedDown,
+    pooling=blocks.strided_convolution,
     up_block=blocks.adding_3x3,
     decoder_widths=(256, 128, 64, 32),
     fusing=partial(UnitChain, length=3),
@@ -53,7 +53,7 @@ SALSANET = Design(
 )
 SALSANET_CONTEXT = replace(SALSANET, context=3 * (blocks.ContextBlock,))
 SALSANET_DROPOUT = replace(SALSANET_CONTEXT, central=True)
-SALSANET_POOLING = replace(SALSANET_DROPOUT, pooling=lambda _, dropout: blocks.Down(dropout))
+SALSANET_POOLING = replace(SALSANET_DROPOUT, pooling=blocks.average_pooling)
 SALSANET_DILATED = replace(
     SALSANET_POOLING,
     widths=(64, 128, 256, 256, 256),
@@ -76,7 +76,7 @@ V1_LAYERS = replace(
 )
 V1_CONTEXT = replace(V1_LAYERS, context=(blocks.PlainContextBlock,))
 V1_DROPOUT = replace(V1_CONTEXT, central=True)
-V1_POOLING = replace(V1_DROPOUT, pooling=lambda _, dropout: blocks.Down(dropout))
+V1_POOLING = replace(V1_DROPOUT, pooling=blocks.average_pooling)
 
 
 class SalsaNext(SegmentationNetwork):

@@ -46,8 +46,7 @@ class Expectation:
     def scores(self) -> dict[str, float]:
         """Return what the card of weights tells."""
         names = ("folds", "miou", "miou_spread", "accuracy", "accuracy_spread")
-        values = {name: getattr(self, name) for name in names}
-        return {name: value for name, value in values.items() if value is not None}
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
 
 
 def expectation(logs: Sequence[Sequence[Row]], *, one_drive: bool = False) -> Expectation | None:
