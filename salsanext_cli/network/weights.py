@@ -43,7 +43,7 @@ def save_with_card(
 def with_card(source: Path, card: WeightsCard, replaced: Mapping[str, Tensor] = {}) -> bytes:
     """Return the content of a weights file as `save_with_card` writes it."""
     tensors = {**safetensors.torch.load_file(source), **replaced}
-    return safetensors.torch.save(tensors, card.to_metadata())  # type: ignore[no-any-return]
+    return safetensors.torch.save(tensors, card.to_metadata())
 
 
 def _stored(name: str, tensor: Tensor, half: bool) -> Tensor:

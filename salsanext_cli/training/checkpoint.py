@@ -103,7 +103,7 @@ def _checksum(values: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
 @torch.no_grad()
 def _restore(learner: Learner, tensors: Mapping[str, Tensor]) -> None:
     """Copy tensors into a learner; if one is of another type or shape, change nothing."""
-    own, states = _networks(learner), {}
+    own, states = _networks(learner), dict[Tensor, dict[str, Tensor]]()
     for name, parameter in learner.module.named_parameters():
         keys = {key: f"optimiser.{name}.{key}" for key in OPTIMISER_STATE[learner.recipe.optimiser]}
         # Parameters have none before the first step, or if they are never used.
