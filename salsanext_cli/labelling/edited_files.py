@@ -38,8 +38,6 @@ MAX_UNMATCHED = 0.01
 """Largest share of the points of a cloud that may be none of the scan's."""
 ROUNDED_M = 0.05
 """Distance up to which coordinates were probably rounded; other scans are farther away."""
-LABELS_ONLY = "labels"
-"""Stands for the scalar of files that hold nothing else."""
 
 
 def find_edited(source: Path) -> list[Path]:
@@ -220,7 +218,7 @@ def _of_all_points(path: Path, points: Float) -> LabelledCloud:
             raise LabelError(path, found, f"{expected} of the scan", "use those of this scan")
     else:
         values = read_labels(path, len(points))
-    return LabelledCloud(points, whole_numbers(values, path, "label"), LABELS_ONLY)
+    return LabelledCloud(points, whole_numbers(values, path, "label"), "labels")
 
 
 def _require_same_scan(path: Path, found: LabelTransfer) -> None:

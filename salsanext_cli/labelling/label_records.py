@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import LabelError, OutputError, SalsanextError, counted
+from salsanext_cli.errors import LabelError, SalsanextError, counted
 from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile
@@ -93,11 +93,7 @@ class LabelRecords:
 
     @cached_property
     def _imported(self) -> dict[str, dict[str, Any]]:
-        entries = _table(self.owned.record_path, "scans")
-        if not all(map(_is_entry, entries.values())):
-            remedy = "delete it or use another folder"
-            raise OutputError(self.owned.record_path, f"not what `{STAGE}` writes", remedy=remedy)
-        return entries
+        return _table(self.owned.record_path, "scans")
 
     @cached_property
     def _states(self) -> States:
@@ -118,9 +114,8 @@ class LabelRecords:
     def is_replaceable(self, scan: ScanFile, edited: Iterable[Path], contradicted: int = 0) -> bool:
         """Say whether the label file of a scan, if there is one, may give way to edited files.
 
-        It may if it is as salsanext wrote it, and was not imported from a file of a name that is
-        not among theirs, which may hold other points, nor from files that contradicted each other
-        in fewer points.
+        It may if it is as salsanext wrote it, and was imported from no file of another name, which
+        may hold other points, nor from files that contradicted each other in fewer points.
         """
         path, earlier = scan.label_path, self._imported.get(scan.name, {"files": []})
         # Files that are not recorded may be any.
@@ -167,13 +162,6 @@ def digest_of_file(path: Path) -> str:
     """Return the SHA-256 of the content of a file, hexadecimal."""
     with reading(path) as file:
         return hashlib.sha256(file.read()).hexdigest()
-
-
-def _is_entry(value: object) -> bool:
-    if not isinstance(value, dict) or not isinstance(files := value.get("files", []), list):
-        return False
-    is_count = isinstance(value.get("contradicted", 0), int)
-    return is_count and all(isinstance(file, str) for file in files)
 
 
 def _table(path: Path, key: str) -> dict[str, Any]:

@@ -24,7 +24,6 @@ from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.version import __version__
 
 STAGE = "pick"
-FAILURE_KEYS = ("scan", "reason", "code")
 LABEL_SPACE, TABLE, SHEET = "labels.yaml", "picked.csv", "picked.png"
 POSES, CALIBRATION = "poses.txt", "calib.txt"
 COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
@@ -75,11 +74,9 @@ class PickRecord:
         """Read what `to_dict` returned from a file; `OutputError` if it is something else."""
         try:
             picked = [PickedScan(**row) for row in data["picked"]]
-            failures = [{key: str(row[key]) for key in FAILURE_KEYS} for row in data["failures"]]
-            warnings = [{**row, "scans": [*map(str, row["scans"])]} for row in data["warnings"]]
-            settings, guesses = dict(data["settings"]), dict(data["guesses"])
-            return cls(settings, picked, failures, warnings, guesses)
-        except (TypeError, KeyError, ValueError) as error:
+            failures, warnings = data["failures"], data["warnings"]
+            return cls(data["settings"], picked, failures, warnings, data["guesses"])
+        except (TypeError, KeyError) as error:
             remedy = "delete it or use another folder"
             raise OutputError(path, f"not what `{STAGE}` writes", remedy=remedy) from error
 
@@ -87,8 +84,7 @@ class PickRecord:
 def pose_lines(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> bytes:
     """Return the lines of the wanted ones of all scans of a sequence, sorted stems.
 
-    A file with a line for each scan that is there is in the order of their names; in another one,
-    as KITTI's of a whole drive, a scan's name is the number of its line, from 0.
+    If there are not as many lines as scans, as in KITTI's of a drive, names are numbers of lines.
     """
     with reading(path) as file:
         lines = [line.strip() for line in file.read().splitlines() if line.strip()]
@@ -163,20 +159,19 @@ class PickedDataSet(OwnedFolder):
         for name, group in groupby(ordered, lambda scan: scan.sequence):
             picked, folder = list(group), self.root / "sequences" / name
             source = picked[0].path.parent
-            if source.name == SCAN_FOLDER:
-                self._copy_poses(source, folder / POSES, [scan.stem for scan in picked])
-                if present(source.with_name(CALIBRATION)):
-                    with reading(source.with_name(CALIBRATION)) as file:
-                        self.write_missing(folder / CALIBRATION, file.read())
-
-    def _copy_poses(self, source: Path, target: Path, picked: Sequence[str]) -> None:
-        poses = source.with_name(POSES)
-        if present(poses):
+            if source.name != SCAN_FOLDER:
+                continue
+            poses, calibration = source.with_name(POSES), source.with_name(CALIBRATION)
             try:
-                stems = [scan.stem for scan in find_scans(source)]
-                self.write_missing(target, pose_lines(poses, stems, picked))
+                if present(poses):
+                    stems = [scan.stem for scan in find_scans(source)]
+                    lines = pose_lines(poses, stems, [scan.stem for scan in picked])
+                    self.write_missing(folder / POSES, lines)
             except (FormatError, OutputError) as error:
                 log.warning("%s; poses are left out", error)
+            if present(calibration):
+                with reading(calibration) as file:
+                    self.write_missing(folder / CALIBRATION, file.read())
 
     def is_complete(self, record: PickRecord) -> bool:
         """Say whether all files are there, but for poses and calibration, which may be unknown."""

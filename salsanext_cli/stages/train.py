@@ -32,7 +32,6 @@ from salsanext_cli.training.data.sources import (
 )
 from salsanext_cli.training.distributed import group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
-from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.recipe import Recipe
@@ -47,7 +46,7 @@ from salsanext_cli.training.run_folder import (
     require_free,
     training_settings,
 )
-from salsanext_cli.training.setup import Setup, require_pixels
+from salsanext_cli.training.setup import Setup, initial_network, require_pixels
 
 SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0
 """Scans of a simulated street, and the distance between two."""

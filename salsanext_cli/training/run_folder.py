@@ -127,8 +127,7 @@ def _holds_recipe(run: Path, settings: Mapping[str, Any]) -> bool:
 def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings that may not change when a training is resumed.
 
-    Keys that recipes of older versions lack are the default. The parts of a batch may change, since
-    a training that has run out of memory must be able to go on.
+    The parts of a batch may: a training that has run out of memory must be able to go on.
     """
     recipe = settings.get("recipe")
     if not isinstance(recipe, dict):

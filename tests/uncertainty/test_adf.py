@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scans import lively
 from torch import nn
 
-from salsanext_cli.network.blocks import Down, Unit
+from salsanext_cli.network.blocks import Unit, average_pooling
 from salsanext_cli.network.dropout import ChannelDropout
 from salsanext_cli.uncertainty.adf import Gaussian
 
@@ -149,7 +149,7 @@ def test_linear_rules_are_exact(rule):
 
 def test_a_chain_without_shared_noise_against_monte_carlo(noise):
     """A 1×1 unit, pooling and shuffling: no two numbers that meet depend on each other."""
-    chain = nn.Sequential(Unit(4, 8, 1), Down(0.0), nn.PixelShuffle(2))
+    chain = nn.Sequential(Unit(4, 8, 1), average_pooling(8, 0.0), nn.PixelShuffle(2))
     assert_agrees_with_monte_carlo(lively(chain).double(), gaussian(*SHAPE), noise)
 
 

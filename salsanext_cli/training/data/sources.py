@@ -133,9 +133,9 @@ def scans_to_train_on(
 ) -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
     """Return the label space of a data set, its training scans and its validation scans.
 
-    If it is `divisible`, scans without a validation split will do: all labelled ones are trained on
-    where no splits are named; where a labelled scan is in none, or ``train`` or ``valid`` is empty,
-    all but those of other splits than ``train``. No scans at all raise `NoInputError`.
+    If it is `divisible`, a validation split may lack: all labelled scans are trained on where no
+    splits are named; where one is in none, or ``train`` or ``valid`` is empty, all but those of
+    other splits than ``train``.
     """
     if not divisible:
         classes, training = labelled_split(dataset, space, "train")
