@@ -163,7 +163,7 @@ def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
     one, two = (files_below(tmp_path / f"jobs{jobs}") for jobs in (1, 2))
     stages = {"predict.json", "predict.warnings.json", "uncertainty.json", "export-ply.json"}
     assert {name for name in one if "/" not in name} == stages
-    assert len(one) == 3 * 9 + len(stages)
+    assert len(one) == 3 * 10 + len(stages)
     assert one == two
 
 

@@ -309,7 +309,8 @@ def export_ply(
             "--colour",
             "--color",
             help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
-            "error, epistemic, aleatoric, total, entropy, mutual_information.",
+            "error, epistemic, aleatoric, total, entropy, mutual_information, "
+            "least_confidence.",
         ),
     ] = "label",
     scale: Annotated[
@@ -330,7 +331,6 @@ def export_ply(
     selection: ScanSelection,
     label_space: options.LabelSpaceName = None,
     classes: options.MergedInto = None,
-    network: Annotated[options.Network, Without({"columns"})],
     running: RunOptions,
     output: console.Output,
 ) -> None:
@@ -350,7 +350,7 @@ def export_ply(
             form=form,
             dataset=dataset,
             space=options.label_space(label_space),
-            network=replace(network, classes=options.label_space(classes)),
+            classes=options.label_space(classes),
             selection=selection,
             options=run,
         )

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -69,24 +69,6 @@ class RecordedSettings(dict[str, Any]):
     def table(self, key: str) -> RecordedSettings:
         """Return a setting that is itself a mapping."""
         return RecordedSettings(self._as(dict, key, "a JSON object"), self.path)
-
-    def one_of(self, key: str, values: Sequence[str]) -> str:
-        """Return a setting that is one of some words."""
-        value: str = self[key]
-        if value not in values:
-            raise self._wrong(f"settings have {key} {value!r}", f"one of {', '.join(values)}")
-        return value
-
-    def integer(self, key: str) -> int:
-        """Return a setting that is a whole number."""
-        return self._as(int, key, "a whole number")
-
-    def number(self, key: str) -> float:
-        """Return a setting that is a number; an infinite one is text in JSON."""
-        value = self[key]
-        if type(value) not in (int, float) and value != "Infinity":
-            raise self._wrong(f"settings have {key} {value!r}", "a number")
-        return float(value)
 
     def pair(self, key: str) -> tuple[float, float]:
         """Return a setting that is two numbers."""

@@ -2,19 +2,14 @@
 """Network that labels in an output folder were made with, for uncertainties beside them."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.engines.settings import NetworkSettings, recorded_view
-from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.geometry.network_input import NO_INTENSITY
-from salsanext_cli.network.card import read_card
+from salsanext_cli.engines.settings import recorded_view
+from salsanext_cli.errors import OutputError
 from salsanext_cli.results.stage_records import StageRecords, as_json
-from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor, presets
+from salsanext_cli.sensors.sensor import Sensor
 
 
 def require_network_of_labels(out: Path, settings: dict[str, Any]) -> None:
@@ -53,41 +48,3 @@ def _classes(space: dict[str, Any]) -> tuple[Any, ...]:
     """Return names and raw ids of the classes."""
     found = LabelSpace.from_dict(space)
     return found.names, found.learning_map_inv
-
-
-def network_of_labels(out: Path, network: NetworkSettings) -> NetworkSettings:
-    """Return the network, looking through the sensor that `predict` used; refuse other weights.
-
-    Its classes are those of the labels, else of uncertainties that are there.
-    """
-    records = StageRecords(out)
-    settings, weights = records.settings("predict"), fingerprint(network.path)
-    if earlier := records.settings_with(weights):
-        space = LabelSpace.from_dict(earlier.table("label_space"), earlier.path)
-        merging = ClassMerging.needed(read_card(network.path).space, space)
-        network = replace(network, classes=space if merging else None)
-    if settings is None:
-        return network
-    if settings["weights"] != weights:
-        raise UsageError(
-            out,
-            f"labels by the weights {str(settings['weights'])[:12]}… and no uncertainty yet",
-            "the same weights",
-            f"give them with --weights, or run `salsanext uncertainty SCANS {out}`",
-        )
-    seen = Sensor.from_dict(settings.table("sensor"), settings.path)
-    ways = {(): "raw", NO_INTENSITY: "none"}
-    how = ways.get(seen.intensity_quantiles, network.intensity)
-    network = replace(network, adapt="adapted" in settings, intensity=how)
-    if network.named_sensor():
-        return network
-    return replace(network, sensor=_with_noise(seen, network))
-
-
-def _with_noise(seen: Sensor, network: NetworkSettings) -> Sensor:
-    """Return the sensor, of which `predict` recorded only the view, with its noise if known."""
-    own = read_card(network.path).sensor
-    found = {name: getattr(seen, name) for name in ("columns", "min_range", "ego_box")}
-    same = seen.name == FITTED_NAME or replace(own, **found).view() == seen.view()
-    noise = presets().get(seen.name) or (own if same else seen)
-    return replace(seen, range_noise=noise.range_noise, intensity_noise=noise.intensity_noise)

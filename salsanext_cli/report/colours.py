@@ -62,7 +62,7 @@ OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)
 """Colours of points that are not judged, right and wrong, (3, 3)."""
 CLASS_COLOURS = ("label", "truth", "wrong")
 COLOURS = (*COLOURINGS, "uncertainty")
-"""Colourings of points; "uncertainty" is the error, else the entropy."""
+"""Colourings of points; "uncertainty" is what `ResultFolder.meant_uncertainty` says."""
 
 
 def error_colours(

@@ -59,6 +59,7 @@ LINES = {
     "aleatoric": (ORANGE, "-"),
     "total": (RED, "-"),
     "entropy": (GREEN, "-"),
+    "least_confidence": (SKY, "-"),
 }
 """Colour and dashes of each kind of uncertainty."""
 PLOT_PX = 720, 560

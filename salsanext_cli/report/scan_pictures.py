@@ -67,6 +67,7 @@ TITLES = {
     "total": "total uncertainty",
     "entropy": "uncertainty: entropy of the classes",
     "mutual_information": "uncertainty: mutual information",
+    "least_confidence": "uncertainty: 1 − the largest probability",
 }
 UNITS = {"range": "m", "entropy": "nats", "mutual_information": "nats"}
 

@@ -27,10 +27,15 @@ OWN_TABLES = {
 """Tables that `eval`, `train` and `pick` write, and how their first line but a comment begins."""
 LABELLING_STAGES = ("predict", "knn-refine", "uncertainty")
 """The stages whose results later ones read."""
-UNCERTAINTY = ("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information")
+UNCERTAINTY = (
+    *("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information"),
+    "least_confidence",
+)
 """The kinds of uncertainty that stages may have written; "error" is a probability."""
 ERROR = "uncertainty/error"
 """Folder of the probability that a label is wrong."""
+LEAST_CONFIDENCE = "uncertainty/least_confidence"
+"""Folder of 1 − the largest probability, which `predict` always writes."""
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values that point clouds may be coloured by."""
 SUFFIX_OF_FOLDER = {

@@ -143,11 +143,6 @@ class Sensor:
         ):
             raise UsageError(f"sensor {shortened(self.name)}", found, expected)
 
-    @property
-    def knows_noise(self) -> bool:
-        """True if both noises are known."""
-        return self.range_noise is not None and self.intensity_noise is not None
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain data that `from_dict` accepts, without the defaults of `OPTIONAL`."""
         values = asdict(self)

@@ -32,7 +32,7 @@ from salsanext_cli.parallel.network_task import NetworkTask, Steps, named_if_too
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.worker import Attempt
 from salsanext_cli.records import Float
-from salsanext_cli.results.layout import ERROR, ScanFile, with_outputs
+from salsanext_cli.results.layout import ERROR, LEAST_CONFIDENCE, ScanFile, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
@@ -51,6 +51,9 @@ class LabelWriter:
         """Write the results of a scan; return numbers about it."""
         file, image, softmax, labels = scan.file, scan.image, scan.softmax, scan.labels
         space, output = network.space, self.output
+        confidence = softmax.max(axis=0)
+        doubt = points_from_pixels(1 - confidence, image.pixel_of_point, np.nan)
+        output.write_array(file, LEAST_CONFIDENCE, doubt)
         rejected = np.zeros(len(labels), bool)
         if "pixel_labels" in output.folders:
             output.write_array(file, "pixel_labels", most_probable(softmax))
@@ -66,10 +69,8 @@ class LabelWriter:
         labels[rejected] = 0
         output.write_labels(file, space.to_raw(labels))
         occupied = image.channels[0] > 0
-        confidence = float(softmax.max(axis=0)[occupied].mean()) if occupied.any() else 1.0
-        return ScanSummary.of_labels(
-            file, labels, space, scan.check, int(rejected.sum()), confidence
-        )
+        mean = float(confidence[occupied].mean()) if occupied.any() else 1.0
+        return ScanSummary.of_labels(file, labels, space, scan.check, int(rejected.sum()), mean)
 
 
 def most_probable(probabilities: Float) -> TrainIds:
@@ -123,7 +124,7 @@ def predict_scans(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Label scans into `OUT/sequences/<seq>/predictions`.
+    """Label scans into `OUT/sequences/<seq>/predictions`, beside their least confidence.
 
     `extras`: further results to write, of "pixel_labels", "probabilities" and "uncertainty/error";
     `reject`: points whose error, 0…1, is above it are unlabelled, and the error is written too;
@@ -148,7 +149,7 @@ def predict_scans(
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     settings |= {} if reject is None else {"reject": reject}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
-    folders = (*extras, "predictions")
+    folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
         writer = LabelWriter(knn, output, reject)

@@ -179,12 +179,12 @@ def test_eval_replaces_its_result_of_other_settings_and_inputs(run, predict, res
     assert reports[0]["origins"] != reports[-1]["origins"]
 
 
-def test_the_three_lines_may_be_typed_again(run, predict, weights, tmp_path):
+def test_the_three_lines_may_be_typed_again(run, predict, tmp_path):
     out = tmp_path / "out"
     assert predict(out).exit_code == 0
     for line in (
         ("eval", "--split", "valid"),
-        ("export-ply", "--colour", "uncertainty", "--weights", weights, "--device", "cpu"),
+        ("export-ply", "--colour", "uncertainty"),
         ("eval", "--split", "valid"),
         ("eval",),
     ):
@@ -206,7 +206,7 @@ def test_eval_prints_how_good_the_uncertainty_is_and_notices_when_it_changes(
     assert result.exit_code == 0
     assert "eval: 2 scans" in result.stderr
     assert (out / "scores.txt").exists()
-    for word in ("car", "mean", "NLL", "ECE per scan", "confidence", "mutual_information", "AUSE"):
+    for word in ("car", "NLL", "ECE per scan", "least_confidence", "mutual_information", "AUSE"):
         assert word in result.stdout
     report = json.loads((out / "eval.json").read_text("utf-8"))
     assert report["settings"]["uncertainty"]["method"] == "sampling"

@@ -58,6 +58,9 @@ def test_extras_agree_with_the_labels(world):
     image = project(read_scan(world.scan()), SMALL)
     of_points = pixels.ravel()[image.pixel_of_point]
     assert (probabilities.argmax(axis=1) == of_points).mean() > 0.99
+    least = np.load(world.result("uncertainty/least_confidence"))
+    assert (least.dtype, least.shape) == (np.float32, (1500,))
+    np.testing.assert_allclose(least, 1 - probabilities.max(axis=1), atol=1e-3)
 
 
 def test_extras_can_be_asked_for_later(world):
@@ -117,6 +120,8 @@ def test_odd_scans(world, points):
     labels = world.labels()
     assert len(labels) == len(points)
     nowhere = np.array([not np.isfinite(p).all() or not any(p) for p in points], bool)
+    least = np.load(world.result("uncertainty/least_confidence"))
+    np.testing.assert_array_equal(np.isnan(least), nowhere)
     assert not labels[nowhere].any()
     probabilities = np.load(world.result("probabilities"))
     assert probabilities.shape == (len(points), 20)

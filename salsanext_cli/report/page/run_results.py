@@ -129,7 +129,7 @@ def read_shown(file: ScanFile, reason: str, reader: RunReader) -> ShownScan:
     """Read a scan, its results, and the confidence of its points."""
     space = reader.space
     results = ResultFolder(reader.out).read(file, reader.sensor, space, (reader.labels, space))
-    doubt = None
+    doubt = results.uncertainty.get("least_confidence")
     if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
         every = np.ones(len(results.scan), bool)
         doubt = lack_of_confidence(read_softmax(path, every, space, reader.merging))
