@@ -22,6 +22,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "train": train,
         "predict": pipeline.predict,
         "knn-refine": pipeline.knn_refine,
+        "fuse": pipeline.fuse,
         "uncertainty": pipeline.uncertainty,
         "eval": pipeline.evaluate,
         "export-ply": pipeline.export_ply,

@@ -13,7 +13,7 @@ from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.engines.settings import AUTO, COLUMNS_HELP, with_columns
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.options import FusionReach, KnnParameters, ScanSelection
 from salsanext_cli.parallel.options import RunOptions
 
 if TYPE_CHECKING:
@@ -71,6 +71,13 @@ def predict(
             help="Also write the probability that each label is wrong, if the weights know it.",
         ),
     ] = False,
+    fuse: Annotated[
+        bool,
+        typer.Option(
+            "--fuse",
+            help="Then fuse the scans of each sequence, as `fuse` does, into OUT/fused.",
+        ),
+    ] = False,
     reject: Annotated[
         float | None,
         typer.Option(
@@ -105,6 +112,7 @@ def predict(
 
     source = options.source(scans, dataset, topic)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}
+    wanted |= {"votes": fuse and not probabilities}
     network = replace(network, classes=options.label_space(classes))
     outcome: Outcome
     with over_scans("predict", running, output.quiet) as run:
@@ -121,11 +129,19 @@ def predict(
                 options=run,
             )
         else:
-            of_points = {"--probabilities": probabilities, "--error": error}
+            of_points = {"--probabilities": probabilities, "--error": error, "--fuse": fuse}
             _require_no_scans(knn, batch, {**of_points, "--reject": reject is not None})
             outcome = predict_range_images(
                 source, out, network=network, selection=selection, options=run
             )
+    if fuse:
+        from salsanext_cli.stages.fuse import fuse_results
+
+        with over_scans("fuse", running, output.quiet) as run:
+            fused = fuse_results(out, selection=selection, options=run)
+        failures = (*outcome.failures, *fused.failures)
+        outcome = replace(outcome, failures=tuple(dict.fromkeys(failures)))
+        output.say(f"fuse: {counted(fused.done, 'scan')} → {out}/fused")
     run_end.finish("predict", outcome, out, output, split=selection.split, strict=strict)
 
 
@@ -200,6 +216,50 @@ def knn_refine(
             options=run,
         )
     run_end.finish("knn-refine", outcome, out, output, split=selection.split, strict=strict)
+
+
+def fuse(
+    out: options.Out = Path("out"),
+    target: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="TARGET", help="Folder for the fused labels.", show_default="OUT/fused"
+        ),
+    ] = None,
+    *,
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            help="Poses of the scans of the sequence, from scan to world, as KITTI or TUM have "
+            "them.",
+            show_default="poses.txt in its folder, else computed from the scans",
+        ),
+    ] = None,
+    reach: FusionReach,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    running: RunOptions,
+    strict: options.Strict = False,
+    output: console.Output,
+) -> None:
+    """Correct the labels of each scan of a drive by all scans that see the same places.
+
+    Example: salsanext fuse out/
+    """
+    from salsanext_cli.stages.fuse import FUSED, fuse_results
+
+    target = target or out / FUSED
+    with over_scans("fuse", running, output.quiet) as run:
+        outcome = fuse_results(
+            out,
+            target,
+            poses=poses,
+            reach=reach,
+            dataset=dataset,
+            selection=selection,
+            options=run,
+        )
+    run_end.finish("fuse", outcome, target, output, split=selection.split, strict=strict)
 
 
 def uncertainty(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, NoInputError, counted
+from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.records import Float
 
@@ -125,7 +125,7 @@ def encode_poses(poses: Poses) -> bytes:
 
 
 def segments(poses: Poses) -> npt.NDArray[np.int64]:
-    """Number the parts of a drive (N,), which is cut where a step is longer than scans see."""
+    """Return the part of a drive (N,) that each scan is of; a step out of sight ends one."""
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     usual = float(np.median(steps)) if len(steps) else 0.0
     gaps = (steps > MAX_STEP_M) | ((steps > MIN_GAP_M) & (steps > GAP_STEPS * usual))
@@ -176,7 +176,7 @@ def require_fitting(
         "": poses,
         "are from the world to the scans": np.linalg.inv(poses),
         "are of the camera": np.linalg.inv(CAMERA) @ poses @ CAMERA,
-        "tell nothing": np.tile(np.eye(4), (len(poses), 1, 1)),
+        "fit worse than none": np.tile(np.eye(4), (len(poses), 1, 1)),
     }
     shares = dict.fromkeys(readings, 0.0)
     for first in chosen:
@@ -192,9 +192,3 @@ def require_fitting(
         found = f"poses that {best or 'do not fit the scans'}: {shares['']:.0%} of the points meet"
         expected = "poses from each scan to the world, in metres"
         raise FormatError(path, found, expected, "leave the poses out to have them computed")
-
-
-def no_poses(sequence: str, package: str) -> NoInputError:
-    """Return the error of a sequence without poses where none can be computed."""
-    remedy = f"give --poses, or `pip install {package}` to have them computed"
-    return NoInputError(f"sequence {sequence}", f"has no {POSES}", "the pose of each scan", remedy)

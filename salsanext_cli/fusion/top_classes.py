@@ -27,5 +27,7 @@ def top_classes(softmax: Float) -> npt.NDArray[np.uint16]:
 def softmax_of(packed: npt.NDArray[np.uint16], classes: int) -> Float:
     """Return the softmax (N, classes) float32 of what `top_classes` kept; others are 0."""
     softmax = np.zeros((len(packed), classes), np.float32)
-    np.put_along_axis(softmax, (packed >> 8).astype(np.intp), (packed & 0xFF) / np.float32(LEVELS), 1)
+    np.put_along_axis(
+        softmax, (packed >> 8).astype(np.intp), (packed & 0xFF) / np.float32(LEVELS), 1
+    )
     return softmax

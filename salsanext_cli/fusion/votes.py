@@ -43,7 +43,9 @@ class Tally:
     views: npt.NDArray[np.uint16]  # (N,): number of scans that see the place, 0 without a vote
 
 
-def view_of(points: Float, probabilities: Float, voting: npt.NDArray[np.bool_], size: float) -> View:
+def view_of(
+    points: Float, probabilities: Float, voting: npt.NDArray[np.bool_], size: float
+) -> View:
     """Gather the votes of a scan.
 
     `points`: (N, 3) float64 metres in the frame of the drive; `probabilities`: (N, C) float32;
@@ -91,11 +93,12 @@ def tally(own: View, others: Iterable[tuple[View, npt.NDArray[np.uint8]]]) -> Ta
             ),
             len(own.keys),
         )
-    sums = total.sum(axis=1, dtype=np.float32, keepdims=True)
-    shares = np.append(total / np.maximum(sums, 1), np.zeros((1, total.shape[1])), axis=0)
-    return Tally(
-        shares.astype(np.float32)[own.cube_of_point], np.append(seen, 0)[own.cube_of_point]
-    )
+    sums = np.maximum(total.sum(axis=1, dtype=np.float32, keepdims=True), 1)
+    # The last row is of points without a vote, whose cube is -1.
+    shares = np.zeros((len(total) + 1, total.shape[1]), np.float32)
+    np.divide(total, sums, out=shares[:-1], dtype=np.float32)
+    views = np.append(seen, np.uint16(0))
+    return Tally(shares[own.cube_of_point], views[own.cube_of_point])
 
 
 @compiled

@@ -11,7 +11,7 @@ from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.fusion.poses import Poses, segments
 from salsanext_cli.fusion.votes import CUBE_SIZES_M, Tally, View, tally, view_of
-from salsanext_cli.options import option, option_group
+from salsanext_cli.options import FusionReach
 from salsanext_cli.records import Float, Scan
 
 MOVABLE_WORDS = (
@@ -19,18 +19,6 @@ MOVABLE_WORDS = (
     *("bicycle", "motorcycle", "cycle", "rider", "cyclist", "person", "pedestrian", "people"),
 )
 """Words in the names of classes of what may move."""
-
-
-@option_group
-class FusionReach:
-    """How far along the drive scans vote for each other's labels."""
-
-    reach: int = option(
-        "Options", "Scans before and after each that vote for its labels.", default=20
-    )
-    movable_reach: int = option(
-        "Options", "Of these, those that vote for vehicles, people and riders.", default=3
-    )
 
 
 @dataclass(frozen=True, slots=True)
