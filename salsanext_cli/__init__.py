@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from salsanext_cli.fitting.scan_fit import fit_network
     from salsanext_cli.formats import read_scan
     from salsanext_cli.formats.labels import read_labels
+    from salsanext_cli.fusion.window import fuse
     from salsanext_cli.geometry.knn import knn_refine
     from salsanext_cli.geometry.projection import project
     from salsanext_cli.options import KnnParameters
@@ -38,6 +39,7 @@ __all__ = [
     "Sensor",
     "__version__",
     "fit_network",
+    "fuse",
     "knn_refine",
     "label_space",
     "load_network",
@@ -55,6 +57,7 @@ _HOMES = {
     "errors": ("SalsanextError",),
     "formats": ("read_scan",),
     "formats.labels": ("read_labels",),
+    "fusion.window": ("fuse",),
     "geometry.knn": ("knn_refine",),
     "geometry.projection": ("project",),
     "engines.loading": ("load_network",),

@@ -119,7 +119,7 @@ class KnnParameters:
 
 @option_group
 class FusionReach:
-    """How far along the drive scans vote for each other's labels."""
+    """Number of scans along a drive that vote for each other's labels."""
 
     reach: int = option(
         "Options", "Scans before and after each that vote for its labels.", default=20

@@ -13,7 +13,7 @@ from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.engines.settings import AUTO, COLUMNS_HELP, with_columns
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.options import FusionReach, KnnParameters, ScanSelection
+from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.options import RunOptions
 
 if TYPE_CHECKING:
@@ -216,50 +216,6 @@ def knn_refine(
             options=run,
         )
     run_end.finish("knn-refine", outcome, out, output, split=selection.split, strict=strict)
-
-
-def fuse(
-    out: options.Out = Path("out"),
-    target: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="TARGET", help="Folder for the fused labels.", show_default="OUT/fused"
-        ),
-    ] = None,
-    *,
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            help="Poses of the scans of the sequence, from scan to world, as KITTI or TUM have "
-            "them.",
-            show_default="poses.txt in its folder, else computed from the scans",
-        ),
-    ] = None,
-    reach: FusionReach,
-    dataset: options.DataSetOfResults = None,
-    selection: ScanSelection,
-    running: RunOptions,
-    strict: options.Strict = False,
-    output: console.Output,
-) -> None:
-    """Correct the labels of each scan of a drive by all scans that see the same places.
-
-    Example: salsanext fuse out/
-    """
-    from salsanext_cli.stages.fuse import FUSED, fuse_results
-
-    target = target or out / FUSED
-    with over_scans("fuse", running, output.quiet) as run:
-        outcome = fuse_results(
-            out,
-            target,
-            poses=poses,
-            reach=reach,
-            dataset=dataset,
-            selection=selection,
-            options=run,
-        )
-    run_end.finish("fuse", outcome, target, output, split=selection.split, strict=strict)
 
 
 def uncertainty(

@@ -11,8 +11,10 @@ from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.records import Float
 
+Points = npt.NDArray[np.float64] | Float
+"""(N, 3), metres."""
 Poses = npt.NDArray[np.float64]
-"""(N, 4, 4): from the frame of each scan to that of the drive, metres."""
+"""(N, 4, 4), or (4, 4) of one: from the frame of each scan to that of the drive, metres."""
 POSES, CALIBRATION = "poses.txt", "calib.txt"
 KITTI_NUMBERS, TUM_NUMBERS = 12, 8
 MAX_SHEAR = 1e-2
@@ -84,7 +86,7 @@ def _lines(path: Path) -> list[str]:
     return [line.strip() for line in content.splitlines() if line.strip()]
 
 
-def _numbers(path: Path, number: int, line: str) -> Float:
+def _numbers(path: Path, number: int, line: str) -> Poses:
     try:
         row = np.array([float(word) for word in line.replace(",", " ").split()])
     except ValueError:
@@ -95,9 +97,9 @@ def _numbers(path: Path, number: int, line: str) -> Float:
     return row
 
 
-def _rotation(quaternion: Float) -> Float:
-    """Return the rotation (3, 3) of a quaternion x, y, z, w; NaN of one of length 0."""
-    x, y, z, w = quaternion / np.linalg.norm(quaternion)
+def _rotation(quaternion: Poses) -> Poses:
+    """Return the rotation (3, 3) of a quaternion x, y, z, w."""
+    x, y, z, w = quaternion
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -107,7 +109,7 @@ def _rotation(quaternion: Float) -> Float:
     )
 
 
-def _calibration(path: Path) -> Float:
+def _calibration(path: Path) -> Poses:
     """Return ``Tr`` (4, 4), from scan to camera."""
     for line in _lines(path):
         name, _, values = line.partition(":")
@@ -132,7 +134,7 @@ def segments(poses: Poses) -> npt.NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(gaps)])
 
 
-def overlap(points: Float, others: Float, pose: Float) -> float:
+def overlap(points: Points, others: Points, pose: Poses) -> float:
     """Return which share of a scan's upright points near the sensor lies on those of another.
 
     `points`, `others`: (N, 3), (M, 3) metres, each in its own frame; `pose`: (4, 4) from the first
@@ -145,16 +147,16 @@ def overlap(points: Float, others: Float, pose: Float) -> float:
     return float(np.isin(keys, np.unique(_cubes(others))).mean())
 
 
-def _upright(points: Float) -> Float:
+def _upright(points: Points) -> Poses:
     distance = np.hypot(points[:, 0], points[:, 1])
     near = points[(distance > NEAR_M) & (distance < FAR_M)].astype(np.float64)
     if not len(near):
         return near
-    upright: Float = near[near[:, 2] > np.percentile(near[:, 2], 40) + ABOVE_GROUND_M]
+    upright: Poses = near[near[:, 2] > np.percentile(near[:, 2], 40) + ABOVE_GROUND_M]
     return upright
 
 
-def _cubes(points: Float) -> npt.NDArray[np.int64]:
+def _cubes(points: Points) -> npt.NDArray[np.int64]:
     cell = np.floor(points.astype(np.float64) / OVERLAP_CUBE_M).astype(np.int64) + (1 << 20)
     keys: npt.NDArray[np.int64] = (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]
     return keys

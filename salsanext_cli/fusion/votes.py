@@ -8,6 +8,7 @@ from afar with one, and what the network gets wrong from one place, it gets righ
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -37,14 +38,17 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """What all scans say about the places of one scan's points."""
+    """Sum of the votes of all scans for the places of one scan's points."""
 
     probabilities: Float  # (N, C) float32: mean of the votes, 0 without a vote
     views: npt.NDArray[np.uint16]  # (N,): number of scans that see the place, 0 without a vote
 
 
 def view_of(
-    points: Float, probabilities: Float, voting: npt.NDArray[np.bool_], size: float
+    points: npt.NDArray[np.float64],
+    probabilities: Float,
+    voting: npt.NDArray[np.bool_],
+    size: float,
 ) -> View:
     """Gather the votes of a scan.
 
@@ -87,18 +91,25 @@ def tally(own: View, others: Iterable[tuple[View, npt.NDArray[np.uint8]]]) -> Ta
     total = own.votes.astype(np.uint32)
     seen = np.ones(len(own.keys), np.uint16)
     for view, counted in others:
-        parallel_for_slices(
-            lambda part, view=view, counted=counted: _add(
-                own.keys[part], view.keys, view.votes, counted, total[part], seen[part]
-            ),
-            len(own.keys),
-        )
+        work = partial(_add_slice, own.keys, view, counted, total, seen)
+        parallel_for_slices(work, len(own.keys))
     sums = np.maximum(total.sum(axis=1, dtype=np.float32, keepdims=True), 1)
     # The last row is of points without a vote, whose cube is -1.
     shares = np.zeros((len(total) + 1, total.shape[1]), np.float32)
     np.divide(total, sums, out=shares[:-1], dtype=np.float32)
     views = np.append(seen, np.uint16(0))
     return Tally(shares[own.cube_of_point], views[own.cube_of_point])
+
+
+def _add_slice(
+    own: Keys,
+    view: View,
+    counted: npt.NDArray[np.uint8],
+    total: npt.NDArray[np.uint32],
+    seen: npt.NDArray[np.uint16],
+    part: slice,
+) -> None:
+    _add(own[part], view.keys, view.votes, counted, total[part], seen[part])
 
 
 @compiled

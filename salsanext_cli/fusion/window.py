@@ -69,7 +69,7 @@ class FusionWindow:
                     near = abs(each - index) <= self.reach.movable_reach
                     others.append((views[size], self.counted[near]))
             tallies.append(tally(view, others))
-        mean = sum(each.probabilities for each in tallies) / np.float32(len(tallies))
+        mean = np.mean([each.probabilities for each in tallies], axis=0)
         return Tally(mean, tallies[-1].views)
 
     def _views(self, index: int) -> list[View] | SalsanextError:
