@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from salsanext_cli.formats import read_scan
     from salsanext_cli.formats.kitti import read_labels, write_labels
     from salsanext_cli.formats.ply import write_ply
+    from salsanext_cli.fusion.window import fuse
     from salsanext_cli.geometry.knn import knn_refine
     from salsanext_cli.geometry.projection import project
     from salsanext_cli.options import KnnParameters
@@ -38,6 +39,7 @@ __all__ = [
     "Sensor",
     "__version__",
     "fit_network",
+    "fuse",
     "knn_refine",
     "label_space",
     "load_network",
@@ -56,6 +58,7 @@ _HOMES = {
     "formats": ("read_scan",),
     "formats.kitti": ("read_labels", "write_labels"),
     "formats.ply": ("write_ply",),
+    "fusion.window": ("fuse",),
     "geometry.knn": ("knn_refine",),
     "geometry.projection": ("project",),
     "engines.loading": ("load_network",),

@@ -24,7 +24,7 @@ LEVELS = (
     ("network",),
     ("engines", "results"),
     ("fitting",),
-    ("uncertainty", "measures"),
+    ("uncertainty", "measures", "fusion"),
     ("labelling",),
     ("training", "synthesis", "parallel", "report"),
     ("stages",),

@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import yaml
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import FormatError, OutputError, UsageError, counted
+from salsanext_cli.errors import FormatError, OutputError, UsageError
 from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.kitti import encode_bin
+from salsanext_cli.fusion.poses import CALIBRATION, POSES, line_numbers
 from salsanext_cli.labelling.label_records import IMPORTED, digest_of_file
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
@@ -25,7 +26,6 @@ from salsanext_cli.version import __version__
 
 STAGE = "pick"
 LABEL_SPACE, TABLE, SHEET = "labels.yaml", "picked.csv", "picked.png"
-POSES, CALIBRATION = "poses.txt", "calib.txt"
 COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
 """Columns of `.bin` files that are copied."""
 
@@ -82,20 +82,11 @@ class PickRecord:
 
 
 def pose_lines(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> bytes:
-    """Return the lines of the wanted ones of all scans of a sequence, sorted stems.
-
-    If there are not as many lines as scans, as in KITTI's of a drive, names are numbers of lines.
-    """
+    """Return the lines of the wanted ones of all scans of a sequence, sorted stems."""
     with reading(path) as file:
         lines = [line.strip() for line in file.read().splitlines() if line.strip()]
-    if len(lines) == len(scans):
-        places = [scans.index(name) for name in wanted]
-    else:
-        places = [int(name) if name.isdecimal() else len(lines) for name in wanted]
-    if max(places, default=-1) >= len(lines):
-        expected = f"one for each of {counted(len(scans), 'scan')}, or names that are line numbers"
-        raise FormatError(path, counted(len(lines), "line"), expected)
-    return b"".join(lines[place] + b"\n" for place in places)
+    numbers = line_numbers(path, len(lines), scans, wanted)
+    return b"".join(lines[number] + b"\n" for number in numbers)
 
 
 class ScanPaths(NamedTuple):

@@ -60,6 +60,7 @@ LINES = {
     "total": (RED, "-"),
     "entropy": (GREEN, "-"),
     "least_confidence": (SKY, "-"),
+    "disagreement": (PURPLE, DASHED),
 }
 """Colour and dashes of each kind of uncertainty."""
 PLOT_PX = 720, 560

@@ -68,6 +68,7 @@ TITLES = {
     "entropy": "uncertainty: entropy of the classes",
     "mutual_information": "uncertainty: mutual information",
     "least_confidence": "uncertainty: 1 − the largest probability",
+    "disagreement": "disagreement: share of the views against the label",
 }
 UNITS = {"range": "m", "entropy": "nats", "mutual_information": "nats"}
 

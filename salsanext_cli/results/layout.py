@@ -25,17 +25,19 @@ OWN_TABLES = {
     "picked.csv": b"rank,sequence,scan,",
 }
 """Tables that `eval`, `train` and `pick` write, and how their first line but a comment begins."""
-LABELLING_STAGES = ("predict", "knn-refine", "uncertainty")
+LABELLING_STAGES = ("predict", "knn-refine", "uncertainty", "fuse")
 """The stages whose results later ones read."""
 UNCERTAINTY = (
     *("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information"),
-    "least_confidence",
+    *("least_confidence", "disagreement"),
 )
 """The kinds of uncertainty that stages may have written; "error" is a probability."""
 ERROR = "uncertainty/error"
 """Folder of the probability that a label is wrong."""
 LEAST_CONFIDENCE = "uncertainty/least_confidence"
 """Folder of 1 − the largest probability, which `predict` always writes."""
+DISAGREEMENT = "uncertainty/disagreement"
+"""Folder of the share of a place's views that is against the label, which `fuse` writes."""
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values that point clouds may be coloured by."""
 SUFFIX_OF_FOLDER = {
@@ -44,6 +46,8 @@ SUFFIX_OF_FOLDER = {
     "pixel_labels": ".npy",
     "predictions": ".label",
     "probabilities": ".npy",
+    "votes": ".npy",
+    "views": ".npy",
     **{f"uncertainty/{kind}": ".npy" for kind in UNCERTAINTY},
     "pictures": ".png",
     "ply": ".ply",

@@ -320,13 +320,17 @@ class ResultFolder(StageRecords):
         """
         if len(self.with_column("error", scans)) == len(scans):
             return "error"
-        kinds = (kind for kind in ("entropy", "least_confidence") if self.with_column(kind, scans))
+        kinds = (
+            kind
+            for kind in ("entropy", "disagreement", "least_confidence")
+            if self.with_column(kind, scans)
+        )
         return next(kinds, "entropy")
 
 
 def read_kind(path: Path, kind: str, count: int | None) -> Float:
     """Read one kind of uncertainty of a scan's points, as `read_uncertainty`."""
-    is_probability = kind in ("error", "least_confidence")
+    is_probability = kind in ("error", "least_confidence", "disagreement")
     return read_uncertainty(path, count, 1.0 if is_probability else math.inf)
 
 

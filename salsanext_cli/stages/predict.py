@@ -20,6 +20,7 @@ from salsanext_cli.fitting.label_scan import (
 )
 from salsanext_cli.fitting.scan_checks import check_image
 from salsanext_cli.fitting.scan_fit import fitted_view, network_of_run
+from salsanext_cli.fusion.top_classes import top_classes
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
@@ -54,6 +55,10 @@ class LabelWriter:
             none = np.eye(1, space.class_count)  # certainly unlabelled
             of_points = points_from_pixels(softmax, image.pixel_of_point, none)
             output.write_array(file, "probabilities", of_points.astype(np.float16))
+        if "votes" in output.folders:
+            none = np.eye(1, space.class_count)
+            of_points = points_from_pixels(softmax, image.pixel_of_point, none)
+            output.write_array(file, "votes", top_classes(of_points))
         if ERROR in output.folders:
             error = label_error(network, image, softmax, labels)
             output.write_array(file, ERROR, error)
@@ -93,7 +98,8 @@ def predict_scans(
 ) -> Outcome:
     """Label scans into `OUT/sequences/<seq>/predictions`, beside their least confidence.
 
-    `extras`: further results to write, of "pixel_labels", "probabilities" and "uncertainty/error";
+    `extras`: further results to write, of "pixel_labels", "probabilities", "votes" for `fuse` and
+    "uncertainty/error";
     `reject`: points whose error, 0…1, is above it are unlabelled, and the error is written too;
     `batch`: scans computed together, halved where memory runs out; None for what suits the device.
     """
