@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices
+from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.records import Float
 
 CUBE_SIZES_M = (0.3, 0.6)
