@@ -4,7 +4,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -79,10 +79,11 @@ def predict(
         ),
     ] = False,
     reject: Annotated[
-        float | None,
+        str | None,
         typer.Option(
             metavar="ERROR",
-            help="Leave points unlabelled whose label is wrong with a higher probability.",
+            help="Leave points unlabelled whose label is wrong with a higher probability; risk: by "
+            "the threshold that `tune risk` chose.",
         ),
     ] = None,
     dataset: options.DataSet = None,
@@ -123,7 +124,7 @@ def predict(
                 network=network,
                 knn=knn,
                 extras=tuple(name for name in wanted if wanted[name]),
-                reject=reject,
+                reject=_threshold(reject),
                 batch=_batch_size(batch),
                 selection=selection,
                 options=run,
@@ -155,6 +156,16 @@ def _require_no_scans(knn: KnnParameters, batch: str, of_points: dict[str, bool]
         raise UsageError("--knn-…", found, "the options given there")
     if batch != AUTO:
         raise UsageError("--batch", "range images are computed one by one", "scans")
+
+
+def _threshold(text: str | None) -> float | Literal["risk"] | None:
+    """Return the error above which labels are rejected; "risk" for that of the weights."""
+    if text is None or text == "risk":
+        return text  # type: ignore[return-value]
+    try:
+        return float(text)
+    except ValueError:
+        raise UsageError("--reject", repr(text), "a probability from 0 to 1, or risk") from None
 
 
 def _batch_size(text: str) -> int | None:
@@ -285,7 +296,7 @@ def evaluate(
     from rich.console import Group
     from rich.text import Text
 
-    from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
+    from salsanext_cli.report.tables import kept_table, ring_table, score_table, uncertainty_tables
     from salsanext_cli.results.result_folder import ResultFolder
     from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
     from salsanext_cli.stages.evaluate import evaluate as stage
@@ -303,11 +314,12 @@ def evaluate(
     if by_distance:
         shown.append(ring_table(found.by_distance))
     shown += uncertainty_tables(found.uncertainty)
-    sentences = [Text(found.uncertainty.kept.sentence)] if found.uncertainty.kept else []
-    if settings["reject"] is not None:
+    sentences: list[Any] = [Text(found.uncertainty.kept.sentence)] if found.uncertainty.kept else []
+    if kept := found.kept:
         above = f"predict --reject {settings['reject']:g}"
-        missed = f"Points left unlabelled by {above} are missed ones, without uncertainty."
-        sentences.append(Text(missed))
+        missed = f"Points left unlabelled by {above} are missed ones in the scores."
+        # What was asked for comes last, where it is seen.
+        sentences += [kept_table(kept.classes), Text("\n".join([missed, *kept.sentences]))]
     output.result(found.to_dict(), Group(*shown, *sentences))
     run_end.name_failures(found.failures)
     left_out = run_end.left_out(found.missing)

@@ -11,7 +11,7 @@ from salsanext_cli.cli import console, options
 from salsanext_cli.cli.console import guarded, progress
 from salsanext_cli.cli.option_groups import Default, expanded
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import counted
+from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.options import ScanSelection
 
 
@@ -57,6 +57,58 @@ def tune_error(
     output.result(tuned, error_table(tuned) if tuned["folds"] else None)
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     output.say(f"tune error: {points}, {100 * tuned['wrong']:.1f} % wrong → {target}")
+
+
+def tune_risk(
+    dataset: options.LabelledDataSet,
+    target: options.WeightsOut,
+    *,
+    at_most: Annotated[
+        str,
+        typer.Option(
+            metavar="SHARE", help="Share of a scan's points that may be kept and wrong, such as 5%."
+        ),
+    ],
+    confidence: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SHARE",
+            help="Hold it, with this confidence, in at least this share of scans, such as 90%.",
+            show_default="on the mean of scans",
+        ),
+    ] = None,
+    selection: options.LabelledSelection,
+    network: options.Network,
+    overwrite: options.Overwrite = False,
+    output: console.Output,
+) -> None:
+    """Choose the threshold of `predict --reject risk`, and write new weights.
+
+    Example: salsanext tune risk streets/ safe.safetensors --at-most 5%
+    """
+    from rich.console import Group
+
+    from salsanext_cli.report.tables import kept_table, left_out_table
+
+    numbers = {
+        "at_most": _share("--at-most", at_most),
+        "confidence": None if confidence is None else _share("--confidence", confidence),
+    }
+    selection = _validation(selection)
+    tuned = _tuned("risk", dataset, target, network, selection, overwrite, output, **numbers)
+    tables = [kept_table(tuned["kept"]["classes"])]
+    if tuned["left_out"]:
+        tables.append(left_out_table(tuned["left_out"]))
+    output.result(tuned, Group(*tables, *tuned["sentences"]))
+    output.say(f"tune risk: {tuned['promise']} → {target}")
+
+
+def _share(option: str, text: str) -> float:
+    """Return a share that is typed as 5% or 0.05."""
+    try:
+        return float(text[:-1]) / 100 if text.endswith("%") else float(text)
+    except ValueError:
+        raise UsageError(option, repr(text), "a share such as 5% or 0.05") from None
 
 
 def tune_dropout(
@@ -126,7 +178,7 @@ def _tuned(
     selection: ScanSelection,
     overwrite: bool,
     output: console.Output,
-    **numbers: float,
+    **numbers: float | None,
 ) -> dict[str, Any]:
     """Fit a part of the weights while a bar shows how far it is; return plain data."""
     from salsanext_cli.stages.tune import tune
@@ -154,9 +206,11 @@ def _validation(selection: ScanSelection) -> ScanSelection:
 
 tune = typer.Typer(
     no_args_is_help=True,
-    help="Fit weights to scans: temperature, error, dropout rate or batch normalisation.",
+    help="Fit weights to scans: temperature, error, threshold of risk, dropout rate or "
+    "batch normalisation.",
 )
 tune.command("error")(guarded(expanded(tune_error)))
+tune.command("risk")(guarded(expanded(tune_risk)))
 tune.command("temperature")(guarded(expanded(tune_temperature)))
 tune.command("dropout")(guarded(expanded(tune_dropout)))
 tune.command("batchnorm")(guarded(expanded(tune_batchnorm)))

@@ -68,6 +68,8 @@ class ScanCounts:
     left_out: int = 0  # Number of scans that are not counted since the weights were trained on them
     missing: list[ScanFile] = field(default_factory=list)  # Scans without predictions
     files: Counter[str] = field(default_factory=Counter)  # Number of scans with a file, by folder
+    # Of each scan of a run that rejected labels: kept scored points, and wrong ones of them
+    kept: dict[str, tuple[int, int]] = field(default_factory=dict)
     calibration_errors: list[float] = field(default_factory=list)  # Of each scan with a softmax
     # Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `RING`, or
     # `CLASS`, which is the most probable class for the confidence, else the true one
@@ -89,6 +91,7 @@ class ScanCounts:
         self.trained_on += other.trained_on
         self.missing += other.missing
         self.files += other.files
+        self.kept |= other.kept
         self.calibration_errors += other.calibration_errors
         for key, histogram in other.histograms.items():
             if self.histograms.setdefault(key, histogram) is not histogram:
@@ -205,8 +208,10 @@ def count_scan(
         if present(path := output_path(out, scan.sequence, folder, scan.stem)):
             counts.files[folder] = 1
             values[kind] = read_kind(path, kind, len(scored))[scored]
-    if "error" in values and (rejected := ResultFolder(out).rejected(values["error"])).any():
+    if (rejected := ResultFolder(out).rejected(values)) is not None:
         values = {kind: np.where(rejected, np.nan, each) for kind, each in values.items()}
+        labelled = predicted[scored] != 0
+        counts.kept[scan.name] = int(labelled.sum()), int((labelled & wrong).sum())
     for kind, of_points in values.items():
         for name, group in groups.items():
             counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)

@@ -28,6 +28,8 @@ KEY = "salsanext"
 FORMAT = "salsanext-2"
 TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
 """Parts of a card that are mappings."""
+FITTED = ("risk", "accuracy")
+"""Parts that are mappings and may be absent."""
 TEMPERATURES = (1e-3, 1e3)
 """Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
 ONNX_SUFFIX = ".onnx"
@@ -72,6 +74,12 @@ class WeightsCard:
     temperature: float = 1.0
     # Model of the probability that a label is wrong; None if none was fitted
     error: ErrorModel | None = None
+    # Threshold above which `predict --reject risk` rejects: its `kind` of uncertainty, `threshold`,
+    # `at_most`, `confidence`, `scans` and `sequences` that it was chosen on; empty without
+    risk: Mapping[str, Any] = field(default_factory=dict)
+    # Line from a run's mean confidence to its accuracy: `slope`, `at_mean` and `deviation` of the
+    # residuals; empty if none was fitted
+    accuracy: Mapping[str, float] = field(default_factory=dict)
     # Digests of the scans that the weights were trained on, as far as they are known
     trained_on: frozenset[str] = frozenset()
 
@@ -81,9 +89,9 @@ class WeightsCard:
         return shortened(start[:1].lower() + start[1:])
 
     def changed(self, done: str) -> WeightsCard:
-        """Return the card of changed weights, by a sentence: without scores and error model."""
+        """Return the card of changed weights, by a sentence: without scores and what was fitted."""
         description = f"{self.description} {done}".lstrip()
-        return replace(self, scores={}, error=None, description=description)
+        return replace(self, scores={}, error=None, risk={}, accuracy={}, description=description)
 
     def to_metadata(self) -> dict[str, str]:
         """Return what a safetensors header holds; equal cards give equal text."""
@@ -100,6 +108,7 @@ class WeightsCard:
         }
         if self.error:
             values["error"] = self.error.to_dict()
+        values |= {name: dict(getattr(self, name)) for name in FITTED if getattr(self, name)}
         if self.trained_on:
             values["trained_on"] = "".join(sorted(self.trained_on))
         return {KEY: json.dumps(values)}
@@ -117,7 +126,7 @@ class WeightsCard:
             if form != FORMAT:
                 remedy = "use the version that wrote it"
                 raise WeightsError(source, f"format {shortened(form)}", FORMAT, remedy)
-            tables = (*TABLES, "error") if "error" in values else TABLES
+            tables = (*TABLES, *(name for name in ("error", *FITTED) if name in values))
             if bad := [key for key in tables if not isinstance(values[key], dict)]:
                 raise TypeError(f"{bad[0]} is no table")
             return cls(
@@ -129,6 +138,7 @@ class WeightsCard:
                 description=str(values["description"]),
                 temperature=_temperature(values["temperature"]),
                 error=ErrorModel.from_dict(values["error"]) if "error" in values else None,
+                **{name: values[name] for name in FITTED if name in values},
                 trained_on=frozenset(parted(values.get("trained_on", ""))),
             )
         except UsageError as error:

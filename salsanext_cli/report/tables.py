@@ -15,6 +15,7 @@ from rich.table import Table
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few, printable
 from salsanext_cli.labelling.label_records import LabelImport
+from salsanext_cli.measures.risk_control import promise
 from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import (
@@ -149,6 +150,24 @@ def error_table(found: Mapping[str, Any]) -> Table:
     return table
 
 
+def kept_table(classes: Mapping[str, tuple[int, int]]) -> Table:
+    """Return a table of the kept points of each predicted class and of the wrong ones of them."""
+    table = number_table("labelled as", "kept points", "wrong %", title="Kept labels")
+    for name, (kept, wrong) in classes.items():
+        table.add_row(escape(name), f"{kept:,}", percent(wrong / kept))
+    return table
+
+
+def left_out_table(sequences: Sequence[Mapping[str, Any]]) -> Table:
+    """Return a table of what is kept of each sequence by the threshold of the others, in %."""
+    names = ("scans", "kept %", "kept and wrong, % of all", "in the worst scan")
+    table = number_table("sequence", *names, title="Each sequence by the threshold of the others")
+    for each in sequences:
+        shares = (percent(each[name]) for name in ("kept", "loss", "worst"))
+        table.add_row(escape(each["sequence"]), str(each["scans"]), *shares)
+    return table
+
+
 def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float) -> Table:
     """Return a table of dropout rates and their objectives, the best one marked."""
     table = number_table("rate", "objective per point", title="Dropout rate")
@@ -212,6 +231,8 @@ def card_table(card: Mapping[str, Any]) -> Table:
     table.add_row("scores of the scans that chose the weights", _scores(card["scores"]) or "–")
     if card["error"] is not None:
         table.add_row("model of errors, on scans left out", _scores(card["error"]) or "–")
+    if card["risk"] is not None:
+        table.add_row("threshold of risk", escape(promise(card["risk"])))
     if card["trained_on"]:
         table.add_row("scans known from training", f"{card['trained_on']:,}")
     table.add_row("size", f"{card['bytes'] / 1e6:.1f} MB")

@@ -268,7 +268,7 @@ class ResultFolder(StageRecords):
             truth = truth if own.learning_map == space.learning_map else space.to_raw(train)
         paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
         uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
-        rejected = self.rejected(uncertainty["error"]) if "error" in uncertainty else None
+        rejected = self.rejected(uncertainty)
         return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
 
     def with_results(self, scans: list[ScanFile]) -> list[ScanFile]:

@@ -243,10 +243,14 @@ class StageRecords:
                 remedy = f"{remedy} --classes of the labels"
                 raise OutputError(self.root, f"labels in {classes}", "the same for both", remedy)
 
-    def rejected(self, error: Float) -> npt.NDArray[np.bool_]:
-        """Say of points, by their error (N,), which were left unlabelled for it."""
-        above = self.rejected_above()
-        return np.zeros(len(error), bool) if above is None else error > above
+    def rejected(self, uncertainty: Mapping[str, Float]) -> npt.NDArray[np.bool_] | None:
+        """Say of points which were left unlabelled for their uncertainty, (N,) each by kind.
+
+        None if none were, or the kind is not known.
+        """
+        settings: Mapping[str, Any] = self.settings_of("predictions") or {}
+        above, kind = settings.get("reject"), settings.get("reject_by", "error")
+        return None if above is None or kind not in uncertainty else uncertainty[kind] > above
 
     def rejected_above(self) -> float | None:
         """Return the error above which points were left unlabelled; None if none."""

@@ -14,6 +14,7 @@ from salsanext_cli.errors import LabelError, NoInputError, counted, escaped
 from salsanext_cli.files.json_files import encode_json
 from salsanext_cli.files.reading import present
 from salsanext_cli.labelling.label_records import require_truth
+from salsanext_cli.measures.risk_control import KeptLabels
 from salsanext_cli.measures.scan_counts import (
     RING_NAMES,
     CountsApart,
@@ -61,6 +62,7 @@ class Evaluation:
     settings: dict[str, Any]  # Settings of the evaluation and of the predictions
     # Results for the probabilities and uncertainties, if there are any
     uncertainty: UncertaintyEvaluation
+    kept: KeptLabels | None  # Coverage and risk of the labels of a run that rejected some
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
@@ -80,6 +82,7 @@ class Evaluation:
             "classes": list(self.space.names),
             "confusion": self.confusion.matrix.tolist(),
             **self.uncertainty.to_dict(self.space),
+            "rejection": self.kept and self.kept.to_dict(),
         }
 
 
@@ -137,6 +140,7 @@ def evaluate(
         failures=outcome.failures,
         settings=settings,
         uncertainty=evaluate_uncertainty(counts, space),
+        kept=KeptLabels.of_confusion(counts.confusion, space, counts.kept) if counts.kept else None,
     )
     for text in counts.label_warnings(space):
         log.warning("%s", text)

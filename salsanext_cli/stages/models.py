@@ -63,5 +63,6 @@ def describe_weights(path: Path) -> Mapping[str, Any]:
         "recipe": dict(card.recipe),
         "scores": dict(card.scores),
         "error": dict(card.error.scores) if card.error else None,
+        "risk": dict(card.risk) or None,
         "trained_on": len(card.trained_on),
     }

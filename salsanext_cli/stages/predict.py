@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: MIT
 """Stage `predict`: scans to labels in memory, or range images on disk to pixel labels."""
 
+import logging
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import NOTICE, UsageError, WeightsError
 from salsanext_cli.fitting.label_scan import (
     LabelledScan,
     label_scan,
@@ -22,6 +24,7 @@ from salsanext_cli.fitting.scan_checks import check_image
 from salsanext_cli.fitting.scan_fit import fitted_view, network_of_run
 from salsanext_cli.fusion.top_classes import top_classes
 from salsanext_cli.geometry.projection import points_from_pixels
+from salsanext_cli.measures.risk_control import promise
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, Steps, run_over_scans
@@ -30,7 +33,9 @@ from salsanext_cli.results.layout import ERROR, LEAST_CONFIDENCE, ScanFile, with
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.uncertainty.error_features import error_model, label_error
+from salsanext_cli.uncertainty.error_features import error_model, label_error, least_confidence
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,16 +44,16 @@ class LabelWriter:
 
     knn: KnnParameters  # Neighbours in the kNN refinement
     output: OutputRun  # Takes the results
-    reject: float | None  # Points whose error is above it are unlabelled
+    reject: float | None  # Points whose uncertainty is above it are unlabelled
+    reject_by: str = "error"  # Kind of that uncertainty
 
     def write(self, scan: LabelledScan, network: Network) -> ScanSummary:
         """Write the results of a scan; return numbers about it."""
         file, image, softmax, labels = scan.file, scan.image, scan.softmax, scan.labels
         space, output = network.space, self.output
         confidence = softmax.max(axis=0)
-        doubt = points_from_pixels(1 - confidence, image.pixel_of_point, np.nan)
-        output.write_array(file, LEAST_CONFIDENCE, doubt)
-        rejected = np.zeros(len(labels), bool)
+        values = {"least_confidence": least_confidence(image, softmax)}
+        output.write_array(file, LEAST_CONFIDENCE, values["least_confidence"])
         if "pixel_labels" in output.folders:
             output.write_array(file, "pixel_labels", most_probable(softmax))
         if "probabilities" in output.folders:
@@ -60,10 +65,11 @@ class LabelWriter:
             of_points = points_from_pixels(softmax, image.pixel_of_point, none)
             output.write_array(file, "votes", top_classes(of_points))
         if ERROR in output.folders:
-            error = label_error(network, image, softmax, labels)
-            output.write_array(file, ERROR, error)
-            if self.reject is not None:
-                rejected = error > self.reject
+            values["error"] = label_error(network, image, softmax, labels)
+            output.write_array(file, ERROR, values["error"])
+        rejected = np.zeros(len(labels), bool)
+        if self.reject is not None:
+            rejected = values[self.reject_by] > self.reject
         labels[rejected] = 0
         output.write_labels(file, space.to_raw(labels))
         occupied = image.channels[0] > 0
@@ -91,7 +97,7 @@ def predict_scans(
     network: NetworkSettings = NetworkSettings(),
     knn: KnnParameters = KnnParameters(),
     extras: tuple[str, ...] = (),
-    reject: float | None = None,
+    reject: float | Literal["risk"] | None = None,
     batch: int | None = None,
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
@@ -101,6 +107,7 @@ def predict_scans(
     `extras`: further results to write, of "pixel_labels", "probabilities", "votes" for `fuse` and
     "uncertainty/error";
     `reject`: points whose error, 0…1, is above it are unlabelled, and the error is written too;
+    "risk": those above the threshold that `tune risk` wrote into the weights;
     `batch`: scans computed together, halved where memory runs out; None for what suits the device.
     """
     if batch is not None and batch < 1:
@@ -108,10 +115,14 @@ def predict_scans(
     loaded = network.load()
     found = scans_of(source)
     scans = choose(found, selection, space_of(found, loaded.card.space), source)
+    reject_by = "error"
+    if reject == "risk":
+        reject, reject_by = _chosen_threshold(loaded, network, knn)
     if reject is not None:
         if not 0 <= reject <= 1:
             raise UsageError("--reject", f"{reject:g}", "a probability from 0 to 1")
-        extras = tuple(dict.fromkeys((*extras, ERROR)))
+        if reject_by == "error":
+            extras = tuple(dict.fromkeys((*extras, ERROR)))
     if ERROR in extras:
         if network.adapt:
             found_error = "the probability of errors is of the weights before they adapt"
@@ -121,11 +132,12 @@ def predict_scans(
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     settings |= {} if reject is None else {"reject": reject}
+    settings |= {} if reject_by == "error" else {"reject_by": reject_by}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
-        writer = LabelWriter(knn, output, reject)
+        writer = LabelWriter(knn, output, reject, reject_by)
         label = partial(predict_scan, writer=writer)
         task = NetworkTask(label, network.resolved(loaded), loaded, takes_softmax=True, batch=batch)
         outcome = run_over_scans(
@@ -133,6 +145,22 @@ def predict_scans(
         )
     rejected = None if reject is None else summary.rejected_points
     return replace(outcome, summary=summary, rejected_points=rejected)
+
+
+def _chosen_threshold(
+    loaded: Network, network: NetworkSettings, knn: KnnParameters
+) -> tuple[float, str]:
+    """Return the threshold in the weights and its kind of uncertainty; refuse where it is void."""
+    risk = loaded.card.risk
+    if not risk:
+        remedy = "`salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%` chooses one"
+        raise WeightsError(loaded.engine.name, "no threshold of risk", "weights with one", remedy)
+    own = {"--adapt": network.adapt, "--classes": loaded.merging, "--knn-…": knn != KnnParameters()}
+    if others := [name for name, given in own.items() if given]:
+        found = "`--reject risk` promises nothing of other labels"
+        raise UsageError(others[0], found, "the settings of `tune risk`")
+    log.log(NOTICE, "--reject risk: %s", promise(risk))
+    return risk["threshold"], risk["kind"]
 
 
 def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> Steps:

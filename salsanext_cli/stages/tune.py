@@ -18,6 +18,7 @@ from salsanext_cli.results.selection import select_evenly
 from salsanext_cli.training.tuning.batchnorm import fit_batchnorm, require_batchnorm
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout, require_dropout_search
 from salsanext_cli.training.tuning.error import fit_error_model
+from salsanext_cli.training.tuning.risk import fit_risk, require_level
 from salsanext_cli.training.tuning.scans import VALIDATION, Tuned, TuningScans, labelled_scans
 from salsanext_cli.training.tuning.temperature import fit_temperature
 
@@ -26,11 +27,13 @@ FITS: dict[str, Callable[..., Tuned]] = {
     "error": fit_error_model,
     "dropout": fit_dropout,
     "batchnorm": fit_batchnorm,
+    "risk": fit_risk,
 }
 """Functions that fit a part of the weights: take `TuningScans`, and numbers of their own."""
 REQUIREMENTS: dict[str, Callable[..., object]] = {
     "dropout": require_dropout_search,
     "batchnorm": require_batchnorm,
+    "risk": require_level,
 }
 """Take the network and the numbers of a fit; raise what is wrong before a scan is read."""
 

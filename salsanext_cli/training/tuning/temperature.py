@@ -50,13 +50,15 @@ def fit_temperature(scans: TuningScans) -> Tuned:
     _require_possible(scans.source, temperature, len(truth))
     if card.error:
         log.log(NOTICE, "the error model is left out: fit it anew with `salsanext tune error`")
+    if card.risk:
+        log.log(NOTICE, "the threshold is left out: choose it anew with `salsanext tune risk`")
     report = {
         "before": _tempered(logits, truth, card.temperature),
         "after": _tempered(logits, truth, temperature),
         "scans": len(scans.files),
         "points": len(truth),
     }
-    return Tuned(replace(card, temperature=temperature, error=None), report)
+    return Tuned(replace(card, temperature=temperature, error=None, risk={}, accuracy={}), report)
 
 
 def _samples(scans: TuningScans, most: int) -> Iterator[tuple[Float, Any]]:
