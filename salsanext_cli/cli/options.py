@@ -157,3 +157,12 @@ def in_topic(source: Path, topic: str | None) -> Path:
     if not is_recording(source):
         raise UsageError("--topic", f"{source} is no recording", "SCANS that are one")
     return source / topic.strip("/")
+
+
+def share(option: str, text: str | None) -> float | None:
+    """Return a share that is typed as 5% or 0.05; None for none."""
+    try:
+        percent = (text or "").endswith("%")
+        return None if text is None else float(text.rstrip("%")) / (100 if percent else 1)
+    except ValueError:
+        raise UsageError(option, repr(text), "a share such as 5% or 0.05") from None

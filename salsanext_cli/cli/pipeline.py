@@ -124,7 +124,7 @@ def predict(
                 network=network,
                 knn=knn,
                 extras=tuple(name for name in wanted if wanted[name]),
-                reject=_threshold(reject),
+                reject="risk" if reject == "risk" else options.share("--reject", reject),
                 batch=_batch_size(batch),
                 selection=selection,
                 options=run,
@@ -156,16 +156,6 @@ def _require_no_scans(knn: KnnParameters, batch: str, of_points: dict[str, bool]
         raise UsageError("--knn-…", found, "the options given there")
     if batch != AUTO:
         raise UsageError("--batch", "range images are computed one by one", "scans")
-
-
-def _threshold(text: str | None) -> float | Literal["risk"] | None:
-    """Return the error above which labels are rejected; "risk" for that of the weights."""
-    if text is None or text == "risk":
-        return text  # type: ignore[return-value]
-    try:
-        return float(text)
-    except ValueError:
-        raise UsageError("--reject", repr(text), "a probability from 0 to 1, or risk") from None
 
 
 def _batch_size(text: str) -> int | None:

@@ -11,7 +11,7 @@ from salsanext_cli.cli import console, options
 from salsanext_cli.cli.console import guarded, progress
 from salsanext_cli.cli.option_groups import Default, expanded
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import UsageError, counted
+from salsanext_cli.errors import counted
 from salsanext_cli.options import ScanSelection
 
 
@@ -87,28 +87,19 @@ def tune_risk(
     Example: salsanext tune risk streets/ safe.safetensors --at-most 5%
     """
     from rich.console import Group
+    from rich.text import Text
 
-    from salsanext_cli.report.tables import kept_table, left_out_table
+    from salsanext_cli.report.tables import kept_table
 
+    given = {"at_most": at_most, "confidence": confidence}
     numbers = {
-        "at_most": _share("--at-most", at_most),
-        "confidence": None if confidence is None else _share("--confidence", confidence),
+        name: options.share(f"--{name.replace('_', '-')}", text) for name, text in given.items()
     }
     selection = _validation(selection)
     tuned = _tuned("risk", dataset, target, network, selection, overwrite, output, **numbers)
-    tables = [kept_table(tuned["kept"]["classes"])]
-    if tuned["left_out"]:
-        tables.append(left_out_table(tuned["left_out"]))
-    output.result(tuned, Group(*tables, *tuned["sentences"]))
+    sentences = (Text(sentence) for sentence in tuned["sentences"])
+    output.result(tuned, Group(kept_table(tuned["kept"]["classes"]), *sentences))
     output.say(f"tune risk: {tuned['promise']} → {target}")
-
-
-def _share(option: str, text: str) -> float:
-    """Return a share that is typed as 5% or 0.05."""
-    try:
-        return float(text[:-1]) / 100 if text.endswith("%") else float(text)
-    except ValueError:
-        raise UsageError(option, repr(text), "a share such as 5% or 0.05") from None
 
 
 def tune_dropout(

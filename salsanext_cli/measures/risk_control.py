@@ -8,14 +8,14 @@ come in any order with the same chance. Arrays of losses are (n, T): scans by ri
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few
-from salsanext_cli.measures.scores import Confusion, Counts, Mask, Ratios
+from salsanext_cli.measures.scores import Confusion, Ratios
 
 PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
 """Classes whose points are of people."""
@@ -82,17 +82,6 @@ def needed_scans(at_most: float, confidence: float | None) -> int:
     return math.ceil(round(math.log(1 - confidence) / math.log(confidence), 9))
 
 
-def possible_level(scans: int, confidence: float | None) -> float:
-    """Return the least level that n scans can hold, or the highest confidence."""
-    if confidence is None:
-        return 1 / (scans + 1)
-    low, high = 0.0, 1.0
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (middle, high) if middle**scans <= 1 - middle else (low, middle)
-    return low
-
-
 @dataclass(frozen=True, slots=True)
 class KeptLabels:
     """Coverage and risk of labels of which some were rejected; points are those scored."""
@@ -104,7 +93,7 @@ class KeptLabels:
     missed_people: int
     classes: dict[str, tuple[int, int]]  # Kept points and wrong ones of them, by predicted class
     # Name, kept points and wrong ones, of the scan with the largest share of wrong among its kept
-    worst: tuple[str, int, int] | None
+    worst: tuple[str, int, int]
 
     @classmethod
     def of_confusion(
@@ -112,62 +101,32 @@ class KeptLabels:
     ) -> Self:
         """Count the points whose predicted class is not 0; `scans`: as `worst`, by name."""
         matrix = confusion.counted(space.scored)
-        of_class = matrix[:, 1:].sum(axis=0), matrix[:, 1:].sum(axis=0) - matrix.diagonal()[1:]
-        people = is_people(space)
-        missed = matrix[people][:, 1:][:, ~people[1:]].sum()
-        counts = int(matrix.sum()), int(matrix[people].sum()), int(missed)
-        return cls.of_classes(*counts, *of_class, space=space, scans=scans)
-
-    @classmethod
-    def of_classes(
-        cls,
-        points: int,
-        people: int,
-        missed: int,
-        kept: Counts,
-        wrong: Counts,
-        *,
-        space: LabelSpace,
-        scans: Mapping[str, tuple[int, int]],
-    ) -> Self:
-        """Return the counts by name; `kept` and `wrong` are (C − 1,), without class 0."""
-        classes = {
-            name: (k, w)
-            for name, k, w in zip(space.names[1:], kept.tolist(), wrong.tolist(), strict=True)
-            if k
-        }
-        worst = max(scans, key=lambda name: share(*scans[name][::-1]), default=None)
+        kept, right = matrix[:, 1:].sum(axis=0), matrix.diagonal()[1:]
+        pairs = zip(kept.tolist(), (kept - right).tolist(), strict=True)
+        people = np.isin(space.names, PEOPLE)
+        worst = max(scans, key=lambda name: scans[name][1] / max(scans[name][0], 1))
         return cls(
-            *(points, int(kept.sum()), int(wrong.sum()), people, missed, classes),
-            worst=None if worst is None else (worst, *scans[worst]),
+            points=int(matrix.sum()),
+            kept=int(kept.sum()),
+            wrong=int((kept - right).sum()),
+            people=int(matrix[people].sum()),
+            missed_people=int(matrix[people][:, 1:][:, ~people[1:]].sum()),
+            classes={n: each for n, each in zip(space.names[1:], pairs, strict=True) if each[0]},
+            worst=(worst, *scans[worst]),
         )
 
     @property
     def sentences(self) -> Iterator[str]:
         """The same for people, without the classes."""
-        kept, wrong = share(self.kept, self.points), share(self.wrong, self.kept)
-        text = f"kept: {kept:.1%} of {self.points:,} points, of which {wrong:.1%} are wrong"
-        yield f"{text} ({share(self.wrong, self.points):.1%} of all)"
-        if self.worst:
-            name, kept, wrong = self.worst
-            yield f"worst scan: {name}, {share(wrong, kept):.1%} of {kept:,} kept points are wrong"
+        points, wrong = max(self.points, 1), self.wrong / max(self.kept, 1)
+        text = f"kept: {self.kept / points:.1%} of {self.points:,} points, of which {wrong:.1%} are"
+        yield f"{text} wrong ({self.wrong / points:.1%} of all)"
+        name, in_worst, errors = self.worst
+        risk = errors / max(in_worst, 1)
+        yield f"worst scan: {name}, {risk:.1%} of {in_worst:,} kept points are wrong"
         if self.people:
             missed = f"{self.missed_people:,} of {self.people:,} points of people"
             yield f"missed people: {missed} are kept with a label of something else"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return asdict(self) | {"worst": self.worst and list(self.worst)}
-
-
-def is_people(space: LabelSpace) -> Mask:
-    """Say of each class, (C,), whether its points are of people."""
-    return np.isin(space.names, PEOPLE)
-
-
-def share(part: int, whole: int) -> float:
-    """Return a share, 0…1; 0 of nothing."""
-    return part / whole if whole else 0.0
 
 
 def promise(risk: Mapping[str, Any]) -> str:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -66,6 +67,7 @@ class ScanSummary:
     check: ScanCheck = UNCHECKED  # Reasons to doubt the scan or its labels
     class_points: tuple[int, ...] = ()  # Number of points by predicted train id, if any
     rejected_points: int = 0  # Number of points unlabelled for their error
+    confidence: float = math.nan  # Mean of the largest probabilities of the points, if any are
 
     @classmethod
     def of_labels(
@@ -113,6 +115,8 @@ class RunSummary:
     looked_at: set[str] = field(default_factory=set)  # Names of the scans that were added
     rejected_points: int = 0  # Number of points unlabelled for their error
     ego_shares: list[float] = field(default_factory=list)  # Of the points of scans, of the vehicle
+    confidences: list[float] = field(default_factory=list)  # Means of scans
+    accuracy: Mapping[str, float] = field(default_factory=dict)  # As in `WeightsCard`
     first: ScanFile | None = None  # First scan of the run, whose data set may describe others
 
     @classmethod
@@ -132,6 +136,7 @@ class RunSummary:
         self.looked_at.add(scan.file.name)
         self.rejected_points += scan.rejected_points
         self.ego_shares.append(scan.check.ego_share)
+        self.confidences += [scan.confidence] if 0 < scan.confidence < 1 else []
         for finding in scan.check.findings:
             self._add(scan.file, finding)
         if scan.check.traits is not None:
@@ -188,6 +193,18 @@ class RunSummary:
     def ego_share(self) -> float:
         """Share of the points, 0…1, of housing and vehicle, over the scans of this run."""
         return sum(self.ego_shares) / max(len(self.ego_shares), 1)
+
+    def expected_accuracy(self) -> tuple[float, float] | None:
+        """Return the accuracy that is expected of the labels, 0…1, and its deviation, if known.
+
+        From the mean confidence of the scans of this run, by the line in the card of the weights.
+        """
+        if not self.accuracy or not self.confidences:
+            return None
+        # Rounded, since the order of the scans is that of the workers.
+        mean = round(math.fsum(self.confidences) / len(self.confidences), 6)
+        logit = self.accuracy["slope"] * math.log(mean / (1 - mean)) + self.accuracy["offset"]
+        return round(1 / (1 + math.exp(-logit)), 4), self.accuracy["deviation"]
 
     def largest_classes(self) -> dict[str, float]:
         """Return the share of the points, 0…1, of the largest predicted classes, by name."""

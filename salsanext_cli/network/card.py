@@ -77,8 +77,8 @@ class WeightsCard:
     # Threshold above which `predict --reject risk` rejects: its `kind` of uncertainty, `threshold`,
     # `at_most`, `confidence`, `scans` and `sequences` that it was chosen on; empty without
     risk: Mapping[str, Any] = field(default_factory=dict)
-    # Line from a run's mean confidence to its accuracy: `slope`, `at_mean` and `deviation` of the
-    # residuals; empty if none was fitted
+    # Line from the logit of a run's mean confidence to that of its accuracy: `slope`, `offset`, and
+    # `deviation` of the accuracy from it, 0…1; empty if none was fitted
     accuracy: Mapping[str, float] = field(default_factory=dict)
     # Digests of the scans that the weights were trained on, as far as they are known
     trained_on: frozenset[str] = frozenset()

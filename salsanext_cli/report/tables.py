@@ -158,16 +158,6 @@ def kept_table(classes: Mapping[str, tuple[int, int]]) -> Table:
     return table
 
 
-def left_out_table(sequences: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table of what is kept of each sequence by the threshold of the others, in %."""
-    names = ("scans", "kept %", "kept and wrong, % of all", "in the worst scan")
-    table = number_table("sequence", *names, title="Each sequence by the threshold of the others")
-    for each in sequences:
-        shares = (percent(each[name]) for name in ("kept", "loss", "worst"))
-        table.add_row(escape(each["sequence"]), str(each["scans"]), *shares)
-    return table
-
-
 def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float) -> Table:
     """Return a table of dropout rates and their objectives, the best one marked."""
     table = number_table("rate", "objective per point", title="Dropout rate")

@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -82,7 +82,7 @@ class Evaluation:
             "classes": list(self.space.names),
             "confusion": self.confusion.matrix.tolist(),
             **self.uncertainty.to_dict(self.space),
-            "rejection": self.kept and self.kept.to_dict(),
+            "rejection": self.kept and asdict(self.kept),
         }
 
 

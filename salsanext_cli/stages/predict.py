@@ -74,7 +74,10 @@ class LabelWriter:
         output.write_labels(file, space.to_raw(labels))
         occupied = image.channels[0] > 0
         mean = float(confidence[occupied].mean()) if occupied.any() else 1.0
-        return ScanSummary.of_labels(file, labels, space, scan.check, int(rejected.sum()), mean)
+        found = ScanSummary.of_labels(file, labels, space, scan.check, int(rejected.sum()), mean)
+        known = ~np.isnan(values["least_confidence"])
+        sure = 1 - float(values["least_confidence"][known].mean()) if known.any() else np.nan
+        return replace(found, confidence=sure)
 
 
 def most_probable(probabilities: Float) -> TrainIds:
@@ -134,6 +137,8 @@ def predict_scans(
     settings |= {} if reject is None else {"reject": reject}
     settings |= {} if reject_by == "error" else {"reject_by": reject_by}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
+    if not network.adapt and reject is None:
+        summary.accuracy = loaded.card.accuracy
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):

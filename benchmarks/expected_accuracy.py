@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: MIT
+"""Line from the mean confidence of a run to its accuracy, written into the card of weights.
+
+It is fitted to sequences of simulated scans that the weights never saw, and judged on data sets of
+real ones. `predict` then says how many labels it expects to be right.
+
+Run: python benchmarks/expected_accuracy.py folder/ WEIGHTS WEIGHTS_OUT --fit DATASET…
+     --judge NAME=DATASET[,CLASSES.yaml,LABELS.yaml]…
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from commands import salsanext
+
+from salsanext_cli.files.reading import present
+from salsanext_cli.network.card import read_card
+from salsanext_cli.network.weights import save_with_card
+from salsanext_cli.results.layout import find_scans, output_path
+
+
+def measured(dataset: str, out: Path, weights: Path) -> dict[str, tuple[float, float]]:
+    """Return mean confidence and accuracy of each sequence of a labelled data set."""
+    path, *spaces = dataset.split(",")
+    merged = ["--classes", spaces[0]] if spaces else []
+    labels = ["--label-space", spaces[1]] if spaces else []
+    salsanext("predict", path, out, "--weights", weights, "--probabilities", *merged)
+    found = {}
+    for sequence in sorted({file.sequence for file in find_scans(Path(path))}):
+        files = [file for file in find_scans(Path(path)) if file.sequence == sequence]
+        if any(present(file.label_path) for file in files):
+            eval_of = salsanext("eval", out, *labels, "--sequences", sequence)
+            places = (
+                output_path(out, sequence, "uncertainty/least_confidence", file.stem)
+                for file in files
+            )
+            confidence = np.mean([1 - np.nanmean(np.load(place)) for place in places])
+            found[sequence] = float(confidence), eval_of["scores"]["accuracy"]
+    return found
+
+
+def logit(share: np.ndarray) -> np.ndarray:
+    return np.log(share / (1 - share))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("weights", type=Path)
+    parser.add_argument("target", type=Path)
+    parser.add_argument("--fit", nargs="+", required=True)
+    parser.add_argument("--judge", nargs="+", required=True)
+    given = parser.parse_args()
+    fitted = np.array(
+        [
+            pair
+            for number, dataset in enumerate(given.fit)
+            for pair in measured(dataset, given.folder / f"fit{number}", given.weights).values()
+        ]
+    )
+    slope, offset = np.polyfit(*logit(fitted).T, 1)
+    print("| set | mean confidence % | expected % | right % |\n|---|---|---|---|")
+    misses = []
+    for each in given.judge:
+        name, dataset = each.split("=", 1)
+        for sequence, pair in measured(dataset, given.folder / name, given.weights).items():
+            confidence, accuracy = pair
+            expected = 1 / (1 + np.exp(-slope * logit(np.float64(confidence)) - offset))
+            misses.append(expected - accuracy)
+            shares = " | ".join(f"{100 * share:.1f}" for share in (confidence, expected, accuracy))
+            print(f"| {name} {sequence} | {shares} |")
+    deviation = float(np.sqrt(np.mean(np.square(misses))))
+    near = sum(abs(miss) <= 0.05 for miss in misses)
+    print(f"\n{near} of {len(misses)} within 5 points, root mean square {100 * deviation:.1f}")
+    line = {"slope": float(slope), "offset": float(offset), "deviation": deviation}
+    card = replace(read_card(given.weights), accuracy={k: round(v, 4) for k, v in line.items()})
+    save_with_card(given.weights, given.target, card, {})
+
+
+if __name__ == "__main__":
+    main()

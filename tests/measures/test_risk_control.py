@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: MIT
+"""Promises of thresholds: against closed forms, and by simulation of many calibrations."""
+
+import math
+
+import numpy as np
+import pytest
+
+from salsanext_cli import label_space
+from salsanext_cli.measures.risk_control import (
+    KeptLabels,
+    allowed_scans,
+    bad_share,
+    binomial,
+    held_thresholds,
+    needed_scans,
+    promise,
+)
+from salsanext_cli.measures.scores import Confusion
+
+DRAWS = 2000
+
+
+@pytest.fixture(scope="module")
+def streets():
+    """Losses of 4,000 scans at 200 rising thresholds; some scans are much harder than others."""
+    random = np.random.default_rng(0)
+    hardness, shape = random.beta(1, 4, (4000, 1)), random.uniform(1, 4, (4000, 1))
+    return hardness * np.linspace(0, 1, 200) ** shape
+
+
+def calibrated(streets, scans, *numbers):
+    """Return the index of the threshold chosen from each draw of so many scans; −1 for none."""
+    random = np.random.default_rng(1)
+    draws = (random.integers(0, len(streets), scans) for _ in range(DRAWS))
+    return np.array([held_thresholds(streets[draw], *numbers) - 1 for draw in draws])
+
+
+@pytest.mark.parametrize(("scans", "level"), [(12, 0.1), (30, 0.1), (60, 0.05)])
+def test_the_expected_loss_of_a_new_scan_is_below_the_level_but_not_far(streets, scans, level):
+    held = calibrated(streets, scans, level)
+    means = np.append(streets.mean(axis=0), 0)
+    loss = means[held].mean()
+    noise = 3 * means[held].std() / math.sqrt(DRAWS)
+    assert level - 2 / (scans + 1) - noise <= loss <= level + noise
+
+
+@pytest.mark.parametrize(("scans", "confidence"), [(22, 0.9), (80, 0.9), (100, 0.8)])
+def test_few_scans_lose_more_as_often_as_is_said(streets, scans, confidence):
+    held = calibrated(streets, scans, 0.05, confidence)
+    losing = np.append((streets > 0.05).mean(axis=0), 0)
+    broken = (losing[held] > 1 - confidence).mean()
+    noise = 3 * math.sqrt(confidence * (1 - confidence) / DRAWS)
+    # No more scans may be bad, by the same bound: so the promise is as tight as whole scans allow.
+    likely = binomial(allowed_scans(scans, confidence), scans, 1 - confidence)
+    assert likely - noise - 0.02 <= broken <= 1 - confidence + noise
+
+
+def test_shares_of_scans_by_closed_forms():
+    assert binomial(3, 9, 0.3) == pytest.approx(
+        sum(math.comb(9, k) * 0.3**k * 0.7 ** (9 - k) for k in range(4))
+    )
+    assert binomial(9, 9, 0.3) == 1
+    assert bad_share(0, 10, 0.95) == pytest.approx(1 - 0.05 ** (1 / 10))  # 26 %
+    # Clopper and Pearson's own table: 3 of 10, one-sided 97.5 %
+    assert bad_share(3, 10, 0.975) == pytest.approx(0.6525, abs=1e-4)
+    assert bad_share(10, 10, 0.9) == 1
+    assert [allowed_scans(n, 0.95) for n in (58, 59, 92, 93)] == [-1, 0, 0, 1]
+
+
+@pytest.mark.parametrize("confidence", [None, 0.8, 0.9, 0.95])
+@pytest.mark.parametrize("level", [0.03, 0.05, 0.07, 0.1, 1 / 3])
+def test_the_number_of_scans_that_is_needed_is_the_least(level, confidence):
+    fewest, lossless = needed_scans(level, confidence), np.zeros((500, 1))
+    assert held_thresholds(lossless[:fewest], level, confidence) == 1
+    assert held_thresholds(lossless[: fewest - 1], level, confidence) == 0
+
+
+def test_labels_that_are_kept_are_counted():
+    space = label_space()
+    car, person, rider, road = (
+        space.names.index(name) for name in ("car", "person", "bicyclist", "road")
+    )
+    truth = np.array([0, car, car, person, person, person, road, rider])
+    predicted = np.array([car, car, 0, road, person, 0, road, person])
+    confusion = Confusion(space.class_count).update(truth, predicted)
+    scans = {"a/0": (4, 1), "a/1": (1, 1), "a/2": (0, 0)}
+    kept = KeptLabels.of_confusion(confusion, space, scans)
+    assert (kept.points, kept.kept, kept.wrong) == (7, 5, 2)
+    assert (kept.people, kept.missed_people) == (4, 1)
+    assert kept.classes == {"car": (1, 0), "person": (2, 1), "road": (2, 1)}
+    assert kept.worst == ("a/1", 1, 1)
+    assert list(kept.sentences) == [
+        "kept: 71.4% of 7 points, of which 40.0% are wrong (28.6% of all)",
+        "worst scan: a/1, 100.0% of 1 kept points are wrong",
+        "missed people: 1 of 4 points of people are kept with a label of something else",
+    ]
+
+
+def test_a_promise_names_what_it_holds_for():
+    risk = {"kind": "error", "threshold": 0.25, "at_most": 0.05, "confidence": None}
+    risk |= {"scans": 20, "sequences": ["00", "08"]}
+    assert promise(risk) == (
+        "error up to 0.25 kept: of a new scan like the 20 scans of 00, 08 that it was chosen on, "
+        "at most 5 % of the points are expected to be kept and wrong"
+    )
+    assert "with 90 % confidence, at most 10 % of scans" in promise(risk | {"confidence": 0.9})

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: MIT
+"""Stage `tune risk`, and what `predict --reject risk` and `eval` make of its threshold."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from world import World
+
+from salsanext_cli import label_space, read_labels, read_scan, write_labels
+from salsanext_cli.errors import TrainingError, UsageError, WeightsError
+from salsanext_cli.network.card import read_card, scan_digest
+from salsanext_cli.network.weights import save_with_card
+from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.results.layout import LEAST_CONFIDENCE, find_scans
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.models import describe_weights
+from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.tune import tune
+
+ALL = ScanSelection()
+
+
+@pytest.fixture
+def unsure_is_wrong(world: World) -> World:
+    """Label all scans as the network does, but for the half it is least sure of."""
+    own = world.out.with_name("own")
+    predict_scans(world.data, own, network=world.network)
+    for path in own.rglob("predictions/*.label"):
+        labels = read_labels(path).copy()
+        doubt = np.load(path.parent.parent / LEAST_CONFIDENCE / f"{path.stem}.npy")
+        wrong = doubt > np.nanmedian(doubt)
+        labels[wrong] = np.where(labels[wrong] == 10, 40, 10)
+        sequence = path.parent.parent.name
+        write_labels(world.data / "sequences" / sequence / "labels" / path.name, labels)
+    return world
+
+
+def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target, caplog) -> None:
+    world = unsure_is_wrong
+    tuned = tune("risk", world.data, target, network=world.network, selection=ALL, at_most=0.3)
+    risk = read_card(target).risk
+    assert risk == {key: tuned[key] for key in risk}
+    assert describe_weights(target)["risk"] == risk
+    expected = {"kind": "least_confidence", "at_most": 0.3, "confidence": None, "scans": 3}
+    assert risk.items() >= {**expected, "sequences": ["00", "08"]}.items()
+    assert [each["sequence"] for each in tuned["left_out"]] == ["00", "08"]
+    network = replace(world.network, weights=target)
+    caplog.set_level("INFO")
+    outcome = predict_scans(world.data, world.out, network=network, reject="risk")
+    doubts, space = [], label_space()
+    for file in find_scans(world.data):
+        doubt = np.load(world.result(LEAST_CONFIDENCE, file.sequence, file.stem))
+        above = doubt > risk["threshold"]
+        assert not world.labels(file.sequence, file.stem)[above].any()
+        doubts.append(above.sum())
+    assert outcome.rejected_points == sum(doubts) > 0
+    assert tuned["promise"] in "".join(caplog.messages)
+    # What was reported of the threshold is what `eval` finds of the run.
+    kept = evaluate(find_scans(world.data), world.out, space).kept
+    assert kept is not None
+    assert {name: getattr(kept, name) for name in tuned["kept"]} == tuned["kept"]
+    # (3 R + 1) / 4 ≤ 0.3, with no finer step than a bin
+    assert 0 < kept.wrong / kept.points <= (4 * 0.3 - 1) / 3
+    results = ResultFolder(world.out).read(find_scans(world.data)[0], truth_in=(space, space))
+    assert results.rejected_points == doubts[0]
+
+
+def test_a_run_without_rejection_has_no_coverage(unsure_is_wrong: World) -> None:
+    unsure_is_wrong.predict()
+    found = evaluate(find_scans(unsure_is_wrong.data), unsure_is_wrong.out, label_space())
+    assert found.kept is None
+    assert found.to_dict()["rejection"] is None
+
+
+def test_what_few_scans_cannot_promise(unsure_is_wrong: World, target) -> None:
+    world = unsure_is_wrong
+
+    def tuned(**numbers):
+        tune("risk", world.data, target, network=world.network, selection=ALL, **numbers)
+
+    with pytest.raises(TrainingError, match=r"no less than 25 % .* 16 more .* --at-most 25%"):
+        tuned(at_most=0.05)
+    with pytest.raises(TrainingError, match=r"no less than 54% of scans above .* 19 more"):
+        tuned(at_most=0.05, confidence=0.9)
+    with pytest.raises(UsageError, match=r"--at-most · 5 · expected above 0"):
+        tuned(at_most=5)
+    with pytest.raises(UsageError, match=r"--confidence · 1 · "):
+        tuned(at_most=0.5, confidence=1)
+    assert not target.exists()
+    tuned(at_most=0.05, confidence=0.6)
+    assert read_card(target).risk["confidence"] == 0.6
+
+
+def test_scans_of_training_promise_nothing(unsure_is_wrong: World, target, tmp_path) -> None:
+    world, known = unsure_is_wrong, tmp_path / "known.safetensors"
+    digests = frozenset({scan_digest(read_scan(world.scan()))})
+    card = replace(read_card(world.network.weights), trained_on=digests)
+    save_with_card(world.network.weights, known, card)
+    network = replace(world.network, weights=known)
+    tuned = tune("risk", world.data, target, network=network, selection=ALL, at_most=0.4)
+    assert (tuned["scans"], tuned["trained_on"]) == (2, 1)
+    with pytest.raises(TrainingError, match=r"2 scans can promise no less than 33\.4 %"):
+        tune(
+            "risk", world.data, target, network=network, selection=ALL, at_most=0.3, overwrite=True
+        )
+
+
+def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path) -> None:
+    world = unsure_is_wrong
+    with pytest.raises(WeightsError, match=r"no threshold of risk .* `salsanext tune risk"):
+        predict_scans(world.data, world.out, network=world.network, reject="risk")
+    tune("risk", world.data, target, network=world.network, selection=ALL, at_most=0.3)
+    network = replace(world.network, weights=target)
+    coarse = replace(network, classes=label_space("coarse"))
+    for option, changed in (("--classes", coarse), ("--adapt", replace(network, adapt=True))):
+        with pytest.raises(UsageError, match=f"{option} · .*promises nothing of other labels"):
+            predict_scans(world.data, world.out, network=changed, reject="risk")
+    with pytest.raises(UsageError, match=r"--knn-… · "):
+        predict_scans(world.data, world.out, network=network, knn=KnnParameters(k=3), reject="risk")
+    assert not world.out.exists()
+    # Another error or another temperature is another uncertainty.
+    for part in ("error", "temperature"):
+        other = tmp_path / f"{part}.safetensors"
+        tune(part, world.data, other, network=network, selection=ALL)
+        assert not read_card(other).risk
+
+
+def test_a_run_says_how_many_labels_it_expects_to_be_right(world: World, tmp_path) -> None:
+    card, weights = read_card(world.network.weights), tmp_path / "line.safetensors"
+    line = {"slope": 1.0, "offset": 0.0, "deviation": 0.05}
+    save_with_card(world.network.weights, weights, replace(card, accuracy=line))
+    network = replace(world.network, weights=weights)
+    summary = predict_scans(world.data, world.out, network=network).summary
+    doubts = [
+        np.nanmean(np.load(world.result(LEAST_CONFIDENCE, file.sequence, file.stem)))
+        for file in find_scans(world.data)
+    ]
+    assert summary is not None
+    assert summary.expected_accuracy() == (pytest.approx(1 - np.mean(doubts), abs=1e-3), 0.05)
+    plain = predict_scans(world.data, tmp_path / "plain", network=world.network).summary
+    assert plain is not None
+    assert plain.expected_accuracy() is None
