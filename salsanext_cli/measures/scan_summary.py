@@ -195,10 +195,7 @@ class RunSummary:
         return sum(self.ego_shares) / max(len(self.ego_shares), 1)
 
     def expected_accuracy(self) -> tuple[float, float] | None:
-        """Return the accuracy that is expected of the labels, 0…1, and its deviation, if known.
-
-        From the mean confidence of the scans of this run, by the line in the card of the weights.
-        """
+        """Return the accuracy that the mean confidence lets expect, 0…1, and its deviation."""
         if not self.accuracy or not self.confidences:
             return None
         # Rounded, since the order of the scans is that of the workers.

@@ -244,10 +244,7 @@ class StageRecords:
                 raise OutputError(self.root, f"labels in {classes}", "the same for both", remedy)
 
     def rejected(self, uncertainty: Mapping[str, Float]) -> npt.NDArray[np.bool_] | None:
-        """Say of points which were left unlabelled for their uncertainty, (N,) each by kind.
-
-        None if none were, or the kind is not known.
-        """
+        """Say which points were left unlabelled for their uncertainty, (N,) by kind, if known."""
         settings: Mapping[str, Any] = self.settings_of("predictions") or {}
         above, kind = settings.get("reject"), settings.get("reject_by", "error")
         return None if above is None or kind not in uncertainty else uncertainty[kind] > above

@@ -33,7 +33,7 @@ from salsanext_cli.results.layout import ERROR, LEAST_CONFIDENCE, ScanFile, with
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.uncertainty.error_features import error_model, label_error, least_confidence
+from salsanext_cli.uncertainty.error_features import error_model, label_error
 
 log = logging.getLogger(__name__)
 
@@ -52,8 +52,9 @@ class LabelWriter:
         file, image, softmax, labels = scan.file, scan.image, scan.softmax, scan.labels
         space, output = network.space, self.output
         confidence = softmax.max(axis=0)
-        values = {"least_confidence": least_confidence(image, softmax)}
-        output.write_array(file, LEAST_CONFIDENCE, values["least_confidence"])
+        doubt = points_from_pixels(1 - confidence, image.pixel_of_point, np.nan)
+        output.write_array(file, LEAST_CONFIDENCE, doubt)
+        values = {"least_confidence": doubt}
         if "pixel_labels" in output.folders:
             output.write_array(file, "pixel_labels", most_probable(softmax))
         if "probabilities" in output.folders:
@@ -75,9 +76,8 @@ class LabelWriter:
         occupied = image.channels[0] > 0
         mean = float(confidence[occupied].mean()) if occupied.any() else 1.0
         found = ScanSummary.of_labels(file, labels, space, scan.check, int(rejected.sum()), mean)
-        known = ~np.isnan(values["least_confidence"])
-        sure = 1 - float(values["least_confidence"][known].mean()) if known.any() else np.nan
-        return replace(found, confidence=sure)
+        of_points = doubt[~np.isnan(doubt)]
+        return replace(found, confidence=1 - float(of_points.mean()) if of_points.size else np.nan)
 
 
 def most_probable(probabilities: Float) -> TrainIds:

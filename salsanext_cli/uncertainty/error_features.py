@@ -12,7 +12,6 @@ from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError, WeightsError
-from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float, Int, RangeImage
 from salsanext_cli.uncertainty.estimate import entropy
@@ -197,11 +196,6 @@ def error_model(network: Network) -> ErrorModel:
         found = "the probability of errors is of labels before merging"
         raise UsageError("--classes", found, "the classes of the weights")
     return model
-
-
-def least_confidence(image: RangeImage, probabilities: Float) -> Float:
-    """Return 1 − the largest probability of a point's pixel, (N,) float32, NaN without a pixel."""
-    return points_from_pixels(1 - probabilities.max(axis=0), image.pixel_of_point, np.nan)
 
 
 def label_error(

@@ -15,6 +15,7 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import LabelError, TrainingError, UsageError, counted, first_few
 from salsanext_cli.fitting.label_scan import labelled, project_for
 from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
 from salsanext_cli.measures.risk_control import (
     KeptLabels,
@@ -28,7 +29,7 @@ from salsanext_cli.network.card import scan_digest
 from salsanext_cli.options import KnnParameters
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans
-from salsanext_cli.uncertainty.error_features import knows_error, label_error, least_confidence
+from salsanext_cli.uncertainty.error_features import knows_error, label_error
 
 log = logging.getLogger(__name__)
 
@@ -65,7 +66,7 @@ def judged_scan(
     if not scored.any():
         expected = f"labels of {space.name}"
         raise LabelError(file.label_path, "no point is of a class that counts", expected)
-    values = least_confidence(image, softmax)
+    values = points_from_pixels(1 - softmax.max(axis=0), image.pixel_of_point, np.nan)
     if kind == "error":
         values = label_error(network, image, softmax, labels)
     bins = np.where(np.isnan(values) | (labels == 0), UNCERTAINTY_BINS, bin_of(values))
