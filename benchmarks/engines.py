@@ -25,10 +25,10 @@ import torch
 from speed_hardware import seconds_of
 
 import salsanext_cli as sn
-from salsanext_cli.compiled.kernels import thread_count
+from salsanext_cli.compiled import thread_count
 from salsanext_cli.engines.device import has_bfloat16, openvino_core
-from salsanext_cli.engines.graphs import HINTS, Graph
-from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.graphs import HINTS
+from salsanext_cli.engines.network import Graph, Network
 
 KINDS = ("float32", "bfloat16") if has_bfloat16() else ("float32",)
 Engine = Callable[[np.ndarray], np.ndarray]

@@ -29,11 +29,11 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError, UsageError, WeightsError, counted
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.card import WeightsCard, read_card, require_tensors
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.report.tables import ABSENT, number_table
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.selection import select_scans
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.sensors.sensor import sensor as find_sensor

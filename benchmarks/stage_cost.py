@@ -71,7 +71,7 @@ def main(dataset: str, out: str, samples: str = "30", weights: str | None = None
         measure("knn-refine", lambda o: knn_refine_scans(steps, options=o))
         measure("predict, scans", lambda o: predict_scans(data, whole, network=network, options=o))
         measure("eval", score)
-        measure("export-ply", lambda o: export_ply(whole, network=network, options=o))
+        measure("export-ply", lambda o: export_ply(whole, options=o))
         measure(
             f"uncertainty, {samples} passes",
             lambda o: uncertainty(

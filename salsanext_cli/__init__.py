@@ -19,12 +19,13 @@ if TYPE_CHECKING:
     from salsanext_cli.errors import SalsanextError
     from salsanext_cli.fitting.scan_fit import fit_network
     from salsanext_cli.formats import read_scan
-    from salsanext_cli.formats.labels import read_labels
+    from salsanext_cli.formats.kitti import read_labels, write_labels
+    from salsanext_cli.formats.ply import write_ply
+    from salsanext_cli.fusion.window import fuse
     from salsanext_cli.geometry.knn import knn_refine
     from salsanext_cli.geometry.projection import project
     from salsanext_cli.options import KnnParameters
     from salsanext_cli.records import RangeImage, Scan
-    from salsanext_cli.results.point_files import write_labels, write_ply
     from salsanext_cli.sensors.sensor import Sensor, sensor
     from salsanext_cli.uncertainty.monte_carlo import sample
 
@@ -38,6 +39,7 @@ __all__ = [
     "Sensor",
     "__version__",
     "fit_network",
+    "fuse",
     "knn_refine",
     "label_space",
     "load_network",
@@ -54,7 +56,9 @@ _HOMES = {
     "classes.label_space": ("LabelSpace", "label_space"),
     "errors": ("SalsanextError",),
     "formats": ("read_scan",),
-    "formats.labels": ("read_labels",),
+    "formats.kitti": ("read_labels", "write_labels"),
+    "formats.ply": ("write_ply",),
+    "fusion.window": ("fuse",),
     "geometry.knn": ("knn_refine",),
     "geometry.projection": ("project",),
     "engines.loading": ("load_network",),
@@ -63,7 +67,6 @@ _HOMES = {
     "options": ("KnnParameters",),
     "records": ("RangeImage", "Scan"),
     "sensors.sensor": ("Sensor", "sensor"),
-    "results.point_files": ("write_labels", "write_ply"),
     "uncertainty.monte_carlo": ("sample",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

@@ -1,19 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Errors that the user can correct, and the text of messages.
 
-::
-
-    SalsanextError            a mistake that one line can explain
-    ├── UsageError            the command line or a setting is wrong (exit status 2)
-    ├── NoInputError          there is nothing to work on
-    ├── FormatError           a file does not hold what its format promises
-    ├── LabelError            labels and scans, or labels and label space, do not fit
-    ├── WeightsError          a weights file cannot be used
-    ├── OutputError           a result cannot be written, or would overwrite another
-    ├── TrainingError         training cannot start or cannot go on
-    ├── WorkersLost           worker processes died
-    └── MissingDependency     an optional package or a system library is absent
-
 The library raises these; only the command line prints them and chooses the exit status.
 Anything else that escapes is a bug and keeps its traceback.
 """

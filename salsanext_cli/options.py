@@ -15,6 +15,8 @@ from salsanext_cli.errors import UsageError
 
 Group = TypeVar("Group")
 
+MAX_REACH = 1000
+"""Largest reach of `FusionReach`, in scans, each of some megabytes."""
 LARGEST_WINDOW_PX = 63
 """Largest side of the window of `KnnParameters`, in pixels."""
 
@@ -113,3 +115,22 @@ class KnnParameters:
         for name, holds in possible.items():
             if not holds:
                 raise UsageError("knn", f"{name} {getattr(self, name)}", expected[name])
+
+
+@option_group
+class FusionReach:
+    """Number of scans along a drive that vote for each other's labels."""
+
+    reach: int = option(
+        "Options", "Scans before and after each that vote for its labels.", default=20
+    )
+    movable_reach: int = option(
+        "Options", "Of these, those that vote for vehicles, people and riders.", default=3
+    )
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.movable_reach <= self.reach <= MAX_REACH:
+            found = f"{self.movable_reach} of {self.reach} scans"
+            raise UsageError(
+                "--reach and --movable-reach", found, f"0 ≤ movable ≤ reach ≤ {MAX_REACH}"
+            )

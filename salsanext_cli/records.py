@@ -7,6 +7,7 @@ number of classes including the unlabelled class 0.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +58,17 @@ class Scan:
         """Return the points of an index (K,), in its order."""
         ring = None if self.ring is None else self.ring.take(index)
         return Scan(self.points.take(index, 0), self.intensity.take(index), ring)
+
+
+def normalised_intensity(values: npt.NDArray[Any], scale: float) -> Float:
+    """Return intensities (N,) of a file as float32, nominally 0…1.
+
+    Bytes are divided by 255 whatever the scale, since their type tells their range.
+    """
+    divisor = 255.0 if values.dtype == np.uint8 else scale
+    # A signalling NaN is a point without an intensity.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values.astype(np.float32) / np.float32(divisor)
 
 
 @dataclass(frozen=True, slots=True)

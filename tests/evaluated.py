@@ -7,6 +7,7 @@ import numpy as np
 from scans import write_array
 
 from salsanext_cli import LabelSpace, Scan, label_space, write_labels
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.measures.histograms import (
     confidence_histogram,
@@ -21,7 +22,6 @@ from salsanext_cli.measures.uncertainty_evaluation import (
 )
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans, output_path
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.evaluate import evaluate
 
 SPACE = label_space()

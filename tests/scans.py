@@ -11,11 +11,12 @@ import torch
 from torch import nn
 
 from salsanext_cli import LabelSpace, Scan, Sensor, label_space, write_labels
+from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.owned_folder import FILE_LISTS
-from salsanext_cli.results.point_files import write_bin, write_ply
 
 SMALL = Sensor(
     "small",

@@ -11,10 +11,10 @@ import torch
 from salsanext_cli import knn_refine, load_network, project, read_labels, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.training.recipe import Recipe, recipe

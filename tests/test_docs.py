@@ -26,9 +26,9 @@ import salsanext_cli
 from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project, read_scan
 from salsanext_cli.cli.app import COMMANDS, app
 from salsanext_cli.formats import SCAN_SUFFIXES
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.formats.las import asprs_class
 from salsanext_cli.results.layout import SUFFIX_OF_FOLDER
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.sensors import sensor as sensors
 from salsanext_cli.stages import predict as stage
 from salsanext_cli.stages.export_onnx import export_onnx
@@ -337,7 +337,8 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
     assert [name for name in in_order if name in steps] == steps
     # Messages go through the console where a command was run in this process before.
     seen = {name for name in visited[3] | visited[4] if not name.startswith("cli/")}
-    assert seen == {*steps, *others, "stages/predict.py", "parallel/network_task.py"}
+    assert seen == {*steps, *others, "stages/predict.py", "parallel/run.py"}
+    assert len(seen) == 20
 
 
 def test_every_link_leads_somewhere():

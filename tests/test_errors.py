@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: MIT
-import inspect
 import logging
 import pickle
 import re
 from pathlib import Path
 
-from salsanext_cli import errors
 from salsanext_cli.cli.console import Output
 from salsanext_cli.errors import (
     FormatError,
@@ -32,17 +30,6 @@ def test_every_kind_has_its_own_documented_code():
     codes = set(re.findall(r"`([a-z-]+)`", table)) - {"interrupted", "terminated"}
     assert codes == {kind.code for kind in kinds}
     assert len(codes) == len(kinds)
-
-
-def test_the_drawn_tree_is_the_tree():
-    classes = {
-        name: value
-        for name, value in vars(errors).items()
-        if inspect.isclass(value) and value.__module__ == errors.__name__
-    }
-    drawn = set(re.findall(r"(?:├──|└──|^    )\s*(\w+)  ", errors.__doc__ or "", re.MULTILINE))
-    assert drawn == set(classes)
-    assert all(issubclass(value, SalsanextError) for value in classes.values())
 
 
 def test_control_characters_in_names_of_files_are_escaped():

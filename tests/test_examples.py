@@ -14,15 +14,14 @@ import pytest
 from scans import make_scan, write_array, write_sequence
 
 from salsanext_cli import label_space, load_network, read_labels
-from salsanext_cli.measures.scores import scores
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SALSANET, SalsaNext
 from salsanext_cli.results.layout import find_scans, output_path
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.fit import validate
 from salsanext_cli.training.log import write_log
-from salsanext_cli.training.validation import validate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -144,9 +143,8 @@ def test_adapt_batchnorm(tmp_path, weights, capsys):
     assert [row[0] for row in rows[1:]] == ["0.00", "1.00"]
     network = load_network(weights, "cpu")
     scans = Source(find_scans(tmp_path / "data"), label_space(), network.sensor)
-    validated = validate(network, scans).confusion
-    before = scores(validated, label_space())
-    assert rows[1][1:] == [f"{100 * v:.1f}" for v in (before.iou_mean_present, before.accuracy)]
+    before = validate(network, scans)
+    assert rows[1][1:] == [f"{100 * before[key]:.1f}" for key in ("miou", "accuracy")]
     assert rows[2][1:] != rows[1][1:]
 
 

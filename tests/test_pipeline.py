@@ -75,9 +75,9 @@ def assert_scored_and_exported(folder, sequence):
     (cloud,) = (out / "sequences" / sequence / "ply").iterdir()
     vertex = plyfile.PlyData.read(cloud)["vertex"]
     names = {p.name for p in vertex.properties}
-    kinds = ("label", "truth", "wrong", "epistemic", "entropy", "mutual_information")
+    kinds = ("label", "truth", "wrong", "least_confidence")
     assert {f"scalar_{kind}" for kind in kinds} <= names
-    assert np.isfinite(vertex["scalar_epistemic"]).all()
+    assert np.isfinite(vertex["scalar_least_confidence"]).all()
     assert len(np.unique(vertex["green"])) > 20
 
 
@@ -163,7 +163,7 @@ def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
     one, two = (files_below(tmp_path / f"jobs{jobs}") for jobs in (1, 2))
     stages = {"predict.json", "predict.warnings.json", "uncertainty.json", "export-ply.json"}
     assert {name for name in one if "/" not in name} == stages
-    assert len(one) == 3 * 9 + len(stages)
+    assert len(one) == 3 * 10 + len(stages)
     assert one == two
 
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import salsanext_cli as sn
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.predict import predict_scans
 

@@ -76,8 +76,7 @@ def is_merged(merged: LabelSpace, own: LabelSpace) -> bool:
 def contradiction(own: LabelSpace, merged: LabelSpace) -> str:
     """Return why the classes of a label space cannot be merged into another's, empty if they can.
 
-    Where most raw ids of both have other names, those of a class of several raw ids aside, they
-    are of two systems of ids.
+    Where most raw ids of both have other names, they are of two systems of ids.
     """
     known, standing = merged.learning_map, _standing_for_several(own, merged)
     if missing := sorted({*own.learning_map, *own.learning_map_inv.values()} - known.keys()):

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from salsanext_cli.cli import look, models, own_data, pipeline
+from salsanext_cli.cli import drives, look, models, own_data, pipeline
 from salsanext_cli.cli.console import WRONG_USE, guarded, usage_errors
 from salsanext_cli.cli.option_groups import expanded
 from salsanext_cli.cli.train import train
@@ -22,6 +22,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "train": train,
         "predict": pipeline.predict,
         "knn-refine": pipeline.knn_refine,
+        "fuse": drives.fuse,
         "uncertainty": pipeline.uncertainty,
         "eval": pipeline.evaluate,
         "export-ply": pipeline.export_ply,

@@ -27,8 +27,8 @@ def picture(
             "--colour",
             "--color",
             help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
-            "error, epistemic, aleatoric, total, entropy, mutual_information; may be given "
-            "several times.",
+            "error, epistemic, aleatoric, total, entropy, mutual_information, "
+            "least_confidence; may be given several times.",
             show_default="everything known",
         ),
     ] = None,

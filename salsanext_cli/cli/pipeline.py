@@ -71,6 +71,13 @@ def predict(
             help="Also write the probability that each label is wrong, if the weights know it.",
         ),
     ] = False,
+    fuse: Annotated[
+        bool,
+        typer.Option(
+            "--fuse",
+            help="Then fuse the scans of each sequence, as `fuse` does, into OUT/fused.",
+        ),
+    ] = False,
     reject: Annotated[
         float | None,
         typer.Option(
@@ -105,6 +112,7 @@ def predict(
 
     source = options.source(scans, dataset, topic)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}
+    wanted |= {"votes": fuse and not probabilities}
     network = replace(network, classes=options.label_space(classes))
     outcome: Outcome
     with over_scans("predict", running, output.quiet) as run:
@@ -121,11 +129,19 @@ def predict(
                 options=run,
             )
         else:
-            of_points = {"--probabilities": probabilities, "--error": error}
+            of_points = {"--probabilities": probabilities, "--error": error, "--fuse": fuse}
             _require_no_scans(knn, batch, {**of_points, "--reject": reject is not None})
             outcome = predict_range_images(
                 source, out, network=network, selection=selection, options=run
             )
+    if fuse:
+        from salsanext_cli.stages.fuse import fuse_results
+
+        with over_scans("fuse", running, output.quiet) as run:
+            fused = fuse_results(out, selection=selection, options=run)
+        failures = (*outcome.failures, *fused.failures)
+        outcome = replace(outcome, failures=tuple(dict.fromkeys(failures)))
+        output.say(f"fuse: {counted(fused.done, 'scan')} → {out}/fused")
     run_end.finish("predict", outcome, out, output, split=selection.split, strict=strict)
 
 
@@ -309,7 +325,8 @@ def export_ply(
             "--colour",
             "--color",
             help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
-            "error, epistemic, aleatoric, total, entropy, mutual_information.",
+            "error, epistemic, aleatoric, total, entropy, mutual_information, "
+            "least_confidence.",
         ),
     ] = "label",
     scale: Annotated[
@@ -330,7 +347,6 @@ def export_ply(
     selection: ScanSelection,
     label_space: options.LabelSpaceName = None,
     classes: options.MergedInto = None,
-    network: Annotated[options.Network, Without({"columns"})],
     running: RunOptions,
     output: console.Output,
 ) -> None:
@@ -350,7 +366,7 @@ def export_ply(
             form=form,
             dataset=dataset,
             space=options.label_space(label_space),
-            network=replace(network, classes=options.label_space(classes)),
+            classes=options.label_space(classes),
             selection=selection,
             options=run,
         )

@@ -67,8 +67,7 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
         "seconds_per_scan": None if each is None else round(each, 4),
     }
     if missing := outcome.missing:
-        found["missing"] = [str(scan.path) for scan in missing.scans]
-        found["not_asked_for"] = missing.not_asked_for
+        found |= missing.to_dict()
     if outcome.rejected_points is not None:
         found["rejected_points"] = outcome.rejected_points
     if summary := outcome.summary:

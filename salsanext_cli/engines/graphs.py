@@ -22,7 +22,7 @@ import numpy as np
 from salsanext_cli.engines.device import openvino_core, processor
 from salsanext_cli.errors import OutputError, error_text
 from salsanext_cli.files.user_cache import cached, store
-from salsanext_cli.records import CHANNELS, Float
+from salsanext_cli.records import CHANNELS
 
 if TYPE_CHECKING:
     import openvino
@@ -43,48 +43,14 @@ _COMPILING = threading.Lock()
 """Held while one thread traces and compiles: tracing has state of its own in torch."""
 
 
-class Graph:
-    """Compiled part of a network: float32 arrays in, float32 arrays out, the same bits always."""
-
-    def __init__(self, compiled: "openvino.CompiledModel") -> None:
-        self.compiled = compiled
-        self.request = compiled.create_infer_request()
-
-    @property
-    def shapes(self) -> list[tuple[int, ...]]:
-        """Shapes of the inputs."""
-        return [tuple(port.shape) for port in self.compiled.inputs]
-
-    def __call__(self, *inputs: Float) -> list[Float]:
-        """Compute once."""
-        outputs = self.request.infer(dict(enumerate(inputs)), share_inputs=True)
-        return list(outputs.values())
-
-    def each(self, calls: Sequence[Sequence[Float]]) -> list[list[Float]]:
-        """Compute several times side by side; return the outputs in the order of the calls."""
-        from openvino import AsyncInferQueue
-
-        outputs: list[list[Float]] = [[]] * len(calls)
-
-        def keep(request: "openvino.InferRequest", number: int) -> None:
-            outputs[number] = [tensor.data.copy() for tensor in request.output_tensors]
-
-        queue = AsyncInferQueue(self.compiled)
-        queue.set_callback(keep)
-        for number, inputs in enumerate(calls):
-            queue.start_async(dict(enumerate(inputs)), number, share_inputs=True)
-        queue.wait_all()
-        return outputs
-
-
 def compiled_graph(
     make: "Callable[[], openvino.Model]",
     key: object,
     precision: str = "float32",
     threads: int = 1,
     streams: int = 1,
-) -> Graph:
-    """Return a model, ready to compute; from the cache if it was compiled before.
+) -> "openvino.CompiledModel":
+    """Return a model, compiled; from the cache if it was compiled before.
 
     `make` is called only if the cache does not hold it; `key` is what the model depends on, with a
     `repr` of its own. Layers that see the range image or make the logits compute in float32 in any
@@ -111,9 +77,9 @@ def compiled_graph(
     with _COMPILING:
         content = cached(name, compile_anew)
         try:
-            return Graph(core.import_model(content, "CPU", hints))
+            return core.import_model(content, "CPU", hints)
         except RuntimeError:  # made by a build of the same version that compiles otherwise
-            return Graph(core.import_model(store(name, compile_anew()), "CPU", hints))
+            return core.import_model(store(name, compile_anew()), "CPU", hints)
 
 
 @cache

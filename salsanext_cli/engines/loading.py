@@ -16,8 +16,7 @@ from salsanext_cli.engines.device import (
     choose_precision,
     openvino_core,
 )
-from salsanext_cli.engines.graphs import Graph
-from salsanext_cli.engines.network import Engine, Network
+from salsanext_cli.engines.network import Engine, Graph, Network
 from salsanext_cli.errors import MissingDependency, UsageError, WeightsError, error_text
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.user_cache import check_once

@@ -12,8 +12,8 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.compiled.kernels import thread_count
-from salsanext_cli.engines.graphs import Graph, compiled_graph, converted
+from salsanext_cli.compiled import thread_count
+from salsanext_cli.engines.graphs import compiled_graph, converted
 from salsanext_cli.errors import WeightsError, out_of_memory
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.network_input import network_input
@@ -32,6 +32,40 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 log = logging.getLogger(__name__)
+
+
+class Graph:
+    """Compiled part of a network: float32 arrays in, float32 arrays out, the same bits always."""
+
+    def __init__(self, compiled: "openvino.CompiledModel") -> None:
+        self.compiled = compiled
+        self.request = compiled.create_infer_request()
+
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Shapes of the inputs."""
+        return [tuple(port.shape) for port in self.compiled.inputs]
+
+    def __call__(self, *inputs: Float) -> list[Float]:
+        """Compute once."""
+        outputs = self.request.infer(dict(enumerate(inputs)), share_inputs=True)
+        return list(outputs.values())
+
+    def each(self, calls: Sequence[Sequence[Float]]) -> list[list[Float]]:
+        """Compute several times side by side; return the outputs in the order of the calls."""
+        from openvino import AsyncInferQueue
+
+        outputs: list[list[Float]] = [[]] * len(calls)
+
+        def keep(request: "openvino.InferRequest", number: int) -> None:
+            outputs[number] = [tensor.data.copy() for tensor in request.output_tensors]
+
+        queue = AsyncInferQueue(self.compiled)
+        queue.set_callback(keep)
+        for number, inputs in enumerate(calls):
+            queue.start_async(dict(enumerate(inputs)), number, share_inputs=True)
+        queue.wait_all()
+        return outputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +131,8 @@ class Engine:
         settings = (precision, thread_count(), streams)
         place = (name, settings, threading.get_ident())
         if place not in self.graphs:
-            self.graphs[place] = compiled_graph(make, (name, self.sha256, *self.size), *settings)
+            model = compiled_graph(make, (name, self.sha256, *self.size), *settings)
+            self.graphs[place] = Graph(model)
         return self.graphs[place]
 
     def example_input(self) -> "Tensor":

@@ -174,12 +174,11 @@ class NetworkSettings:
     def record(self, network: "Network") -> dict[str, Any]:
         """Return what the results of a stage depend on, as plain data for its record."""
         from salsanext_cli.files.identity import fingerprint
-        from salsanext_cli.network.card import joined
 
         engine = network.engine
         known = {"adapted": engine.sha256} if self.adapted else {}
         if network.card.trained_on:
-            known["trained_on"] = joined(sorted(network.card.trained_on))
+            known["trained_on"] = "".join(sorted(network.card.trained_on))
         return known | {
             "weights": fingerprint(self.path) if self.adapted else engine.sha256,
             "label_space": network.space.to_dict(),

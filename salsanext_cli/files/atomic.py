@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import BinaryIO
 
 from salsanext_cli.errors import OutputError
@@ -79,22 +80,9 @@ def require_writable(folder: Path) -> None:
     """Raise `OutputError` if no file can be written into a folder, which is made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with _probe(folder):
-            pass
+        TemporaryFile(dir=folder).close()
     except OSError as error:
         raise refusal(folder, error) from error
-
-
-@contextmanager
-def _probe(folder: Path) -> Iterator[Path]:
-    """Give an empty file in a folder, and remove it."""
-    probe = _temporary(folder / "probe")
-    try:
-        probe.touch()
-        yield probe
-    finally:
-        with suppress(OSError):
-            probe.unlink()
 
 
 def require_target(target: Path, overwrite: bool, suffix: str = WEIGHTS_SUFFIX) -> None:
@@ -146,8 +134,8 @@ def sweep_stale(folder: Path) -> None:
         found = [path for path in folder.iterdir() if TEMPORARY.fullmatch(path.name)]
         if not found:
             return
-        with _probe(folder) as probe:
-            now = probe.stat().st_mtime
+        with TemporaryFile(dir=folder) as probe:
+            now = os.fstat(probe.fileno()).st_mtime
         for temporary in found:
             with suppress(OSError):
                 if now - temporary.stat().st_mtime > STALE_AFTER_S:

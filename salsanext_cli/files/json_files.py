@@ -4,15 +4,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import present, reading
-
-MAX_NESTING = 20
 
 Kind = TypeVar("Kind")
 
@@ -37,18 +35,9 @@ def read_json(path: Path) -> dict[str, Any] | None:
         data = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise OutputError(path, "damaged", "JSON", "delete it or use another folder") from error
-    if not isinstance(data, dict) or not _is_shallow(data):
+    if not isinstance(data, dict):
         raise OutputError(path, "damaged", "a JSON object", "delete it or use another folder")
     return data
-
-
-def _is_shallow(data: dict[str, Any]) -> bool:
-    """Say whether data is nested no deeper than records are."""
-    level: list[Any] = [data]
-    for _ in range(MAX_NESTING):
-        members = (each.values() if isinstance(each, dict) else each for each in level)
-        level = [m for each in members for m in each if isinstance(m, dict | list)]
-    return not level
 
 
 def _refuse_constant(name: str) -> None:
@@ -69,24 +58,6 @@ class RecordedSettings(dict[str, Any]):
     def table(self, key: str) -> RecordedSettings:
         """Return a setting that is itself a mapping."""
         return RecordedSettings(self._as(dict, key, "a JSON object"), self.path)
-
-    def one_of(self, key: str, values: Sequence[str]) -> str:
-        """Return a setting that is one of some words."""
-        value: str = self[key]
-        if value not in values:
-            raise self._wrong(f"settings have {key} {value!r}", f"one of {', '.join(values)}")
-        return value
-
-    def integer(self, key: str) -> int:
-        """Return a setting that is a whole number."""
-        return self._as(int, key, "a whole number")
-
-    def number(self, key: str) -> float:
-        """Return a setting that is a number; an infinite one is text in JSON."""
-        value = self[key]
-        if type(value) not in (int, float) and value != "Infinity":
-            raise self._wrong(f"settings have {key} {value!r}", "a number")
-        return float(value)
 
     def pair(self, key: str) -> tuple[float, float]:
         """Return a setting that is two numbers."""

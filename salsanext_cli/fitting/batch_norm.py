@@ -68,13 +68,11 @@ def norms(module: nn.Module) -> dict[str, nn.BatchNorm2d]:
     }
 
 
-def require_norms(network: Network) -> dict[str, nn.BatchNorm2d]:
-    """Return what `norms` does; raise `WeightsError` if it is nothing."""
-    layers = norms(network.module)
-    if not layers:
+def require_norms(network: Network) -> None:
+    """Raise `WeightsError` if a network has no batch norm."""
+    if not norms(network.module):
         found = "its network has no batch norm"
         raise WeightsError(network.engine.name, found, "one with batch norm")
-    return layers
 
 
 @dataclass(slots=True, eq=False)

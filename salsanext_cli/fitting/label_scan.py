@@ -39,12 +39,16 @@ class LabelledScan(ProjectedScan):
 
 def label_scan(
     file: ScanFile, network: Network, knn: KnnParameters = KnnParameters()
-) -> Generator[None, None, LabelledScan]:
-    """Label a scan in steps: yields when it is projected, and when its softmax is computed."""
+) -> Generator[RangeImage | None, Float | None, LabelledScan]:
+    """Label a scan in steps: yields its range image, and again when its softmax is computed.
+
+    A softmax (C, H, W) that is sent in for the range image is taken as it is.
+    """
     projected = project_for(network, file)
-    yield
-    softmax = network.probabilities(projected.image, file.path)
-    yield
+    softmax = yield projected.image
+    if softmax is None:
+        softmax = network.probabilities(projected.image, file.path)
+    yield None
     return labelled(projected, softmax, network, knn)
 
 

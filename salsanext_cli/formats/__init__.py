@@ -4,11 +4,14 @@
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats import kitti, las, numpy_scans, text
 from salsanext_cli.formats.columns import scan_of
+from salsanext_cli.formats.kitti import read_bin
+from salsanext_cli.formats.las import read_las
+from salsanext_cli.formats.numpy_scans import npy_columns, npz_columns
 from salsanext_cli.formats.pcd import pcd_columns
 from salsanext_cli.formats.ply import ply_columns
-from salsanext_cli.formats.recordings import read_recorded, recording_of
+from salsanext_cli.formats.recordings import recorded_columns, recording_of
+from salsanext_cli.formats.text import text_columns
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -46,22 +49,24 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     """
     path = Path(path)
     scale = 1.0 if sensor is None else sensor.intensity_scale
-    columns = () if sensor is None else sensor.columns
+    names = () if sensor is None else sensor.columns
     match scan_suffix(path.name):
         case ".bin" | ".pcd.bin":
-            return kitti.read_bin(path, columns=columns, intensity_scale=scale)
-        case ".pcd":
-            return scan_of(pcd_columns(path), path, scale)
-        case ".ply":
-            return scan_of(ply_columns(path), path, scale)
+            return read_bin(path, names, scale)
         case ".las" | ".laz":
-            return las.read_las(path)
+            return read_las(path)
+        case ".pcd":
+            columns = pcd_columns(path)
+        case ".ply":
+            columns = ply_columns(path)
         case ".npy":
-            return numpy_scans.read_npy(path, columns=columns, intensity_scale=scale)
+            columns = npy_columns(path, names)
         case ".npz":
-            return numpy_scans.read_npz(path, columns=columns, intensity_scale=scale)
+            columns = npz_columns(path, names)
         case ".xyz" | ".csv" | ".txt":
-            return text.read_text(path, columns=columns, intensity_scale=scale)
-    if recording_of(path) not in (None, path):
-        return read_recorded(path, scale)
-    raise FormatError(path, "not a known scan format", f"a {', '.join(SCAN_SUFFIXES)} file")
+            columns = text_columns(path, names)
+        case _ if recording_of(path) not in (None, path):
+            columns = recorded_columns(path)
+        case _:
+            raise FormatError(path, "not a known scan format", f"a {', '.join(SCAN_SUFFIXES)} file")
+    return scan_of(columns, path, scale)

@@ -78,8 +78,15 @@ class Bag:
             # Databases of before 2023 lack definitions; all releases have the same ones of clouds.
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
             self._reader.open()
-        # Before the garbage collector would do it, with a warning.
-        weakref.finalize(self, self._reader.close)
+            # Before the garbage collector would do it, with a warning.
+            weakref.finalize(self, self._reader.close)
+            # Metadata beside the storages that names one of them twice gives each cloud twice.
+            if len(getattr(self._storage(), "storages", ())) >= len(files):
+                raise ValueError("its metadata names more files than there are")
+
+    def _storage(self) -> Any:
+        (reader,) = self._reader.readers
+        return getattr(reader, "storage", reader)
 
     def topics(self) -> dict[str, str]:
         """Return the type of the messages of every topic that has some, sorted."""
@@ -93,8 +100,7 @@ class Bag:
     def times(self, topic: str) -> list[int]:
         """Return the times of recording of the clouds of a topic in nanoseconds, sorted."""
         with self._lock, refusing_damage(self.path, EXPECTED, REMEDY):
-            (reader,) = self._reader.readers
-            return sorted(_indexed_times(getattr(reader, "storage", reader), topic))
+            return sorted(_indexed_times(self._storage(), topic))
 
     def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
         """Read the cloud of a topic and a time; of several of one time that of a number."""

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted, shortened
-from salsanext_cli.records import Float, Int, Scan
+from salsanext_cli.records import Float, Int, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import MAX_BEAMS, UNUSED_COLUMN
 
 Columns = Mapping[str, npt.NDArray[Any]]
@@ -102,14 +102,3 @@ def _require_near_origin(points: Float, path: Path) -> None:
                 "metres from a sensor at the origin",
                 "subtract the position of the sensor from the coordinates",
             )
-
-
-def normalised_intensity(values: npt.NDArray[Any], scale: float) -> Float:
-    """Return intensities (N,) of a file as float32, nominally 0…1.
-
-    Bytes are divided by 255 whatever the scale, since their type tells their range.
-    """
-    divisor = 255.0 if values.dtype == np.uint8 else scale
-    # A signalling NaN is a point without an intensity.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return values.astype(np.float32) / np.float32(divisor)

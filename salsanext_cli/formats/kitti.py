@@ -1,32 +1,36 @@
 # SPDX-License-Identifier: MIT
-"""KITTI's raw scans, `.bin`, and those of nuScenes, `.pcd.bin`: little endian, no header."""
+"""Files of KITTI and nuScenes, little endian, without header: scans, `.bin`, and labels, `.label`.
 
+What cannot be float32 records of points is refused, as its values tell: those that are a row apart
+are of one kind, coordinates, intensities, beams. So the share of the variance that lies between the
+columns of a table is largest for the right number of columns and its multiples; read with another
+number, every column holds a mixture.
+"""
+
+import re
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError
+from salsanext_cli.classes.label_space import RawIds
+from salsanext_cli.errors import FormatError, LabelError, counted
+from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, size_of
-from salsanext_cli.formats.columns import normalised_intensity, ring_of, scan_of, unnamed_columns
-from salsanext_cli.formats.raw_records import (
-    TEXT_BYTES,
-    TEXT_SUFFIX,
-    are_coordinates,
-    are_float64,
-    evident_count,
-    likely_names,
-    other_suffix,
-)
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.formats.columns import ring_of, scan_of, unnamed_columns
+from salsanext_cli.records import Float, Scan, normalised_intensity
+from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
 COLUMNS = 4
 """x, y, z in metres, remission."""
 COLUMNS_WITH_RING = 5
 """x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes."""
 ANEW = "write it anew as float32 x, y, z, intensity"
+MAX_CLASS = 0xFFFF
+"""Largest label of four bytes without an instance."""
 
 
-def read_bin(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
+def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring, or of `columns`."""
     has_ring = path.name.lower().endswith(".pcd.bin")
     width = len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS)
@@ -94,3 +98,274 @@ def count_points(path: Path) -> int:
 def encode_bin(scan: Scan) -> bytes:
     """Return the content of a `.bin` file: float32 x, y, z, intensity of each point."""
     return np.column_stack([scan.points, scan.intensity]).astype("<f4", copy=False).tobytes()
+
+
+def write_bin(path: Path, scan: Scan) -> None:
+    """Write a scan as float32 x, y, z, intensity."""
+    write_bytes(path, encode_bin(scan))
+
+
+def read_labels(path: Path, count: int | None = None) -> RawIds:
+    """Read the raw ids of a scan's points, (N,) uint32.
+
+    Parameters
+    ----------
+    path : Path
+        The `.label` file.
+    count : int, optional
+        Number of points of the scan; then two bytes or one per label are recognised too.
+
+    Raises
+    ------
+    FormatError
+        If the file cannot be read or is cut off.
+    LabelError
+        If there are not `count` labels.
+    """
+    with reading(path) as file:
+        size = size_of(file)
+        if size % 4 and (count is None or size not in (count, 2 * count)):
+            expected = "a multiple of 4 (one uint32 per point)"
+            raise FormatError(path, f"{size} bytes", expected, "it is cut off")
+        raw = _labels(read_values(file, path, np.uint8, size), count or 0)
+    if count is not None and len(raw) != count:
+        expected = f"{count:,}, one per point of the scan"
+        remedy = "use the labels that belong to this scan"
+        raise LabelError(path, counted(len(raw), "label"), expected, remedy)
+    return raw
+
+
+def _labels(content: npt.NDArray[np.uint8], count: int) -> RawIds:
+    """Return labels of two bytes or one where so many are so long, else of four."""
+    narrow = {2 * count: "<u2", count: "<u1"}.get(content.size)
+    wide = content[: content.size // 4 * 4].view("<u4").astype(np.uint32, copy=False)
+    # Classes of four bytes, without instances, of half or a quarter of the points.
+    of_fewer = content.size % 4 == 0 and wide.any() and wide.max() <= MAX_CLASS
+    if narrow is None or of_fewer:
+        return wide
+    return content.view(narrow).astype(np.uint32)
+
+
+def encode_labels(raw: RawIds) -> bytes:
+    """Return the content of a `.label` file: the raw id of each point as uint32."""
+    return raw.astype("<u4", copy=False).tobytes()
+
+
+def write_labels(path: Path, raw: RawIds) -> None:
+    """Write the raw ids of a scan's points, (N,) integer, as uint32."""
+    write_bytes(path, encode_labels(raw))
+
+
+MAGIC = {
+    b"ply": ".ply",
+    b"# .PCD": ".pcd",
+    b"VERSION ": ".pcd",
+    b"LASF": ".las",
+    b"\x93NUMPY": ".npy",
+    b"PK\x03\x04": ".npz",
+    b"\x1f\x8b": ".gz",
+}
+"""Suffixes of other formats by the bytes that their files begin with."""
+TEXT_SUFFIX = ".csv"
+TEXT_BYTES = 4096
+"""Size of the start of a file that shows whether it is text."""
+MIN_TEXT_BYTES = 256
+"""Size from which on float32 values hold some of the bytes that do not occur in text."""
+MIN_ASCII_BYTES = 16
+"""The same, if all are of ASCII: as float32 they are hardly ever coordinates in metres."""
+CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")
+"""Bytes that do not occur in text; blanks, line ends and escapes do."""
+LEAST, MOST = 1e-12, 1e7
+"""Possible magnitudes of values other than 0, in metres and in any unit of intensity and time."""
+LEAST_POSSIBLE_SHARE = 0.5
+"""Share of coordinates that are possible in any scan; of random bytes it is a quarter."""
+LEAST_POSSIBLE_SHARE_OF_LOW = 0.42
+"""The same of every second float32, of which a scanner of one plane has half, z, equal to 0."""
+LEAST_POSSIBLE_SHARE_OF_FLOAT64 = 0.9
+SAMPLE = 4096
+"""Rows that are looked at, evenly spaced."""
+
+
+def other_suffix(start: bytes) -> str | None:
+    """Return the suffix for a file that begins as one of another format or text does, else None."""
+    of_magic = (suffix for magic, suffix in MAGIC.items() if start.startswith(magic))
+    least = MIN_ASCII_BYTES if start.isascii() else MIN_TEXT_BYTES
+    is_text = len(start) >= least and not CONTROL.search(start)
+    return next(of_magic, TEXT_SUFFIX if is_text else None)
+
+
+def are_float64(values: Float) -> bool:
+    """Say whether float32 values (M,) of a file are the halves of float64 ones.
+
+    Then most are possible as float64 and most of their low halves are not as float32: those of
+    rounded decimals are random, those that were float32 before have one of eight values, of which
+    six are impossible.
+    """
+    if len(values) % 2:
+        return False
+    halves = np.ascontiguousarray(_sample(values.reshape(-1, 2)))
+    halves = halves[halves.view("<u4").any(axis=1)]
+    if not len(halves):
+        return False
+    possible = are_possible(halves.view("<f8")).mean()
+    possible_low = are_possible(halves[:, 0]).mean()
+    return bool(
+        possible > LEAST_POSSIBLE_SHARE_OF_FLOAT64 and possible_low < LEAST_POSSIBLE_SHARE_OF_LOW
+    )
+
+
+def are_coordinates(values: Float) -> bool:
+    """Say whether coordinates (N, 3) float32 can be metres, for all that are a measurement."""
+    rows = _sample(values)
+    measured = rows[np.isfinite(rows) & (rows != 0)]
+    return int(are_possible(measured).sum()) >= LEAST_POSSIBLE_SHARE * len(measured)
+
+
+def _sample(rows: Float) -> Float:
+    # An odd step meets all columns.
+    return rows[:: len(rows) // SAMPLE | 1]
+
+
+def are_possible(values: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+    """Mark the magnitudes that a measurement may have; 0 and NaN are none."""
+    # A NaN may signal.
+    with np.errstate(invalid="ignore"):
+        magnitudes = np.abs(values)
+        possible: npt.NDArray[np.bool_] = (magnitudes > LEAST) & (magnitudes < MOST)
+    return possible
+
+
+COUNTS = range(3, 17)
+"""Numbers of columns that are told apart."""
+BLOCKS = 32
+"""Places of a file that are looked at, evenly spaced."""
+ROWS = 64
+"""Rows of each that are looked at for their order."""
+VALUES = 128
+"""Values of each that are looked at for their kinds."""
+STEP_DEG = 5.0
+"""Largest difference in azimuth between points that a scanner measured in turn."""
+IN_TURN = 0.6
+"""Least share of such points that shows the rows to be points; in real scans it is 0.8 or more, in
+tables read with another number of columns 0.34 or less."""
+SHARE_OF_LARGEST = 0.6
+"""Share of the largest explained variance at which a number of columns is a possible one: in real
+scans the right one has 0.97 or more, in tables of others 4 has 0.4 or less."""
+LEAST_EXPLAINED, LEAST_EXPLAINED_BY_CHANCE = 0.05, 40
+"""Explained variance below which nothing is said; the second is by the number of values."""
+LEAST_VARIANCE = 0.005
+"""Variance of a property below which it is not looked at."""
+RANGE_LOG10 = 3.0
+"""Magnitudes count up to a factor of a thousand."""
+
+
+def evident_count(values: Float, expected: int) -> int | None:
+    """Return another number of columns than expected that a table evidently has, else None.
+
+    A part of the last row may be missing from its values (M,), row by row.
+    """
+    if len(values) < LEAST_EXPLAINED_BY_CHANCE:
+        return None
+    if _are_in_turn(values, expected):
+        return _padded_count(values, expected)
+    places, properties = _properties(values)
+    explained = {n: _explained(places, properties, n) for n in {*COUNTS, expected}}
+    most = max(explained.values())
+    if most < LEAST_EXPLAINED + LEAST_EXPLAINED_BY_CHANCE / len(places):
+        return None
+    if explained[expected] >= SHARE_OF_LARGEST * most:
+        return None
+    # Of beams in turn, explained variance grows with the number of rows taken for one.
+    in_turn = (n for n in COUNTS if _are_in_turn(values, n))
+    count = next(in_turn, min(n for n in COUNTS if explained[n] >= SHARE_OF_LARGEST * most))
+    return _padded_count(values, count) or count
+
+
+def likely_names(table: Float) -> tuple[str, ...] | None:
+    """Return names to try for the columns of a table (N, C) float32, None if some are no float32.
+
+    The intensity is the first column after the coordinates that varies and is never negative. Of
+    five columns, one of whole numbers beside it tells the beam.
+    """
+    rows = table[:: max(1, len(table) // (BLOCKS * VALUES))]
+    for column in rows.T:
+        values = column[np.isfinite(column) & (column != 0)]
+        if np.count_nonzero(are_possible(values)) < len(values) / 2:
+            return None
+    others = rows[:, 3:]
+    varies = (others != others[:1]).any(axis=0)
+    whole = varies & (others == np.rint(others)).all(axis=0)
+    positive = varies & ~(others < 0).any(axis=0)
+    names = [UNUSED_COLUMN] * others.shape[1]
+    if positive.any():
+        names[int(positive.argmax())] = "intensity"
+    if whole.tolist() == [True, False] and positive[1]:
+        names = ["ring", "intensity"]
+    elif names == ["intensity", UNUSED_COLUMN] and whole[1]:
+        names[1] = "ring"
+    return ("x", "y", "z", *names)
+
+
+def _places(count: int, length: int) -> npt.NDArray[np.intp]:
+    """Return evenly spaced blocks of the indices of so many items, (BLOCKS, length or less)."""
+    length = min(length, count)
+    starts = np.linspace(0, count - length, BLOCKS).astype(np.intp)
+    return starts[:, None] + np.arange(length)
+
+
+def _are_in_turn(values: Float, columns: int) -> bool:
+    """Say whether rows of so many values are points in the order of a scanner's turn.
+
+    Rows without a measurement are left out.
+    """
+    rows = values[: len(values) // columns * columns].reshape(-1, columns)
+    # A NaN may signal.
+    with np.errstate(invalid="ignore"):
+        x, y = (rows[:, axis][_places(len(rows), ROWS)].astype(np.float64) for axis in (0, 1))
+        azimuth = np.degrees(np.arctan2(y, x))
+        measured = np.isfinite(azimuth) & ((x != 0) | (y != 0))
+        # What follows from one block to the next is little.
+        steps = np.abs((np.diff(azimuth[measured]) + 180) % 360 - 180)
+    return int((steps < STEP_DEG).sum()) > IN_TURN * max(1, int(steps.size))
+
+
+def _padded_count(values: Float, columns: int) -> int | None:
+    """Return the number of columns of a table that has only zeros beside the columns expected."""
+    for count in reversed(range(2 * columns, COUNTS.stop, columns)):
+        rows = values[: len(values) // count * count].reshape(-1, count)
+        # A NaN may signal.
+        with np.errstate(invalid="ignore"):
+            sample = rows[_places(len(rows), ROWS)].astype(bool)
+        if not sample[..., columns:].any() and sample.any():
+            return count
+    return None
+
+
+def _properties(values: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+    """Return the places (K,) of a sample of values, and their properties (5, K)."""
+    places = np.unique(_places(len(values), VALUES))
+    with np.errstate(invalid="ignore"):
+        sample = values[places].astype(np.float64)
+    size = np.abs(sample)
+    finite = np.isfinite(size)
+    measured = np.where(finite & (size > 0), size, 1.0)
+    kinds = (sample < 0, sample == 0, finite & (sample != 0) & (sample == np.rint(sample)), ~finite)
+    magnitude = np.where(size > 0, np.clip(np.log10(measured) / RANGE_LOG10, -1, 1), -1)
+    return places, np.stack([*kinds, magnitude]).astype(np.float64)
+
+
+def _explained(
+    places: npt.NDArray[np.intp], properties: npt.NDArray[np.float64], columns: int
+) -> float:
+    """Return the mean share of the properties' variance that lies between columns (adjusted R²)."""
+    index, count = places % columns, len(places)
+    sizes = np.maximum(np.bincount(index, minlength=columns), 1)
+    shares = []
+    for values in properties:
+        total = values.var()
+        if total > LEAST_VARIANCE:
+            means = np.bincount(index, values, columns) / sizes
+            between = float(sizes @ (means - values.mean()) ** 2) / count
+            unexplained = max(0.0, 1 - between / total)
+            shares.append(1 - unexplained * (count - 1) / max(1, count - columns))
+    return float(np.mean(shares)) if shares else 0.0

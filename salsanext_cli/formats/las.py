@@ -4,7 +4,7 @@
 import io
 import logging
 import struct
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ RECORD_BYTES = 54
 COMPRESSED_SUFFIX = ".laz"
 MAX_POINTS_PER_BYTE = 16
 """Largest number of points for a byte of compressed data; of a LiDAR's each takes some bytes."""
-POINTS_PER_PART = 1 << 16
 INTENSITY_RANGE = 65535
 EXACT_INTENSITY = "scalar_intensity"
 """Extra dimension with the intensity as a float, which the standard one rounds to 16 bits."""
@@ -37,16 +36,14 @@ COLOURS = ("red", "green", "blue")
 
 def read_las(path: Path) -> Scan:
     """Read the points of a LAS or LAZ file; 16-bit intensities are divided by 65535."""
-    return scan_of(_read(path, _used_columns), path, 1.0)
+    columns = las_columns(path)
+    intensity = columns.get(EXACT_INTENSITY, columns["intensity"] / np.float32(INTENSITY_RANGE))
+    used = {axis: columns[axis] for axis in "xyz"}
+    return scan_of(used | {"intensity": intensity}, path, 1.0)
 
 
 def las_columns(path: Path) -> Columns:
     """Read all dimensions of a LAS or LAZ file with one value per point, x, y, z in metres."""
-    return _read(path, _all_columns)
-
-
-def _read(path: Path, columns_of: Callable[[Any], Columns]) -> Columns:
-    """Read a file part by part; a function takes the columns from some points."""
     with reading(path) as file, refusing_damage(path, "a whole .las or .laz file"):
         laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
         size = size_of(file)
@@ -64,25 +61,11 @@ def _read(path: Path, columns_of: Callable[[Any], Columns]) -> Columns:
                 room = size * MAX_POINTS_PER_BYTE
             if header.point_count > room:
                 raise ValueError("its header promises more points than it holds")
-            parts = [columns_of(points) for points in reader.chunk_iterator(POINTS_PER_PART)]
-            if sum(len(part["x"]) for part in parts) != header.point_count:
-                raise ValueError("it lacks points")
-    empty = {name: np.empty(0) for name in "xyz"}
-    return {n: np.concatenate([part[n] for part in parts]) for n in parts[0]} if parts else empty
-
-
-def _used_columns(points: Any) -> Columns:
-    """Return coordinates and intensity of some points."""
-    columns = {axis: np.asarray(points[axis], np.float64) for axis in "xyz"}
-    if EXACT_INTENSITY in points.point_format.extra_dimension_names:
-        return columns | {"intensity": np.asarray(points[EXACT_INTENSITY], np.float32)}
-    return columns | {"intensity": np.asarray(points["intensity"]) / np.float32(INTENSITY_RANGE)}
-
-
-def _all_columns(points: Any) -> Columns:
-    """Return everything of some points that is one value for each; X, Y, Z are in metres."""
-    names = [name for name in points.point_format.dimension_names if name not in ("X", "Y", "Z")]
-    columns = {name: np.asarray(points[name]) for name in ("x", "y", "z", *names)}
+            points = reader.read_points(header.point_count)
+        if len(points) != header.point_count:
+            raise ValueError("it lacks points")
+        names = {*header.point_format.dimension_names} - {"X", "Y", "Z"}
+        columns = {name: np.asarray(points[name]) for name in ("x", "y", "z", *names)}
     return {name: values for name, values in columns.items() if values.ndim == 1}
 
 

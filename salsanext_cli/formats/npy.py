@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """`.npy` files, never pickled; those of probabilities and uncertainties hold possible values."""
 
-import io
 import math
 import warnings
 from io import BufferedIOBase
@@ -72,14 +71,6 @@ def _read(path: Path, expected: str) -> npt.NDArray[Any]:
 
 def _words(shape: tuple[int | None, ...]) -> str:
     return f"({', '.join('any' if length is None else str(length) for length in shape)})"
-
-
-def encode_array(array: npt.NDArray[Any]) -> bytes:
-    """Return the content of a `.npy` file."""
-    array = np.ascontiguousarray(array)
-    with io.BytesIO() as file:
-        npy.write_array(file, array, version=(1, 0), allow_pickle=False)
-        return file.getvalue()
 
 
 def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[np.float16]:

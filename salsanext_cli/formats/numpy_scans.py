@@ -11,9 +11,8 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import Columns, scan_of, unnamed_columns
+from salsanext_cli.formats.columns import Columns, unnamed_columns
 from salsanext_cli.formats.npy import load_array
-from salsanext_cli.records import Scan
 
 EXPECTED = "a table (N, columns), or columns x, y, z, of numbers"
 TABLE_NAMES = ("points", "xyz")
@@ -24,18 +23,15 @@ MAX_RATIO = 100
 """Largest size of an archive's content, as a multiple of its own."""
 
 
-def read_npy(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
-    """Read a scan from a `.npy` file: (N, C) numbers, or (N,) records with named fields.
-
-    `columns` name those of a table; none are the usual ones.
-    """
+def npy_columns(path: Path, names: tuple[str, ...]) -> Columns:
+    """Read a `.npy` file: (N, C) numbers of the names or the usual ones, or (N,) named records."""
     with reading(path) as file:
         array = load_array(file, size_of(file), path, EXPECTED)
-    return scan_of(_columns(array, columns, path), path, intensity_scale)
+    return _columns(array, names, path)
 
 
-def read_npz(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
-    """Read a scan from a `.npz` file: columns x, y, z …, or a table and further columns."""
+def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
+    """Read a `.npz` file: columns x, y, z …, or a table as of `npy_columns` and further columns."""
     arrays = {}
     with reading(path) as file, refusing_damage(path, EXPECTED), zipfile.ZipFile(file) as archive:
         if sum(member.file_size for member in archive.infolist()) > MAX_RATIO * size_of(file):
@@ -46,12 +42,12 @@ def read_npz(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: floa
             arrays[name.removesuffix(".npy")] = array
     single = {name: values.ravel() for name, values in arrays.items() if _is_column(values)}
     if not {"x", "y", "z"} <= {name.lower() for name in single}:
-        single |= _columns(_table(arrays, path), columns, path)
+        single |= _columns(_table(arrays, path), names, path)
     counts = sorted({len(values) for values in single.values()})
     if len(counts) > 1:
         found = f"columns of {counts[0]} and of {counts[-1]} points"
         raise FormatError(path, found, "one length")
-    return scan_of(single, path, intensity_scale)
+    return single
 
 
 def _is_column(values: npt.NDArray[Any]) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, MissingDependency
+from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats.columns import Columns
 
@@ -68,6 +69,13 @@ def encode_ply(columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] 
     with io.BytesIO() as buffer:
         plyfile.PlyData([element], text=False, byte_order="<", comments=lines).write(buffer)
         return buffer.getvalue()
+
+
+def write_ply(
+    path: Path, columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] = ()
+) -> None:
+    """Write a `.ply` file of columns and comments as `encode_ply` takes them."""
+    write_bytes(path, encode_ply(columns, comments))
 
 
 def _readable(values: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -13,9 +13,8 @@ from pathlib import Path
 from salsanext_cli.errors import FormatError, NoInputError, UsageError, shortened
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.bags import Bag
-from salsanext_cli.formats.columns import scan_of
+from salsanext_cli.formats.columns import Columns
 from salsanext_cli.formats.ouster import OusterRecording
-from salsanext_cli.records import Scan
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf")
@@ -96,15 +95,14 @@ def _names(times: list[int]) -> list[str]:
     return names
 
 
-def read_recorded(path: Path, intensity_scale: float) -> Scan:
+def recorded_columns(path: Path) -> Columns:
     """Read a scan of a recording, whose path is one of the `recorded_paths`."""
     folder, recording, clouds = _opened(path)
     topic = "/".join(path.parent.relative_to(folder).parts)
     match = NAME.fullmatch(path.name)
     if topic not in clouds or match is None:
         raise FormatError(path, "not there", "a scan that the recording lists")
-    columns = recording.columns(clouds[topic], int(match[1]), int(match[2] or 0), path)
-    return scan_of(columns, path, intensity_scale)
+    return recording.columns(clouds[topic], int(match[1]), int(match[2] or 0), path)
 
 
 def _opened(path: Path) -> tuple[Path, Recording, dict[str, str]]:

@@ -11,9 +11,8 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.reading import reading
-from salsanext_cli.formats.columns import INTENSITY_NAMES, columns_of_width, scan_of
-from salsanext_cli.formats.raw_records import CONTROL, TEXT_BYTES
-from salsanext_cli.records import Scan
+from salsanext_cli.formats.columns import INTENSITY_NAMES, Columns, columns_of_width
+from salsanext_cli.formats.kitti import CONTROL, TEXT_BYTES
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 COMMENT_MARKS = ("#", "//")
@@ -35,18 +34,15 @@ class Layout:
     count: int | None = None  # Number of points, where the first line is nothing else
 
 
-def read_text(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
-    """Read a scan from text, with the names of its columns in a header, a comment or nowhere.
-
-    `columns` name those of a file without names for x, y and z; none are the usual ones.
-    """
+def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
+    """Read coordinates and intensity from text; `names` or the usual ones if it has none itself."""
     with reading(path) as file:
         content = file.read().removeprefix(BYTE_ORDER_MARK)
     if CONTROL.search(content[:TEXT_BYTES]):
         raise FormatError(path, "not text", "a point in each line, in ASCII or UTF-8")
     try:
-        layout = _layout(content, has_names=bool(columns))
-        names = layout.names or columns_of_width(layout.width, columns, path)
+        layout = _layout(content, has_names=bool(names))
+        names = layout.names or columns_of_width(layout.width, names, path)
         used = {name: i for i, name in enumerate(names) if name in USED}
         if len(used) < sum(name in USED for name in names):
             raise ValueError(f"a column twice among {shortened(', '.join(names))}")
@@ -61,7 +57,7 @@ def read_text(path: Path, *, columns: tuple[str, ...] = (), intensity_scale: flo
             expected, remedy = "decimal points", "write the file anew with points"
             raise FormatError(path, f"decimal commas: {number}", expected, remedy) from error
         raise FormatError(path, shortened(str(error)), EXPECTED) from error
-    return scan_of(dict(zip(used, table.T, strict=True)), path, intensity_scale)
+    return dict(zip(used, table.T, strict=True))
 
 
 def _layout(content: bytes, has_names: bool) -> Layout:

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import TrainIds
-from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices
+from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.errors import LabelError, UsageError
 from salsanext_cli.options import KnnParameters
 from salsanext_cli.records import Float, Int, RangeImage

@@ -23,7 +23,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices
+from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.records import CHANNELS, LARGEST, Float, Int, RangeImage, Scan
 from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.errors import LabelError, NoInputError, counted, first_few
 from salsanext_cli.files.reading import is_folder, present
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.label_scalars import (
     READERS,
     LabelIds,
@@ -21,7 +22,6 @@ from salsanext_cli.formats.label_scalars import (
     read_labelled_cloud,
     whole_numbers,
 )
-from salsanext_cli.formats.labels import read_labels
 from salsanext_cli.formats.npy import read_integers
 from salsanext_cli.geometry.label_transfer import (
     TOLERANCE_M,
@@ -38,8 +38,6 @@ MAX_UNMATCHED = 0.01
 """Largest share of the points of a cloud that may be none of the scan's."""
 ROUNDED_M = 0.05
 """Distance up to which coordinates were probably rounded; other scans are farther away."""
-LABELS_ONLY = "labels"
-"""Stands for the scalar of files that hold nothing else."""
 
 
 def find_edited(source: Path) -> list[Path]:
@@ -80,7 +78,7 @@ class ScanNames:
         """Return the scans of some stems, in one sequence if it is named."""
         scans = [scan for stem in stems for scan in self.of_stem.get(stem, ())]
         fitting = [scan for scan in scans if sequence in (None, scan.sequence)]
-        return sorted(fitting, key=lambda scan: (scan.sequence, scan.stem))
+        return sorted(fitting)
 
 
 def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
@@ -99,7 +97,7 @@ def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
     if len(fitting) == 1:
         return fitting[0]
     where = "" if sequence is None else f" in sequence {sequence}"
-    several = first_few([f"{scan.sequence}/{scan.stem}" for scan in fitting])
+    several = first_few([scan.name for scan in fitting])
     raise LabelError(
         path,
         f"may belong to {several}" if fitting else f"belongs to no scan{where}",
@@ -220,7 +218,7 @@ def _of_all_points(path: Path, points: Float) -> LabelledCloud:
             raise LabelError(path, found, f"{expected} of the scan", "use those of this scan")
     else:
         values = read_labels(path, len(points))
-    return LabelledCloud(points, whole_numbers(values, path, "label"), LABELS_ONLY)
+    return LabelledCloud(points, whole_numbers(values, path, "label"), "labels")
 
 
 def _require_same_scan(path: Path, found: LabelTransfer) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import LabelError, OutputError, SalsanextError, counted
+from salsanext_cli.errors import LabelError, SalsanextError, counted
 from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile
@@ -81,11 +81,6 @@ def labels_root(scan: ScanFile) -> Path:
     return data_set_of(scan) or (folder.parent if folder.name == SCAN_FOLDER else folder)
 
 
-def name_of(scan: ScanFile) -> str:
-    """Return sequence and stem of a scan, as records name it."""
-    return f"{scan.sequence}/{scan.stem}"
-
-
 class LabelRecords:
     """Records of the labels of a data set, in its `labels_root`."""
 
@@ -98,11 +93,7 @@ class LabelRecords:
 
     @cached_property
     def _imported(self) -> dict[str, dict[str, Any]]:
-        entries = _table(self.owned.record_path, "scans")
-        if not all(map(_is_entry, entries.values())):
-            remedy = "delete it or use another folder"
-            raise OutputError(self.owned.record_path, f"not what `{STAGE}` writes", remedy=remedy)
-        return entries
+        return _table(self.owned.record_path, "scans")
 
     @cached_property
     def _states(self) -> States:
@@ -110,24 +101,23 @@ class LabelRecords:
 
     def is_guess(self, scan: ScanFile, digest: str) -> bool:
         """Say whether labels with a SHA-256 are those that a network guessed for a scan."""
-        return self._guesses.get(name_of(scan)) == digest
+        return self._guesses.get(scan.name) == digest
 
     def holds_guess(self, scan: ScanFile) -> bool:
         """Say whether the label file of a scan is still the first guess."""
-        if name_of(scan) not in self._guesses or not present(scan.label_path):
+        if scan.name not in self._guesses or not present(scan.label_path):
             return False
         digest = digest_of_file(scan.label_path)
-        confirmed = self._imported.get(name_of(scan), {}).get("sha256") == digest
+        confirmed = self._imported.get(scan.name, {}).get("sha256") == digest
         return self.is_guess(scan, digest) and not confirmed
 
     def is_replaceable(self, scan: ScanFile, edited: Iterable[Path], contradicted: int = 0) -> bool:
         """Say whether the label file of a scan, if there is one, may give way to edited files.
 
-        It may if it is as salsanext wrote it, and was not imported from a file of a name that is
-        not among theirs, which may hold other points, nor from files that contradicted each other
-        in fewer points.
+        It may if it is as salsanext wrote it, and was imported from no file of another name, which
+        may hold other points, nor from files that contradicted each other in fewer points.
         """
-        path, earlier = scan.label_path, self._imported.get(name_of(scan), {"files": []})
+        path, earlier = scan.label_path, self._imported.get(scan.name, {"files": []})
         # Files that are not recorded may be any.
         imported = Counter(Path(file).name for file in earlier.get("files", ["?"]))
         lost = imported - Counter(file.name for file in edited)
@@ -140,7 +130,7 @@ class LabelRecords:
     def write(self, scan: ScanFile, content: bytes, about: Mapping[str, Any]) -> None:
         """Write the imported label file of a scan, and record it and what is known about it."""
         digest = hashlib.sha256(content).hexdigest()
-        self._imported[name_of(scan)] = {"sha256": digest, **about}
+        self._imported[scan.name] = {"sha256": digest, **about}
         scans = dict(sorted(self._imported.items()))
         record = {"stage": STAGE, "version": __version__, "scans": scans}
         # Where this is cut off in between, the label file counts as what it was.
@@ -172,13 +162,6 @@ def digest_of_file(path: Path) -> str:
     """Return the SHA-256 of the content of a file, hexadecimal."""
     with reading(path) as file:
         return hashlib.sha256(file.read()).hexdigest()
-
-
-def _is_entry(value: object) -> bool:
-    if not isinstance(value, dict) or not isinstance(files := value.get("files", []), list):
-        return False
-    is_count = isinstance(value.get("contradicted", 0), int)
-    return is_count and all(isinstance(file, str) for file in files)
 
 
 def _table(path: Path, key: str) -> dict[str, Any]:

@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 import yaml
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import FormatError, OutputError, UsageError, counted
+from salsanext_cli.errors import FormatError, OutputError, UsageError
 from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.kitti import encode_bin
-from salsanext_cli.labelling.label_records import IMPORTED, digest_of_file, name_of
+from salsanext_cli.fusion.poses import CALIBRATION, POSES, line_numbers
+from salsanext_cli.labelling.label_records import IMPORTED, digest_of_file
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.stage_records import require_same_settings
@@ -24,9 +25,7 @@ from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.version import __version__
 
 STAGE = "pick"
-FAILURE_KEYS = ("scan", "reason", "code")
 LABEL_SPACE, TABLE, SHEET = "labels.yaml", "picked.csv", "picked.png"
-POSES, CALIBRATION = "poses.txt", "calib.txt"
 COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
 """Columns of `.bin` files that are copied."""
 
@@ -75,31 +74,19 @@ class PickRecord:
         """Read what `to_dict` returned from a file; `OutputError` if it is something else."""
         try:
             picked = [PickedScan(**row) for row in data["picked"]]
-            failures = [{key: str(row[key]) for key in FAILURE_KEYS} for row in data["failures"]]
-            warnings = [{**row, "scans": [*map(str, row["scans"])]} for row in data["warnings"]]
-            settings, guesses = dict(data["settings"]), dict(data["guesses"])
-            return cls(settings, picked, failures, warnings, guesses)
-        except (TypeError, KeyError, ValueError) as error:
+            failures, warnings = data["failures"], data["warnings"]
+            return cls(data["settings"], picked, failures, warnings, data["guesses"])
+        except (TypeError, KeyError) as error:
             remedy = "delete it or use another folder"
             raise OutputError(path, f"not what `{STAGE}` writes", remedy=remedy) from error
 
 
 def pose_lines(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> bytes:
-    """Return the lines of the wanted ones of all scans of a sequence, sorted stems.
-
-    A file with a line for each scan that is there is in the order of their names; in another one,
-    as KITTI's of a whole drive, a scan's name is the number of its line, from 0.
-    """
+    """Return the lines of the wanted ones of all scans of a sequence, sorted stems."""
     with reading(path) as file:
         lines = [line.strip() for line in file.read().splitlines() if line.strip()]
-    if len(lines) == len(scans):
-        places = [scans.index(name) for name in wanted]
-    else:
-        places = [int(name) if name.isdecimal() else len(lines) for name in wanted]
-    if max(places, default=-1) >= len(lines):
-        expected = f"one for each of {counted(len(scans), 'scan')}, or names that are line numbers"
-        raise FormatError(path, counted(len(lines), "line"), expected)
-    return b"".join(lines[place] + b"\n" for place in places)
+    numbers = line_numbers(path, len(lines), scans, wanted)
+    return b"".join(lines[number] + b"\n" for number in numbers)
 
 
 class ScanPaths(NamedTuple):
@@ -141,7 +128,7 @@ class PickedDataSet(OwnedFolder):
         if (record := self._record()) is None:
             remedy = "run again"
             raise OutputError(self.record_path, "was removed during the run", remedy=remedy)
-        digests = {name_of(file): hashlib.sha256(missing[file]).hexdigest() for file in missing}
+        digests = {file.name: hashlib.sha256(missing[file]).hexdigest() for file in missing}
         guesses = dict(sorted({**record.guesses, **digests}.items()))
         # Recorded first: in a run that is cut off nothing passes for labels of a person.
         self.begin(replace(record, guesses=guesses).to_dict())
@@ -159,24 +146,23 @@ class PickedDataSet(OwnedFolder):
 
     def write_poses(self, scans: Iterable[ScanFile]) -> None:
         """Write poses and calibration of the sequences of picked scans, where they are known."""
-        ordered = sorted(scans, key=lambda scan: (scan.sequence, scan.stem))
+        ordered = sorted(scans)
         for name, group in groupby(ordered, lambda scan: scan.sequence):
             picked, folder = list(group), self.root / "sequences" / name
             source = picked[0].path.parent
-            if source.name == SCAN_FOLDER:
-                self._copy_poses(source, folder / POSES, [scan.stem for scan in picked])
-                if present(source.with_name(CALIBRATION)):
-                    with reading(source.with_name(CALIBRATION)) as file:
-                        self.write_missing(folder / CALIBRATION, file.read())
-
-    def _copy_poses(self, source: Path, target: Path, picked: Sequence[str]) -> None:
-        poses = source.with_name(POSES)
-        if present(poses):
+            if source.name != SCAN_FOLDER:
+                continue
+            poses, calibration = source.with_name(POSES), source.with_name(CALIBRATION)
             try:
-                stems = [scan.stem for scan in find_scans(source)]
-                self.write_missing(target, pose_lines(poses, stems, picked))
+                if present(poses):
+                    stems = [scan.stem for scan in find_scans(source)]
+                    lines = pose_lines(poses, stems, [scan.stem for scan in picked])
+                    self.write_missing(folder / POSES, lines)
             except (FormatError, OutputError) as error:
                 log.warning("%s; poses are left out", error)
+            if present(calibration):
+                with reading(calibration) as file:
+                    self.write_missing(folder / CALIBRATION, file.read())
 
     def is_complete(self, record: PickRecord) -> bool:
         """Say whether all files are there, but for poses and calibration, which may be unknown."""

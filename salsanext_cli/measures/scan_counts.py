@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.errors import LabelError, counted
+from salsanext_cli.errors import LabelError, counted, first_few
 from salsanext_cli.files.reading import present
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_probabilities
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
@@ -102,6 +102,11 @@ class ScanCounts:
             yield f"{self.left_out:,} of {every} {were} trained on: left out of the scores"
         elif self.trained_on:
             yield "every labelled scan was trained on: what the scores are of others is unknown"
+        unknown = {"labels": self.unknown_truth, "predictions": self.unknown_predictions}
+        for what, ids in unknown.items():
+            if ids:
+                listed = first_few([f"{i} ({count:,}×)" for i, count in sorted(ids.items())])
+                yield f"{what}: unknown ids {listed} are taken as unlabelled"
         matrix = self.confusion.counted(space.scored)
         points, right = int(matrix.sum()), int(np.trace(matrix))
         if points >= MIN_JUDGED and right < LEAST_ACCURACY * points:

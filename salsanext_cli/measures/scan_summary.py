@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -15,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
-from salsanext_cli.errors import printable
+from salsanext_cli.errors import first_few
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.scan_checks import (
     MIN_POINTS,
@@ -23,8 +24,8 @@ from salsanext_cli.fitting.scan_checks import (
     Finding,
     ScanCheck,
     ScanTraits,
-    mixed_sensors,
 )
+from salsanext_cli.geometry.network_input import INTENSITY_FACTOR
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.results.owned_folder import Texts
@@ -45,6 +46,14 @@ USUAL = (
     "of the default weights, 0.58 or more is usual in streets: the place, the sensor or its "
     "settings may be others"
 )
+DENSITY_FACTOR = 1.5
+"""Least factor between the numbers of points that two sensors have around an elevation; scans of
+one sensor had up to 1.27, the two most similar sensors 1.77."""
+POINTS_FACTOR = 4.0
+"""The same for all their points, of which the sky leaves more or less."""
+LEAST_SHARE = 0.02
+"""Points around an elevation, as a share of those of the largest scan, up to which they do not
+count."""
 LOOK = "look at them: `salsanext export-ply OUT`"
 log = logging.getLogger(__name__)
 
@@ -91,10 +100,6 @@ def _label_findings(
         yield Finding("low-confidence", found, f"{USUAL}; {LOOK}")
 
 
-def _name(file: ScanFile) -> str:
-    return f"{file.sequence}/{file.stem}"
-
-
 @dataclass(slots=True)
 class RunSummary:
     """Summary of the scans that a run has worked on."""
@@ -124,7 +129,7 @@ class RunSummary:
 
     def add(self, scan: ScanSummary) -> None:
         """Add a scan; say at once what is found for the first time."""
-        self.looked_at.add(_name(scan.file))
+        self.looked_at.add(scan.file.name)
         self.rejected_points += scan.rejected_points
         self.ego_shares.append(scan.check.ego_share)
         for finding in scan.check.findings:
@@ -136,10 +141,10 @@ class RunSummary:
             self.class_points = [a + b for a, b in zip(before, scan.class_points, strict=True)]
 
     def _add(self, file: ScanFile, finding: Finding) -> None:
-        name = _name(file)
+        name = file.name
         if finding.code not in self.findings:
             words = f"{finding.found}; {finding.remedy}"
-            log.warning("%s: %s (%s)", printable(name), words, finding.code)
+            log.warning("%s: %s (%s)", name, words, finding.code)
         self.findings.setdefault(finding.code, []).append((name, finding))
 
     def finished(self, *, selectable: bool = True) -> RunSummary:
@@ -163,7 +168,7 @@ class RunSummary:
                 texts = (finding.code, finding.found, finding.remedy)
                 found.setdefault(name, []).append(texts)
             earlier = run.keep_findings(found, self.looked_at)
-            for name in earlier.keys() & {_name(file) for file in scans if run.is_there(file)}:
+            for name in earlier.keys() & {file.name for file in scans if run.is_there(file)}:
                 for texts in earlier[name]:
                     self.findings.setdefault(texts[0], []).append((name, Finding(*texts)))
 
@@ -191,3 +196,65 @@ class RunSummary:
         shares = {n: c / points for n, c in zip(self.space.names, self.class_points, strict=True)}
         largest = sorted(shares, key=lambda name: -shares[name])[:LARGEST_CLASSES]
         return {name: shares[name] for name in largest if shares[name]}
+
+
+def mixed_sensors(
+    traits: Mapping[ScanFile, ScanTraits], *, selectable: bool = True
+) -> dict[ScanFile, Finding]:
+    """Return the scans of other sensors than most, with the reason.
+
+    Scans differ if a gap of `DENSITY_FACTOR` divides them when all are sorted by one trait; a gap
+    of the other factors for all points and for the intensity. `selectable` says whether the
+    command takes any SCANS.
+    """
+    files = sorted(traits)
+    if len(files) < 2:
+        return {}
+    least = LEAST_SHARE * max(traits[file].points for file in files)
+    below = np.maximum([traits[file].below for file in files], least)
+    points = np.array([traits[file].points for file in files])
+    bright = np.array([traits[file].bright for file in files])
+    columns = [_groups(column, DENSITY_FACTOR) for column in below.T]
+    columns += [_groups(points, POINTS_FACTOR), _groups(bright, INTENSITY_FACTOR)]
+    keys = list(zip(*(column.tolist() for column in columns), strict=True))
+    # Of equally many, those of the first scan.
+    usual = Counter(keys).most_common(1)[0][0]
+    others = [file for file, key in zip(files, keys, strict=True) if key != usual]
+    most = [file for file, key in zip(files, keys, strict=True) if key == usual]
+    remedy = _remedy(others, most, selectable)
+    usual_scan = f"{most[0].name} ({_description(traits[most[0]])})"
+    findings = {}
+    for file in others:
+        own = f"seems to be of another sensor ({_description(traits[file])})"
+        found = f"{own} than the others of the run, such as {usual_scan}"
+        findings[file] = Finding("mixed-sensors", found, remedy)
+    return findings
+
+
+def _groups(values: npt.NDArray[Any], factor: float) -> npt.NDArray[np.int64]:
+    """Return the numbers (F,) of the groups of values that gaps of a factor divide, from 0.
+
+    A value of 0 is unknown and in the first group.
+    """
+    groups = np.zeros(len(values), np.int64)
+    known = np.flatnonzero(values > 0)
+    order = known[np.argsort(values[known], kind="stable")]
+    gaps = values[order][1:] > factor * values[order][:-1]
+    groups[order[1:]] = np.cumsum(gaps)
+    return groups
+
+
+def _remedy(others: Sequence[ScanFile], most: Sequence[ScanFile], selectable: bool) -> str:
+    """Return what divides a run, if whole sequences do, else other advice."""
+    sequences = [sorted({file.sequence for file in files}) for files in (others, most)]
+    if not selectable or {*sequences[0]} & {*sequences[1]}:
+        return "put the scans of each sensor into a folder of their own"
+    apart = " and ".join(first_few(names) for names in sequences)
+    # A selection from the whole data set would be fitted to all of it.
+    return f"give {apart} as SCANS of their own, such as {most[0].path.parent}"
+
+
+def _description(traits: ScanTraits) -> str:
+    view = f"{traits.fov_up:+.0f}° to {traits.fov_down:+.0f}°"
+    bright = f", intensities to {traits.bright:.2g}" if traits.bright else ""
+    return f"{traits.points:,} points, {view}{bright}"

@@ -34,11 +34,9 @@ class Unit(nn.Sequential):
         )
 
 
-class Shortcut(nn.Sequential):
-    """1×1 convolution → LeakyReLU."""
-
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__(nn.Conv2d(inputs, outputs, 1), nn.LeakyReLU(SLOPE))
+def shortcut(inputs: int, outputs: int) -> nn.Sequential:
+    """Return 1×1 convolution → LeakyReLU: (B, in, H, W) → (B, out, H, W)."""
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 1), nn.LeakyReLU(SLOPE))
 
 
 class ContextBlock(nn.Module):
@@ -46,14 +44,14 @@ class ContextBlock(nn.Module):
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
-        self.shortcut = Shortcut(inputs, outputs)
+        self.shortcut = shortcut(inputs, outputs)
         self.local = Unit(outputs, outputs, 3)
         self.dilated = Unit(outputs, outputs, 3, dilation=2)
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, in, H, W) to (B, out, H, W)."""
-        shortcut = self.shortcut(x)
-        context: Tensor = shortcut + self.dilated(self.local(shortcut))
+        features = self.shortcut(x)
+        context: Tensor = features + self.dilated(self.local(features))
         return context
 
 
@@ -62,7 +60,7 @@ class PlainContextBlock(nn.Module):
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
-        self.shortcut = Shortcut(inputs, outputs)
+        self.shortcut = shortcut(inputs, outputs)
         self.local = UnitChain(inputs, outputs, 2)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -103,7 +101,7 @@ class ResidualBlock(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, stack: Stack = DilatedStack) -> None:
         super().__init__()
-        self.shortcut = Shortcut(inputs, outputs)
+        self.shortcut = shortcut(inputs, outputs)
         self.stack = stack(inputs, outputs)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -112,26 +110,19 @@ class ResidualBlock(nn.Module):
         return features
 
 
-class Down(nn.Sequential):
-    """Channel dropout → 3×3 average pooling, stride 2: (B, C, H, W) → (B, C, H/2, W/2)."""
-
-    def __init__(self, dropout: float) -> None:
-        super().__init__(ChannelDropout(dropout), nn.AvgPool2d(3, stride=2, padding=1))
+def average_pooling(_: int, dropout: float) -> nn.Sequential:
+    """Return channel dropout → 3×3 average pooling: (B, C, H, W) → (B, C, H/2, W/2)."""
+    return nn.Sequential(ChannelDropout(dropout), nn.AvgPool2d(3, stride=2, padding=1))
 
 
-class StridedDown(nn.Sequential):
-    """Channel dropout → 3×3 convolution, stride 2: (B, C, H, W) → (B, C, H/2, W/2)."""
-
-    def __init__(self, channels: int, dropout: float) -> None:
-        convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
-        super().__init__(ChannelDropout(dropout), convolution)
+def strided_convolution(channels: int, dropout: float) -> nn.Sequential:
+    """Return channel dropout → 3×3 convolution: (B, C, H, W) → (B, C, H/2, W/2)."""
+    convolution = nn.Conv2d(channels, channels, 3, stride=2, padding=1)
+    return nn.Sequential(ChannelDropout(dropout), convolution)
 
 
 class ReplicatingConvTranspose2d(nn.ConvTranspose2d):
-    """Transposed 3×3 convolution ×2 of the paper's first version.
-
-    The convolution makes (2H − 1, 2W − 1) of (H, W); its last row and column are repeated.
-    """
+    """Transposed 3×3 convolution, (H, W) to (2H − 1, 2W − 1), last row and column repeated."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(inputs, outputs, 3, stride=2, padding=1)
@@ -141,25 +132,31 @@ class ReplicatingConvTranspose2d(nn.ConvTranspose2d):
         return F.pad(super().forward(x, output_size), (0, 1, 0, 1), mode="replicate")
 
 
-class TransposedUnit(nn.Sequential):
-    """Transposed convolution ×2 → LeakyReLU → batch norm: (B, in, H, W) → (B, out, 2H, 2W)."""
-
-    def __init__(self, convolution: nn.ConvTranspose2d) -> None:
-        norm = nn.BatchNorm2d(convolution.out_channels)
-        super().__init__(convolution, nn.LeakyReLU(SLOPE), norm)
+def transposed_unit(convolution: nn.ConvTranspose2d) -> nn.Sequential:
+    """Return convolution → LeakyReLU → batch norm: (B, in, H, W) → (B, out, 2H, 2W)."""
+    norm = nn.BatchNorm2d(convolution.out_channels)
+    return nn.Sequential(convolution, nn.LeakyReLU(SLOPE), norm)
 
 
 class UpBlock(nn.Module):
-    """Upsample ×2, concatenate the skip connection, fuse; channel dropout around each.
+    """Upsample ×2, concatenate or add the skip connection, fuse; channel dropout around each.
 
-    `upsampling`: (B, in, H, W) to (B, upsampled, 2H, 2W); `joined`, `outputs`: channels after the
-    concatenation, and of the block; `stack`: factory of the layers that fuse; `dropout`: rate.
+    `upsampling`: (B, in, H, W) to (B, upsampled, 2H, 2W); `joined`: channels with the skip
+    connection; `stack`: factory of the layers that fuse.
     """
 
     def __init__(
-        self, upsampling: nn.Module, joined: int, outputs: int, stack: Stack, dropout: float
+        self,
+        upsampling: nn.Module,
+        joined: int,
+        outputs: int,
+        stack: Stack,
+        dropout: float,
+        *,
+        adds: bool = False,
     ) -> None:
         super().__init__()
+        self.adds = adds
         # The attributes' names are those in weights files.
         self.raising = upsampling
         self.dropout_raised = ChannelDropout(dropout)
@@ -169,21 +166,10 @@ class UpBlock(nn.Module):
 
     def forward(self, x: Tensor, skip: Tensor) -> Tensor:
         """Map (B, in, H, W) and (B, skip, 2H, 2W) to (B, out, 2H, 2W)."""
-        joined = self.join(self.dropout_raised(self.raising(x)), skip)
+        upsampled = self.dropout_raised(self.raising(x))
+        joined = upsampled + skip if self.adds else torch.cat((upsampled, skip), dim=1)
         fused: Tensor = self.dropout_fused(self.stack(self.dropout_joined(joined)))
         return fused
-
-    def join(self, upsampled: Tensor, skip: Tensor) -> Tensor:
-        """Concatenate."""
-        return torch.cat((upsampled, skip), dim=1)
-
-
-class AddingUpBlock(UpBlock):
-    """Up block that adds the skip connection, which has as many channels."""
-
-    def join(self, upsampled: Tensor, skip: Tensor) -> Tensor:
-        """Add."""
-        return upsampled + skip
 
 
 def pixel_shuffle(inputs: int, skip: int, outputs: int, stack: Stack, dropout: float) -> UpBlock:
@@ -195,17 +181,17 @@ def concatenating_2x2(
     inputs: int, skip: int, outputs: int, stack: Stack, dropout: float
 ) -> UpBlock:
     """Return an up block of a transposed convolution of kernel 2×2 and a concatenation."""
-    unit = TransposedUnit(nn.ConvTranspose2d(inputs, inputs, 2, 2))
+    unit = transposed_unit(nn.ConvTranspose2d(inputs, inputs, 2, 2))
     return UpBlock(unit, inputs + skip, outputs, stack, dropout)
 
 
 def adding_3x3(inputs: int, skip: int, outputs: int, stack: Stack, dropout: float) -> UpBlock:
     """Return an up block of a transposed convolution of kernel 3×3 and an addition."""
-    unit = TransposedUnit(nn.ConvTranspose2d(inputs, skip, 3, 2, padding=1, output_padding=1))
-    return AddingUpBlock(unit, skip, outputs, stack, dropout)
+    unit = transposed_unit(nn.ConvTranspose2d(inputs, skip, 3, 2, padding=1, output_padding=1))
+    return UpBlock(unit, skip, outputs, stack, dropout, adds=True)
 
 
 def replicating_3x3(inputs: int, skip: int, outputs: int, stack: Stack, dropout: float) -> UpBlock:
     """Return an up block as `adding_3x3` does, the last row and column repeated."""
-    unit = TransposedUnit(ReplicatingConvTranspose2d(inputs, skip))
-    return AddingUpBlock(unit, skip, outputs, stack, dropout)
+    unit = transposed_unit(ReplicatingConvTranspose2d(inputs, skip))
+    return UpBlock(unit, skip, outputs, stack, dropout, adds=True)

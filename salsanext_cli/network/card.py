@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -31,30 +31,24 @@ TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
 TEMPERATURES = (1e-3, 1e3)
 """Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
 ONNX_SUFFIX = ".onnx"
-COUNT_DIGITS, HASH_DIGITS = 8, 16
+DIGITS = 24
 """Hexadecimal digits of a digest: by chance, two of 20 000 scans agree once in 10¹¹ cases."""
-DIGITS = COUNT_DIGITS + HASH_DIGITS
 
 
 def scan_digest(scan: Scan) -> str:
     """Return the digest of a scan: of the number of its points, then of their coordinates."""
     of_points = hashlib.sha256(np.ascontiguousarray(scan.points).data).hexdigest()
-    return f"{len(scan):0{COUNT_DIGITS}x}{of_points[:HASH_DIGITS]}"
+    return f"{len(scan):08x}{of_points}"[:DIGITS]
 
 
 def is_among(digests: Collection[str], count: int, read: Callable[[], Scan]) -> bool:
     """Return whether digests name a scan of so many points; it is read only where it may be one."""
-    start = f"{count:0{COUNT_DIGITS}x}"
-    return any(digest.startswith(start) for digest in digests) and scan_digest(read()) in digests
-
-
-def joined(digests: Iterable[str]) -> str:
-    """Return digests as one text: those of SemanticKITTI's training take 459 kB."""
-    return "".join(digests)
+    some = any(digest.startswith(f"{count:08x}") for digest in digests)
+    return some and scan_digest(read()) in digests
 
 
 def parted(text: object) -> list[str]:
-    """Return the digests of a text as `joined` returns it; anything else raises `ValueError`."""
+    """Return the digests that make up a text; anything else raises `ValueError`."""
     if not isinstance(text, str) or not re.fullmatch(f"([0-9a-f]{{{DIGITS}}})*", text):
         raise ValueError("no digests of scans")
     return [text[i : i + DIGITS] for i in range(0, len(text), DIGITS)]
@@ -87,10 +81,7 @@ class WeightsCard:
         return shortened(start[:1].lower() + start[1:])
 
     def changed(self, done: str) -> WeightsCard:
-        """Return the card of weights changed by what a sentence says.
-
-        Their scores are unknown, and a model of their errors was fitted to what they were.
-        """
+        """Return the card of changed weights, by a sentence: without scores and error model."""
         description = f"{self.description} {done}".lstrip()
         return replace(self, scores={}, error=None, description=description)
 
@@ -110,7 +101,7 @@ class WeightsCard:
         if self.error:
             values["error"] = self.error.to_dict()
         if self.trained_on:
-            values["trained_on"] = joined(sorted(self.trained_on))
+            values["trained_on"] = "".join(sorted(self.trained_on))
         return {KEY: json.dumps(values)}
 
     @classmethod

@@ -19,8 +19,7 @@ _DRAW: ContextVar[Draw | None] = ContextVar("_DRAW", default=None)
 class ChannelDropout(nn.Module):
     """Drop whole channels with probability `rate`, scaling the rest by 1/(1 - rate).
 
-    In training mode the masks come from torch's global generator, inside `sampling` from what it
-    is given.
+    Masks come from torch's global generator in training mode, inside `sampling` from its function.
     """
 
     def __init__(self, rate: float) -> None:
@@ -52,10 +51,7 @@ def require_dropout(module: nn.Module) -> float:
 
 
 def drawn(generators: Sequence[torch.Generator]) -> Draw:
-    """Return a function that draws masks: of each Monte-Carlo pass from its own generator.
-
-    They are drawn on the CPU, so that a pass depends neither on the device nor on the others.
-    """
+    """Return a function that draws the masks of each Monte-Carlo pass by its own CPU generator."""
 
     def draw(channels: int, rate: float) -> Tensor:
         draws = torch.stack([torch.rand(channels, generator=g) for g in generators])

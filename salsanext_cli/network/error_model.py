@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices
+from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.records import Float
 
 BLOCK = 256

@@ -74,10 +74,7 @@ def _entry(content: bytes) -> tuple[dict[int, str], dict[int, int]]:
 
 
 def _fields(file: BinaryIO, end: int) -> Iterator[tuple[int, int, int]]:
-    """Yield the number of each field, its value if that is a number, and its length in bytes.
-
-    The caller reads these bytes, or passes over them.
-    """
+    """Yield each field's number, value if it is a number, and length of what is to be read."""
     for _ in range(MAX_FIELDS):
         if file.tell() == end:
             return

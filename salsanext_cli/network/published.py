@@ -56,8 +56,7 @@ STAND_INS: dict[str, Any] = {"collections.defaultdict": lambda *_: {}}
 def read_published(path: Path) -> dict[str, Tensor]:
     """Read the tensors of a published checkpoint under the names that our SalsaNext gives them.
 
-    It is what ``torch.save`` wrote: a dictionary with ``state_dict``, or the state dictionary
-    itself, its keys with or without the prefix ``module.``.
+    It is a dictionary with ``state_dict``, or that itself; keys may have the prefix ``module.``.
     """
     checkpoint = _read_torch_file(path)
     state = checkpoint.get("state_dict", checkpoint) if isinstance(checkpoint, dict) else None
@@ -85,10 +84,9 @@ def our_name(key: str, source: object = "checkpoint") -> str:
 
 
 def _read_torch_file(path: Path) -> Any:
-    """Return what was given to `torch.save`, on the CPU, by torch's own reader of weights only.
+    """Return what was given to `torch.save`; classes that torch refuses are read as `Ignored`.
 
-    That refuses classes that it does not know, which checkpoints hold beside their tensors; they
-    are read as `Ignored`. Nothing that a file names is ever called.
+    Nothing that a file names is ever called.
     """
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise WeightsError(path, "neither a file nor a link to one", "a file of torch.save")

@@ -62,14 +62,13 @@ class UpStage(nn.Sequential):
 class RangeNet53(SegmentationNetwork):
     """A Darknet53 that keeps the height of the image; 50 377 364 parameters with 20 classes.
 
-    `class_count` includes the unlabelled class 0; `dropout`: rate of the channel dropout after
-    every stage and before the logits; `width`: channels of the stem, doubled by every stage.
+    `width`: channels of the stem, doubled by every stage.
     """
 
     stride = (1, 2 ** len(DEPTHS))
 
     def __init__(self, class_count: int = 20, dropout: float = 0.01, width: int = 32) -> None:
-        super().__init__(class_count)
+        super().__init__()
         widths = [width * 2**level for level in range(len(DEPTHS))]
         self.stem = NormedUnit(len(CHANNELS), width, 3)
         self.stages = nn.ModuleList(map(Stage, widths, DEPTHS))
@@ -78,10 +77,9 @@ class RangeNet53(SegmentationNetwork):
         self.logits = nn.Conv2d(width, class_count, 3, padding=1)
 
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:
-        """Compute everything before the first dropout: the same for every Monte-Carlo pass.
+        """Compute the features of stem and first stage, (B, 32, H, W) and (B, 64, H, W/2).
 
-        Takes (B, 5, H, W) with W divisible by 32; returns the features of stem and first stage,
-        (B, 32, H, W) and (B, 64, H, W/2).
+        Of (B, 5, H, W) with W divisible by 32.
         """
         stem: Tensor = self.stem(image)
         return stem, self.stages[0](stem)

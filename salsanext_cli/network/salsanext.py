@@ -12,21 +12,8 @@ from itertools import pairwise
 
 from torch import Tensor, nn
 
-from salsanext_cli.network.blocks import (
-    ContextBlock,
-    DilatedStack,
-    Down,
-    PlainContextBlock,
-    ResidualBlock,
-    Stack,
-    StridedDown,
-    UnitChain,
-    UpBlock,
-    adding_3x3,
-    concatenating_2x2,
-    pixel_shuffle,
-    replicating_3x3,
-)
+from salsanext_cli.network import blocks
+from salsanext_cli.network.blocks import DilatedStack, Stack, UnitChain
 from salsanext_cli.network.dropout import ChannelDropout
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import CHANNELS
@@ -47,7 +34,7 @@ class Design:
     pooling: Callable[[int, float], nn.Module]
     # Factory of the decoder's blocks: from channels of the input, of the skip connection and of the
     # output, `fusing`, and dropout rate
-    up_block: Callable[[int, int, int, Stack, float], UpBlock]
+    up_block: Callable[[int, int, int, Stack, float], blocks.UpBlock]
     # Channels of the decoder's blocks, from above the bottom to the finest level
     decoder_widths: tuple[int, ...]
     fusing: Stack  # Factory of the layers that fuse the joined channels in the decoder's blocks
@@ -58,90 +45,74 @@ SALSANET = Design(
     context=(),
     widths=(32, 64, 128, 256, 256),
     stack=partial(UnitChain, length=2),
-    pooling=StridedDown,
-    up_block=adding_3x3,
+    pooling=blocks.strided_convolution,
+    up_block=blocks.adding_3x3,
     decoder_widths=(256, 128, 64, 32),
     fusing=partial(UnitChain, length=3),
     central=False,
 )
-SALSANET_CONTEXT = replace(SALSANET, context=3 * (ContextBlock,))
+SALSANET_CONTEXT = replace(SALSANET, context=3 * (blocks.ContextBlock,))
 SALSANET_DROPOUT = replace(SALSANET_CONTEXT, central=True)
-SALSANET_POOLING = replace(SALSANET_DROPOUT, pooling=lambda _, dropout: Down(dropout))
+SALSANET_POOLING = replace(SALSANET_DROPOUT, pooling=blocks.average_pooling)
 SALSANET_DILATED = replace(
     SALSANET_POOLING,
     widths=(64, 128, 256, 256, 256),
     stack=DilatedStack,
-    up_block=concatenating_2x2,
+    up_block=blocks.concatenating_2x2,
     fusing=DilatedStack,
 )
 """The paper does not say how its decoder is widened. Of the readings that keep its channels, this
 is the nearest in parameters: transposed convolutions of 2×2 that keep the number of channels, the
 skip connection concatenated, as with the pixel shuffle."""
-SALSANEXT = replace(SALSANET_DILATED, up_block=pixel_shuffle, decoder_widths=(128, 128, 64, 32))
+SALSANEXT = replace(
+    SALSANET_DILATED, up_block=blocks.pixel_shuffle, decoder_widths=(128, 128, 64, 32)
+)
 
 V1_LAYERS = replace(
     SALSANET,
     widths=(32, 64, 128, 256, 512, 512),
-    up_block=replicating_3x3,
+    up_block=blocks.replicating_3x3,
     decoder_widths=(512, 256, 128, 64, 32),
 )
-V1_CONTEXT = replace(V1_LAYERS, context=(PlainContextBlock,))
+V1_CONTEXT = replace(V1_LAYERS, context=(blocks.PlainContextBlock,))
 V1_DROPOUT = replace(V1_CONTEXT, central=True)
-V1_POOLING = replace(V1_DROPOUT, pooling=lambda _, dropout: Down(dropout))
+V1_POOLING = replace(V1_DROPOUT, pooling=blocks.average_pooling)
 
 
 class SalsaNext(SegmentationNetwork):
-    """An encoder and a decoder; by default the second version, 6 711 572 parameters.
-
-    `class_count` includes the unlabelled class 0; `dropout`: rate of the channel dropout, 0 ≤ rate
-    < 1; the paper trains with 0.2.
-    """
+    """An encoder and a decoder; by default the second version, 6 711 572 parameters."""
 
     def __init__(
         self, class_count: int = 20, dropout: float = 0.2, design: Design = SALSANEXT
     ) -> None:
-        super().__init__(class_count)
+        super().__init__()
         self.levels = len(design.decoder_widths)
         self.stride = (2**self.levels, 2**self.levels)
         # Blocks before the first dropout.
         self.trunk_blocks = 2 if design.central else 1
         # In this order, so that a seed goes on giving the weights that it gave.
-        width = self._add_context(design)
-        width = self._add_encoder(design, width, dropout)
-        width = self._add_decoder(design, width, dropout)
-        self.logits = nn.Conv2d(width, class_count, 1)
-
-    def _add_context(self, design: Design) -> int:
         widths = [len(CHANNELS), *(CONTEXT_WIDTH for _ in design.context)]
-        blocks = zip(design.context, pairwise(widths), strict=True)
-        self.context = nn.Sequential(*(make(*channels) for make, channels in blocks))
-        return widths[-1]
-
-    def _add_encoder(self, design: Design, width: int, dropout: float) -> int:
-        widths = (width, *design.widths)
-        for number, channels in enumerate(pairwise(widths), 1):
-            self.add_module(f"block{number}", ResidualBlock(*channels, design.stack))
+        contexts = zip(design.context, pairwise(widths), strict=True)
+        self.context = nn.Sequential(*(make(*channels) for make, channels in contexts))
+        for number, channels in enumerate(pairwise((widths[-1], *design.widths)), 1):
+            self.add_module(f"block{number}", blocks.ResidualBlock(*channels, design.stack))
         for number, outputs in enumerate(design.widths[:-1], 1):
             rate = dropout if number >= self.trunk_blocks else 0.0
             self.add_module(f"down{number}", design.pooling(outputs, rate))
         self.bottom = ChannelDropout(dropout)
-        return widths[-1]
-
-    def _add_decoder(self, design: Design, width: int, dropout: float) -> int:
-        skips = reversed(design.widths[:-1])
+        width, skips = design.widths[-1], reversed(design.widths[:-1])
         for number, (skip, outputs) in enumerate(zip(skips, design.decoder_widths, strict=True), 1):
             rate = 0.0 if design.central and number == self.levels else dropout
-            block = design.up_block(width, skip, outputs, design.fusing, rate)
-            self.add_module(f"up{number}", block)
+            up_block = design.up_block(width, skip, outputs, design.fusing, rate)
+            self.add_module(f"up{number}", up_block)
             width = outputs
-        return width
+        self.logits = nn.Conv2d(width, class_count, 1)
 
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:
-        """Compute everything before the first dropout: the same for every Monte-Carlo pass.
+        """Compute the features of the first block and, if level 1 has no dropout, of the second.
 
-        Takes (B, 5, H, W) with H and W divisible by `stride`; returns the features of the first
-        block and, where the first level has no dropout, of the second: of the paper's second
-        version (B, 64, H, W) and (B, 128, H/2, W/2).
+        Of (B, 5, H, W), H and W divisible by `stride`: in the paper's second version (B, 64, H, W)
+        and (B, 128, H/2, W/2).
         """
         features = [self._block(1, self.context(image))]
         if self.trunk_blocks == 2:

@@ -8,25 +8,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-MAX_CLASSES = 255
-"""Train ids of one byte, but for one that means "unknown"."""
-
 
 class SegmentationNetwork(nn.Module):
     """Base class of networks in two parts: `trunk`, up to the first dropout, and the `rest`.
 
-    The rest ends with the layer `logits`, which takes what `decoded` returns. All are written for
-    tensors of sizes that `stride` divides, and with functions of torch only, so that Gaussians can
-    take the place of tensors.
+    The rest ends with the layer `logits`, which takes what `decoded` returns. Sizes are multiples
+    of `stride`; only functions of torch are used, so that Gaussians can take the tensors' place.
     """
 
     stride: tuple[int, int]  # (int, int): divisors of height and width at the coarsest level
     logits: nn.Conv2d  # The last layer
-
-    def __init__(self, class_count: int) -> None:
-        super().__init__()
-        if not 1 <= class_count <= MAX_CLASSES:
-            raise ValueError(f"1 to {MAX_CLASSES} classes, not {class_count}")
 
     @abstractmethod
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:

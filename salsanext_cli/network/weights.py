@@ -36,15 +36,14 @@ def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool
 def save_with_card(
     source: Path, target: Path, card: WeightsCard, replaced: Mapping[str, Tensor] = {}
 ) -> None:
-    """Write a weights file as `with_card` says."""
+    """Write a weights file with another card, bit for bit but for the tensors replaced."""
     write_bytes(target, with_card(source, card, replaced), durable=True)
 
 
 def with_card(source: Path, card: WeightsCard, replaced: Mapping[str, Tensor] = {}) -> bytes:
-    """Return a weights file with another card, bit for bit but for the tensors replaced."""
+    """Return the content of a weights file as `save_with_card` writes it."""
     tensors = {**safetensors.torch.load_file(source), **replaced}
-    content: bytes = safetensors.torch.save(tensors, card.to_metadata())
-    return content
+    return safetensors.torch.save(tensors, card.to_metadata())
 
 
 def _stored(name: str, tensor: Tensor, half: bool) -> Tensor:

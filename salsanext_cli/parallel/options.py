@@ -1,22 +1,31 @@
 # SPDX-License-Identifier: MIT
 """Options of a run over scans: workers, backend, shard, errors, progress."""
 
+import logging
+import os
+import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import NOTICE, UsageError
 from salsanext_cli.options import option, option_group
-from salsanext_cli.parallel.shards import Shard
+
+if TYPE_CHECKING:
+    from salsanext_cli.results.layout import ScanFile
 
 BACKENDS = ("loky", "threading", "dask", "ray")
 CLUSTERS = ("dask", "ray")
 """Backends whose workers may be on other machines."""
 Progress = Callable[[int, int], None]
 """Called with the number of scans done and the number of scans to do."""
+SLURM_PREFIX = "SLURM_ARRAY_TASK_"
+
+log = logging.getLogger(__name__)
 
 
 def cores() -> int:
@@ -70,6 +79,73 @@ def threads_of_workers(count: int) -> Iterator[None]:
             torch.set_num_threads(of_torch)
         if numba:
             numba.config.NUMBA_NUM_THREADS = of_kernels
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """Share of the scans that a run works on."""
+
+    number: int = 1  # From 1 to `count`
+    count: int = 1  # Number of shards
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.number <= self.count:
+            raise UsageError("--shard", str(self), "i/n with i from 1 to n")
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+    @classmethod
+    def parse(cls, text: str) -> "Shard":
+        """Read ``i/n``, counted from 1."""
+        found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
+        if not found:
+            raise UsageError("--shard", repr(text), "i/n, such as 1/8")
+        return cls(int(found[1]), int(found[2]))
+
+    @classmethod
+    def asked_for(cls, text: str | None) -> "Shard":
+        """Read ``i/n``; without it, return the share of this task of a Slurm array, else all."""
+        if text is not None:
+            return cls.parse(text)
+        if (of_array := cls.of_slurm(os.environ)) is None:
+            return cls()
+        log.log(NOTICE, "shard %s of the scans, as this is a task of a Slurm array", of_array)
+        return of_array
+
+    @classmethod
+    def of_slurm(cls, environment: Mapping[str, str]) -> "Shard | None":
+        """Return the shard of a task of a Slurm array, None outside of one.
+
+        Arrays begin where their user likes, at 0 or 1, and may count in steps.
+        """
+        names = [SLURM_PREFIX + name for name in ("ID", "MIN", "COUNT")]
+        if any(name not in environment for name in names):
+            return None
+        texts = (*map(environment.__getitem__, names), environment.get(SLURM_PREFIX + "STEP", "1"))
+        digits = re.compile(r"\d{1,9}", re.ASCII)
+        number, least, count, step = (int(t) if digits.fullmatch(t) else -1 for t in texts)
+        index, rest = divmod(number - least, max(1, step))
+        if rest or min(number, least, step) < 0 or not 0 <= index < count:
+            raise UsageError(
+                f"{names[0]}={texts[0]}",
+                f"an array of {texts[2]} tasks from {texts[1]} in steps of {texts[3]}",
+                "numbers without gaps",
+                "say which share with --shard i/n",
+            )
+        return cls(index + 1, count)
+
+    def of(self, scans: "Sequence[ScanFile]") -> "list[ScanFile]":
+        """Return this shard's scans, neighbours of each other, in order of sequence and stem.
+
+        All shards together have every scan once, and differ in size by one at most, if all are
+        given the same scans, in any order.
+        """
+        if self.count == 1:
+            return list(scans)
+        ordered = sorted(scans)
+        start, stop = (len(ordered) * n // self.count for n in (self.number - 1, self.number))
+        return ordered[start:stop]
 
 
 running_option = partial(option, "Running")

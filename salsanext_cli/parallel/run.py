@@ -1,38 +1,52 @@
 # SPDX-License-Identifier: MIT
-"""Run of one task over many scans: some done already, some in parallel, some failing."""
+"""Run of one task over many scans: some done already, some in parallel, some failing.
+
+A task that needs a network loads it once per worker, and goes scan by scan or in batches.
+"""
 
 import logging
 import signal
 import time
 import warnings
-from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext, suppress
+from contextvars import copy_context
+from dataclasses import dataclass, field, replace
 from functools import partial
+from inspect import isgeneratorfunction
+from itertools import groupby, islice, pairwise
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from salsanext_cli.errors import WorkersLost, first_few
+from salsanext_cli.engines.device import MAX_BATCH_PIXELS, choose_device
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.errors import FormatError, SalsanextError, WorkersLost, first_few, out_of_memory
 from salsanext_cli.files.atomic import MARK
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.options import CLUSTERS, Progress, RunOptions
-from salsanext_cli.parallel.shards import Chunk, chunks
 from salsanext_cli.parallel.worker import (
     WORKER,
     Attempt,
+    AttemptFunction,
+    Chunk,
     Task,
     WorkerContext,
     WorkerPool,
     attempt_chunk,
     local_pool,
+    one_by_one,
     opened,
+    own_device,
     signals_blocked,
 )
+from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.selection import MissingResults
 
-__all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
+__all__ = ["Failure", "NetworkTask", "Outcome", "Progress", "RunOptions", "Steps", "run_over_scans"]
 
 HARMLESS_WARNINGS = (
     # Who stops a run knows that it has been stopped.
@@ -41,6 +55,16 @@ HARMLESS_WARNINGS = (
     "A worker stopped while some jobs were given",
 )
 """Warnings of joblib that say nothing to a user; raised as errors, they would stop its threads."""
+
+MAX_CHUNK_SCANS = 16
+"""Bound of the work that is lost with a worker, and of the scans between signs of progress."""
+MIN_CHUNKS_PER_WORKER = 4
+"""Lower bound, so that the last chunks end at about the same time."""
+MAX_BATCH_SCANS = 16
+"""Scans computed together on a GPU; as many as a worker is sent together."""
+
+Steps = Generator[Any, Any, Any]
+"""Work on a scan: yields when the scan is read, when its results are computed, and the result."""
 
 log = logging.getLogger(__name__)
 
@@ -95,7 +119,7 @@ def run_over_scans(
     try:
         with closing(_attempts(task, todo, options)) as attempts:
             for scan, result, error in attempts:
-                log.info("%s/%s: %s", scan.sequence, scan.stem, error or "done")
+                log.info("%s: %s", scan.name, error or "done")
                 if error is None:
                     on_result(result)
                 elif options.on_error == "stop":
@@ -112,11 +136,11 @@ def run_over_scans(
         for failure in failures:
             log.error("%s", failure.reason)
         left = [scan for scan in todo if scan not in tried and not is_done(scan)]
-        names = first_few([f"{scan.sequence}/{scan.stem}" for scan in left])
+        names = first_few([scan.name for scan in left])
         found = f"{lost.found}; {len(left)} of {len(todo)} scans are missing: {names}"
         remedy = f"{lost.remedy}; run again for the rest"
         raise WorkersLost(lost.subject, found, lost.expected, remedy) from lost
-    failures.sort(key=lambda failure: (failure.scan.sequence, failure.scan.stem))
+    failures.sort(key=lambda failure: failure.scan)
     skipped, done = len(mine) - len(todo), len(todo) - len(failures)
     return Outcome(skipped, tuple(failures), done, seconds=time.monotonic() - start)
 
@@ -153,6 +177,22 @@ def _attempts(
                 WORKER.end(context.run)
 
 
+def chunks(scans: Sequence[ScanFile], workers: int) -> list[Chunk]:
+    """Cut scans into chunks, in order; each holds neighbours of one sequence.
+
+    They have at most `MAX_CHUNK_SCANS` scans, and those of a sequence differ by one at most; each
+    worker has at least `MIN_CHUNKS_PER_WORKER` if there are so many scans.
+    """
+    size = max(1, min(MAX_CHUNK_SCANS, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
+    cut: list[Chunk] = []
+    for _, group in groupby(scans, key=lambda scan: scan.sequence):
+        run = tuple(group)
+        parts = -(-len(run) // size)
+        borders = [len(run) * part // parts for part in range(parts + 1)]
+        cut += [run[start:stop] for start, stop in pairwise(borders)]
+    return cut
+
+
 def _of_chunks(
     attempt: Callable[[Chunk], list[Attempt]],
     cut: Iterable[Chunk],
@@ -178,3 +218,148 @@ def _of_chunks(
             "memory for all of them",
             "use fewer jobs",
         ) from error
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkTask:
+    """Function of a scan and a network."""
+
+    # Takes a scan file and a network; picklable. It returns the result or yields `Steps`, which
+    # overlap on a CPU
+    function: Callable[[ScanFile, Network], Any]
+    settings: NetworkSettings  # Resolved: what the workers load
+    # The same, loaded in this process; it is not sent to others
+    network: Network | None = field(default=None, compare=False)
+    # Whether it yields the range image when that is read, and takes the softmax that is sent in
+    takes_softmax: bool = False
+    # Scans computed together; by default one on a CPU, as many as keep it busy on a GPU
+    batch: int | None = None
+
+    def open(self) -> AttemptFunction:
+        """Load the network, unless it is there, and decide between one by one and batches."""
+        network = self.network or _loaded(self.settings)
+        on_cpu, in_steps = network.device == "cpu", isgeneratorfunction(self.function)
+        pixels = network.sensor.height * network.sensor.width
+        usual = 1 if on_cpu else max(1, min(MAX_BATCH_SCANS, MAX_BATCH_PIXELS // pixels))
+        size = self.batch or usual
+
+        def steps(file: ScanFile) -> Steps:
+            with named_if_too_large(file, network):
+                if in_steps:
+                    yield from self.function(file, network)
+                else:
+                    yield self.function(file, network)
+
+        if self.takes_softmax and not (on_cpu and size == 1):
+            return partial(in_batches, steps, network, size)
+        if in_steps and on_cpu:
+            return partial(overlapping, steps)
+        return partial(one_by_one, lambda file: [*steps(file)][-1])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return NetworkTask, (self.function, self.settings, None, self.takes_softmax, self.batch)
+
+
+def _loaded(settings: NetworkSettings) -> Network:
+    """Load the network of this process, on a GPU of its own if it is a worker."""
+    device = choose_device(settings.device)
+    if device != "cpu":
+        import torch
+
+        device = own_device(settings.device, torch.cuda.device_count())
+    return replace(settings, device=device).load()
+
+
+@contextmanager
+def named_if_too_large(file: ScanFile, network: Network) -> Iterator[None]:
+    """Turn memory that runs out into an error of one scan."""
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        if not out_of_memory(error):
+            raise
+        found = f"is too large for the memory of {network.device}"
+        raise FormatError(file.path, found, remedy="use --device cpu") from error
+
+
+def _step(file: ScanFile, steps: Steps, softmax: Float | None = None) -> Attempt:
+    """Attempt the next step of a scan, into which a softmax may be sent."""
+    try:
+        return file, steps.send(softmax), None
+    except SalsanextError as error:
+        return file, None, error
+
+
+def in_batches(
+    begin: Callable[[ScanFile], Steps], network: Network, size: int, files: Iterable[ScanFile]
+) -> Iterator[Attempt]:
+    """Attempt so many scans at a time, their softmax computed together if there is memory for it.
+
+    `begin`: returns the steps of a scan, which takes its softmax and computes it without.
+    """
+    waiting = iter(files)
+    while batch := tuple(islice(waiting, size)):
+        begun, images = [], []
+        for file in batch:
+            steps = begin(file)
+            _, image, error = _step(file, steps)
+            if error:
+                yield file, None, error
+            else:
+                begun.append((file, steps))
+                images.append(image.channels)
+        softmax: Sequence[Float | None] = [None] * len(begun)
+        with suppress(MemoryError):
+            softmax = network.pixel_probabilities(images)
+        for (file, steps), of_image in zip(begun, softmax, strict=True):
+            computed = _step(file, steps, of_image)
+            yield computed if computed[2] else _step(file, steps)
+
+
+def overlapping(begin: Callable[[ScanFile], Steps], files: Iterable[ScanFile]) -> Iterator[Attempt]:
+    """Attempt scans in order; while one is computed, a thread writes the last and reads the next.
+
+    `begin`: returns the steps of a scan, of which the second is done in this thread.
+    """
+    pool = ThreadPoolExecutor(1, "salsanext-files")
+    waiting = iter(files)
+
+    def beside(file: ScanFile, steps: Steps) -> Future[Attempt]:
+        return pool.submit(copy_context().run, _step, file, steps)
+
+    def read_next() -> tuple[Steps, Future[Attempt]] | None:
+        if (file := next(waiting, None)) is None:
+            return None
+        steps = begin(file)
+        return steps, beside(file, steps)
+
+    try:
+        ahead, last = read_next(), None
+        while ahead:
+            steps, reading = ahead
+            try:
+                file, _, error = reading.result()
+                ahead = read_next()
+                if error is None:
+                    file, _, error = _step(file, steps)
+            except Exception:
+                # A bug at this scan comes after what has become of the one before.
+                if last:
+                    yield last.result()
+                raise
+            except BaseException:
+                # No error may hide an interrupt, but the scan before may have its results.
+                if last and last.exception() is None and last.result()[2] is None:
+                    yield last.result()
+                raise
+            if last:
+                yield last.result()
+            if error is None:
+                last = beside(file, steps)
+            else:
+                last = Future()
+                last.set_result((file, None, error))
+        if last:
+            yield last.result()
+    finally:
+        pool.shutdown(cancel_futures=True)

@@ -21,7 +21,6 @@ from typing import Any, Protocol, runtime_checkable
 from salsanext_cli.errors import OutputError, SalsanextError
 from salsanext_cli.files.atomic import MARK
 from salsanext_cli.parallel.options import RunOptions, cores, threads_of_workers, use_threads
-from salsanext_cli.parallel.shards import Chunk
 from salsanext_cli.results.layout import ScanFile
 
 CHUNKS_IN_FLIGHT = 2
@@ -30,6 +29,8 @@ POLL_INTERVAL_S = 1.0
 THREAD_TIMEOUT_S = 10.0
 """Time for an idle thread of joblib's to end."""
 
+Chunk = tuple[ScanFile, ...]
+"""Scans that a worker is sent together."""
 Attempt = tuple[ScanFile, Any, SalsanextError | None]
 """A scan, its result, and the error if there is none."""
 AttemptFunction = Callable[[Iterable[ScanFile]], Iterator[Attempt]]

@@ -62,15 +62,7 @@ OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)
 """Colours of points that are not judged, right and wrong, (3, 3)."""
 CLASS_COLOURS = ("label", "truth", "wrong")
 COLOURS = (*COLOURINGS, "uncertainty")
-"""Colourings of points; "uncertainty" is the error, else the entropy."""
-
-
-def error_colours(
-    truth: npt.NDArray[Any], predicted: npt.NDArray[Any], space: LabelSpace
-) -> Colours:
-    """Return `RIGHT`, `WRONG`, or `EMPTY` where the truth is ignored, (…, 3), of train ids."""
-    colours: Colours = OUTCOMES[np.where(space.scored[truth], 1 + (truth != predicted), 0)]
-    return colours
+"""Colourings of points; "uncertainty" is what `ResultFolder.meant_uncertainty` says."""
 
 
 def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
@@ -264,20 +256,16 @@ class PointColours:
     dark: bool = False  # Whether they are seen on `EMPTY`, and not in a file for other tools
 
     @property
-    def is_class(self) -> bool:
-        """True if points are coloured by class, without a scale."""
-        return self.colour in CLASS_COLOURS
-
-    @property
     def legend(self) -> str:
         """One line with the meaning of the colours."""
-        low, high = self.scale
-        return self.colour if self.is_class else f"{self.colour} {COLOUR_MAP} {low:.6g} {high:.6g}"
+        if self.colour in CLASS_COLOURS:
+            return self.colour
+        return f"{self.colour} {COLOUR_MAP} {self.scale[0]:.6g} {self.scale[1]:.6g}"
 
     def of_points(self, columns: Mapping[str, npt.NDArray[Any]]) -> Colours:
         """Return red, green and blue of every point, (N, 3), from its `scalar_columns`."""
         colours: Colours
-        if not self.is_class:
+        if self.colour not in CLASS_COLOURS:
             of_files = None if self.dark else map_colours(COLOUR_MAP)
             return value_colours(columns[self.colour], *self.scale, of_files)
         if self.colour == "wrong":

@@ -104,7 +104,7 @@ def picked_scans(
         file, nearest, distance = files[choice.scan], None, None
         if choice.nearest is not None:
             before, distance = files[choice.nearest], choice.distance
-            nearest = f"{before.sequence}/{before.stem}"
+            nearest = before.name
         why = reason(choice, rank, strategy, len(files), nearest)
         of_choice = (choice.uncertainty, distance, nearest, why)
         picked.append(PickedScan(rank, file.sequence, file.stem, *of_choice))

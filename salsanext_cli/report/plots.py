@@ -59,6 +59,8 @@ LINES = {
     "aleatoric": (ORANGE, "-"),
     "total": (RED, "-"),
     "entropy": (GREEN, "-"),
+    "least_confidence": (SKY, "-"),
+    "disagreement": (PURPLE, DASHED),
 }
 """Colour and dashes of each kind of uncertainty."""
 PLOT_PX = 720, 560

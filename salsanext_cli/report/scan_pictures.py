@@ -13,7 +13,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import counted, printable
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import in_sensor_frame, pixels_from_points, project
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.report import canvas
@@ -21,11 +21,11 @@ from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import (
     EMPTY,
     OUTCOME_LEGEND,
+    OUTCOMES,
     Colours,
     Legend,
     PointColours,
     Scales,
-    error_colours,
     legend_of,
     map_on_dark,
     screen_colours,
@@ -67,6 +67,8 @@ TITLES = {
     "total": "total uncertainty",
     "entropy": "uncertainty: entropy of the classes",
     "mutual_information": "uncertainty: mutual information",
+    "least_confidence": "uncertainty: 1 − the largest probability",
+    "disagreement": "disagreement: share of the views against the label",
 }
 UNITS = {"range": "m", "entropy": "nats", "mutual_information": "nats"}
 
@@ -250,8 +252,9 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     image = project(scan, sensor)
     labels = network.labels(image, network.probabilities(image))
     of_classes = screen_colours(space)
+    outcomes = OUTCOMES[np.where(space.scored[truth], 1 + (truth != labels), 0)]
     strips = [_range_picture(image)]
-    for colours in (of_classes[truth], of_classes[labels], error_colours(truth, labels, space)):
+    for colours in (of_classes[truth], of_classes[labels], outcomes):
         strips.append(pixels_from_points(colours, image.point_of_pixel, EMPTY))
     gap = np.full((SAMPLE_GAP_PX, sensor.width, 3), 255, np.uint8)
     rows = [part for s in strips for part in (gap, s.repeat(SAMPLE_ROW_PX, axis=0))][1:]

@@ -25,12 +25,19 @@ OWN_TABLES = {
     "picked.csv": b"rank,sequence,scan,",
 }
 """Tables that `eval`, `train` and `pick` write, and how their first line but a comment begins."""
-LABELLING_STAGES = ("predict", "knn-refine", "uncertainty")
+LABELLING_STAGES = ("predict", "knn-refine", "uncertainty", "fuse")
 """The stages whose results later ones read."""
-UNCERTAINTY = ("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information")
+UNCERTAINTY = (
+    *("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information"),
+    *("least_confidence", "disagreement"),
+)
 """The kinds of uncertainty that stages may have written; "error" is a probability."""
 ERROR = "uncertainty/error"
 """Folder of the probability that a label is wrong."""
+LEAST_CONFIDENCE = "uncertainty/least_confidence"
+"""Folder of 1 − the largest probability, which `predict` always writes."""
+DISAGREEMENT = "uncertainty/disagreement"
+"""Folder of the share of a place's views that is against the label, which `fuse` writes."""
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values that point clouds may be coloured by."""
 SUFFIX_OF_FOLDER = {
@@ -39,6 +46,8 @@ SUFFIX_OF_FOLDER = {
     "pixel_labels": ".npy",
     "predictions": ".label",
     "probabilities": ".npy",
+    "votes": ".npy",
+    "views": ".npy",
     **{f"uncertainty/{kind}": ".npy" for kind in UNCERTAINTY},
     "pictures": ".png",
     "ply": ".ply",
@@ -93,13 +102,18 @@ def _nothing_in(source: Path, others: list[Path]) -> NoInputError:
     return NoInputError(source, found, f"{expected}, or a recording")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, order=True)
 class ScanFile:
-    """One scan on disk."""
+    """One scan on disk; sorted by sequence and stem."""
 
     sequence: str  # Name of the sequence it belongs to
     stem: str  # File name without suffix; unique within the sequence
     path: Path  # The file, absolute; of a scan in a recording, the recording with topic and time
+
+    @property
+    def name(self) -> str:
+        """Sequence and stem, ``08/000000``, as records and messages name the scan."""
+        return f"{self.sequence}/{self.stem}"
 
     @property
     def label_path(self) -> Path:
@@ -128,8 +142,7 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
                 f"one of {', '.join(SCAN_SUFFIXES)}",
                 "convert it to .ply or .las, with CloudCompare or PDAL for example",
             )
-        found = _scans_of(_absolute(source))
-        scans = sorted(found, key=lambda scan: (scan.sequence, scan.stem, scan.path.name))
+        scans = sorted(_scans_of(_absolute(source)))
         others = names_in(source) if not scans and source.is_dir() else []
     except OSError as error:
         raise NoInputError(source, reason(error), "a scan or a folder of scans") from error
@@ -233,11 +246,11 @@ def _number(sequence: str) -> int | None:
 
 
 def _require_unique_stems(scans: list[ScanFile]) -> None:
-    for (sequence, stem), group in groupby(scans, lambda scan: (scan.sequence, scan.stem)):
+    for name, group in groupby(scans, lambda scan: scan.name):
         paths = [scan.path for scan in group]
         if len(paths) > 1:
             raise OutputError(
-                f"{sequence}/{stem}",
+                name,
                 f"{len(paths)} scans of that name: {', '.join(map(str, paths))}",
                 "one, so that results do not overwrite each other",
                 "move or rename the others",

@@ -1,20 +1,22 @@
 # SPDX-License-Identifier: MIT
 """The owner of an output folder, in which several stages leave results of the same scans."""
 
+import io
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
+from numpy.lib import format as npy
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import OutputError, shortened
 from salsanext_cli.files.reading import filled
-from salsanext_cli.formats.labels import encode_labels
-from salsanext_cli.formats.npy import encode_array
-from salsanext_cli.results.layout import ERROR, ScanFile, find_outputs, output_path
+from salsanext_cli.formats.kitti import encode_labels
+from salsanext_cli.results.layout import DISAGREEMENT, ERROR, ScanFile, find_outputs, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.stage_records import (
     MAX_PATH_CHARACTERS,
@@ -80,6 +82,8 @@ class OutputRun(OwnedFolder):
         before = recorded or StageRecord(self.stage, wanted.settings)
         same = before.settings == wanted.settings
         others = [each for each in known.values() if {*each.folders} & {*wanted.folders}]
+        if "predictions" in wanted.folders and not same and "fuse" in known:
+            others.append(known["fuse"])
         if not self.overwrite:
             require_same_settings(self.record_path, before.settings, wanted.settings)
             for other in others:
@@ -113,9 +117,9 @@ class OutputRun(OwnedFolder):
     def _take_over(self, other: StageRecord, folders: Collection[str]) -> list[Path]:
         """Remove the results of another stage from folders, which are this stage's from now on.
 
-        With its labels go the probabilities that these are wrong.
+        With labels goes what is known against them.
         """
-        taken = {*folders, ERROR} if "predictions" in folders else {*folders}
+        taken = {*folders, ERROR, DISAGREEMENT, "views"} if "predictions" in folders else {*folders}
         kept = self._remove_results(name for name in other.folders if name in taken)
         left = tuple(name for name in other.folders if name not in taken)
         replace(other, folders=left).write(self.root)
@@ -136,6 +140,14 @@ class OutputRun(OwnedFolder):
         """Remove results that are as salsanext wrote them; return the others."""
         found = [path for f in folders for path in find_outputs(self.root, f).values()]
         return self.remove_own(found)
+
+
+def encode_array(array: npt.NDArray[Any]) -> bytes:
+    """Return the content of a `.npy` file."""
+    array = np.ascontiguousarray(array)
+    with io.BytesIO() as file:
+        npy.write_array(file, array, version=(1, 0), allow_pickle=False)
+        return file.getvalue()
 
 
 def _merged(recorded: StageRecord, wanted: StageRecord) -> StageRecord:

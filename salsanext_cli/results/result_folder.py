@@ -16,7 +16,7 @@ from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.errors import NoInputError, counted, first_few, shortened
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats import read_scan, scan_suffix
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_uncertainty
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
@@ -49,7 +49,8 @@ FOLDER_OF_COLUMN = {
     **{kind: f"uncertainty/{kind}" for kind in UNCERTAINTY},
 }
 """Folders of what is known about the points of scans, by column; others are in no folder."""
-FOLDERS = tuple(dict.fromkeys(FOLDER_OF_COLUMN.values()))
+FOLDERS = ("predictions", *(f"uncertainty/{k}" for k in UNCERTAINTY if k != "least_confidence"))
+"""Folders of which one makes a scan one with results; `predict` writes the confidence too."""
 UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
 """Settings of `uncertainty` that an evaluation records."""
 DATASET_VARIABLE = "SALSANEXT_DATASET"
@@ -298,7 +299,8 @@ class ResultFolder(StageRecords):
         """Return the error that says what is missing for a column, and where it would be."""
         if column in ("truth", "wrong") and not present(file.label_path):
             return NoInputError(file.path, "has no labels", str(file.label_path))
-        stage = "uncertainty" if column in UNCERTAINTY else "predict"
+        by_predict = column not in UNCERTAINTY or column == "least_confidence"
+        stage = "predict" if by_predict else "uncertainty"
         remedy = f"run `salsanext {stage} SCANS {self.root}` first"
         if column == "error":
             remedy = (
@@ -311,13 +313,25 @@ class ResultFolder(StageRecords):
         return output_path(self.root, file.sequence, FOLDER_OF_COLUMN[column], file.stem)
 
     def meant_uncertainty(self, scans: Sequence[ScanFile]) -> str:
-        """Return what "uncertainty" means: the error where all scans have it, else entropy."""
-        return "error" if len(self.with_column("error", scans)) == len(scans) else "entropy"
+        """Return what "uncertainty" means.
+
+        The error where all scans have it, else the entropy, of scans without any the least
+        confidence.
+        """
+        if len(self.with_column("error", scans)) == len(scans):
+            return "error"
+        kinds = (
+            kind
+            for kind in ("entropy", "disagreement", "least_confidence")
+            if self.with_column(kind, scans)
+        )
+        return next(kinds, "entropy")
 
 
 def read_kind(path: Path, kind: str, count: int | None) -> Float:
     """Read one kind of uncertainty of a scan's points, as `read_uncertainty`."""
-    return read_uncertainty(path, count, 1.0 if kind == "error" else math.inf)
+    is_probability = kind in ("error", "least_confidence", "disagreement")
+    return read_uncertainty(path, count, 1.0 if is_probability else math.inf)
 
 
 def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
@@ -351,7 +365,7 @@ def _scans_named_themselves(source: ScanSource, known: Container[str]) -> list[S
 def _missing(
     scans: Iterable[ScanFile], sources: Sequence[Mapping[str, ScanSource]]
 ) -> MissingResults:
-    listed = sorted(scans, key=lambda scan: (scan.sequence, scan.stem))
+    listed = sorted(scans)
 
     def is_asked_for(scan: ScanFile) -> bool:
         recorded = [of_stage[scan.sequence] for of_stage in sources if scan.sequence in of_stage]

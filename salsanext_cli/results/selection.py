@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -47,9 +47,13 @@ class MissingResults:
     def log_error(self, count: int, what: str) -> None:
         """Log how many of so many scans lack what they should have."""
         if self.scans:
-            first = self.scans[0]
-            message = "%d of %d scans have no %s and are left out, the first is %s/%s"
-            log.error(message, len(self.scans), count, what, first.sequence, first.stem)
+            message = "%d of %d scans have no %s and are left out, the first is %s"
+            log.error(message, len(self.scans), count, what, self.scans[0].name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        missing = [str(scan.path) for scan in self.scans]
+        return {"missing": missing, "not_asked_for": self.not_asked_for}
 
 
 def scans_of(source: Path) -> list[ScanFile]:

@@ -53,17 +53,11 @@ UP = (0.0, 0.0, 1.0)
 ORIGIN = (0.0, 0.0, 0.0)
 FITTED_NAME = "fitted"
 """Name of a sensor whose view or mounting was found from scans."""
-OPTIONAL = {
-    "columns": (),
-    "up": UP,
-    "origin": ORIGIN,
-    "intensity_quantiles": (),
-    "beams": (),
-    "row_gaps": None,
-    "min_range": None,
-    "ego_box": None,
-}
-"""Defaults of fields that are written only where a sensor has another value."""
+OPTIONAL = (
+    *("columns", "up", "origin", "intensity_quantiles", "beams"),
+    *("row_gaps", "min_range", "ego_box"),
+)
+"""Fields that are written only where a sensor has another value than their default."""
 NUMBERS = ("fov_up", "fov_down", "height", "width", "intensity_scale")
 LISTS = ("means", "stds")
 
@@ -143,15 +137,11 @@ class Sensor:
         ):
             raise UsageError(f"sensor {shortened(self.name)}", found, expected)
 
-    @property
-    def knows_noise(self) -> bool:
-        """True if both noises are known."""
-        return self.range_noise is not None and self.intensity_noise is not None
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain data that `from_dict` accepts, without the defaults of `OPTIONAL`."""
         values = asdict(self)
-        usual = [key for key, default in OPTIONAL.items() if values[key] == default]
+        optional = [each for each in fields(self) if each.name in OPTIONAL]
+        usual = [each.name for each in optional if values[each.name] == each.default]
         return {key: value for key, value in values.items() if key not in usual}
 
     @classmethod

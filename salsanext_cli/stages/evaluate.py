@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import LabelError, NoInputError, counted, escaped, first_few
+from salsanext_cli.errors import LabelError, NoInputError, counted, escaped
 from salsanext_cli.files.json_files import encode_json
 from salsanext_cli.files.reading import present
 from salsanext_cli.labelling.label_records import require_truth
@@ -72,8 +72,7 @@ class Evaluation:
             "scans": self.scans,
             "trained_on": self.trained_on,
             "on_training_scans": self.on_training_scans,
-            "missing": [str(scan.path) for scan in self.missing.scans],
-            "not_asked_for": self.missing.not_asked_for,
+            **self.missing.to_dict(),
             "failures": [failure.to_dict() for failure in self.failures],
             "unknown_ids": self.unknown_ids,
             "scores": self.scores.to_dict(),
@@ -141,7 +140,8 @@ def evaluate(
     )
     for text in counts.label_warnings(space):
         log.warning("%s", text)
-    _warn(evaluation)
+    compared = evaluation.scans + len(evaluation.failures) + len(counts.missing)
+    evaluation.missing.log_error(compared, "predictions")
     files = _files(evaluation)
     absent = [path for path in own_files if path.name not in files]
     OwnedFolder(out).replace({out / name: content for name, content in files.items()}, absent)
@@ -171,15 +171,6 @@ def _no_input(counts: ScanCounts, out: Path, failures: Sequence[Failure]) -> NoI
         "files like sequences/08/predictions/000000.label",
         "run `salsanext predict` first, or say where they are: salsanext eval OUT",
     )
-
-
-def _warn(evaluation: Evaluation) -> None:
-    for where, key in (("labels", "truth"), ("predictions", "predictions")):
-        if ids := evaluation.unknown_ids[key]:
-            listed = first_few([f"{i} ({count:,}×)" for i, count in ids.items()])
-            log.warning("%s: unknown ids %s are taken as unlabelled", where, listed)
-    scans = evaluation.scans + len(evaluation.failures) + len(evaluation.missing.scans)
-    evaluation.missing.log_error(scans + evaluation.missing.not_asked_for, "predictions")
 
 
 def _files(evaluation: Evaluation) -> dict[str, bytes]:

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.engines.device import openvino_core
-from salsanext_cli.engines.graphs import Graph
 from salsanext_cli.engines.loading import network_of_module, read_onnx
-from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.network import Graph, Network
 from salsanext_cli.engines.onnx_export import difference, exported, quantised
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import UsageError, counted
@@ -108,7 +107,7 @@ def _int8(model: Any, network: Network, scans: list[ScanFile]) -> tuple[bytes, f
         full, short = (compute(image)[0][0].argmax(0) for compute in graphs)
         equal += int((full == short)[occupied].sum())
         points += int(occupied.sum())
-        log.info("%s/%s: done", file.sequence, file.stem)
+        log.info("%s: done", file.name)
     return content, equal / max(points, 1)
 
 

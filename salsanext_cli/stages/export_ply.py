@@ -9,20 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, UsageError
 from salsanext_cli.formats.label_scalars import PREFIX
 from salsanext_cli.formats.las import asprs_class, classification, encode_las, import_laspy
 from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
-from salsanext_cli.results.layout import LABELLING_STAGES, UNCERTAINTY, ScanFile
+from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
-from salsanext_cli.stages.uncertainty import estimate_missing
 
 FORMATS = ("ply", "las", "laz")
 
@@ -77,7 +75,7 @@ def export_ply(
     form: str = "ply",
     dataset: Path | None = None,
     space: LabelSpace | None = None,
-    network: NetworkSettings = NetworkSettings(),
+    classes: LabelSpace | None = None,
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
@@ -88,9 +86,8 @@ def export_ply(
 
     `colour`: one of `COLOURS`; `scale`: values at the ends of the colour map, the same for all
     scans, otherwise what most points of the first scans span; `max_error`: points whose error, 0…1,
-    is above it are written as unlabelled; `form`: of `FORMATS`; `network`: what to sample scans
-    with whose uncertainty is asked for but was not computed yet, and the classes into which those
-    of labels and predictions are merged.
+    is above it are written as unlabelled; `form`: of `FORMATS`; `space`, `classes`: as for
+    `ResultFolder.predicted`.
     """
     results = ResultFolder(out, dataset)
     require_colouring([colour], scale)
@@ -100,13 +97,12 @@ def export_ply(
         raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
     if form != "ply":
         import_laspy(f"--format {form}", compressed=form == "laz")
-    chosen = results.chosen(selection, space, network.classes)
+    chosen = results.chosen(selection, space, classes)
     scans, space = chosen.scans, chosen.space
     if max_error is not None:
         results.require_column("error", scans)
-    unestimated: dict[ScanFile, Failure] = {}
-    if colour in ("uncertainty", *UNCERTAINTY):
-        colour, unestimated = estimate_missing(out, scans, colour, network, options)
+    if colour == "uncertainty":
+        colour = results.meant_uncertainty(scans)
     results.require_column(colour, scans)
     sensor = results.sensor()
     stage, folder = _place(out, colour, form)
@@ -132,14 +128,13 @@ def export_ply(
         record_scans=False,
     ) as output:
         task = partial(export_scan, colours=colours, sensor=sensor, form=form, output=output)
-        task = partial(task, classes=network.classes, labels=chosen.labels, max_error=max_error)
+        task = partial(task, classes=classes, labels=chosen.labels, max_error=max_error)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=rejected.append
         )
     log.log(NOTICE, "coloured by %s: %s", colour, out / "sequences/*" / folder)
-    failures = tuple(unestimated.get(failure.scan, failure) for failure in outcome.failures)
     total = None if max_error is None else sum(rejected)
-    return replace(outcome, failures=failures, missing=chosen.missing, rejected_points=total)
+    return replace(outcome, missing=chosen.missing, rejected_points=total)
 
 
 def _place(out: Path, colour: str, form: str) -> tuple[str, str]:

@@ -122,4 +122,4 @@ def _text(file: ScanFile, columns: Columns, colourings: Mapping[str, PointColour
         f"- {colouring.legend}" if name in columns else f"- no {name}"
         for name, colouring in colourings.items()
     ]
-    return "\n".join([printable(f"# {file.sequence}/{file.stem}"), "", *lines])
+    return "\n".join([printable(f"# {file.name}"), "", *lines])

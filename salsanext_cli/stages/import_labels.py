@@ -23,8 +23,8 @@ from salsanext_cli.errors import (
 )
 from salsanext_cli.files.reading import is_folder
 from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.formats.label_scalars import LabelIds
-from salsanext_cli.formats.labels import encode_labels
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.labelling.edited_files import (
     FileLabels,
@@ -40,7 +40,6 @@ from salsanext_cli.labelling.label_records import (
     LabelRecords,
     first_guesses,
     labels_root,
-    name_of,
 )
 from salsanext_cli.parallel.options import Progress
 from salsanext_cli.results.layout import ScanFile, find_scans
@@ -98,7 +97,7 @@ def import_labels(
         remedy = "save the corrected labels; to take the guess as it is, name its file"
         raise NoInputError(edited, text, "edited labels", remedy)
     found.kept = len(scans) - len(of_scan)
-    found.first_guesses = [name_of(scan) for scan in first_guesses(scans)]
+    found.first_guesses = [scan.name for scan in first_guesses(scans)]
     return found
 
 
@@ -180,7 +179,7 @@ class _Work:
         if labels.contradicted:
             points_of = counted(labels.contradicted, "point")
             text = "%s: %s left unlabelled, of different labels in %s"
-            log.warning(text, name_of(scan), points_of, first_few([*edited]))
+            log.warning(text, scan.name, points_of, first_few([*edited]))
         by_these = records.is_replaceable(scan, paths, labels.contradicted)
         kept = [*paths] != [scan.label_path] and not by_these
         if kept and not self.overwrite:
@@ -188,7 +187,7 @@ class _Work:
             return
         about = {"files": [*map(str, edited)], "points": len(points), **labels.numbers()}
         records.write(scan, encode_labels(labels.raw), about)
-        found.scans.append({"scan": name_of(scan), **about})
+        found.scans.append({"scan": scan.name, **about})
         train = space.to_train(labels.raw, strict=False)
         found.class_points += np.bincount(train, minlength=space.class_count)
 

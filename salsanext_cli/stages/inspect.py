@@ -14,7 +14,7 @@ from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.scan_fit import EGO, ScanSample
 from salsanext_cli.fitting.view_fit import fit_beams, fit_view
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import project, without_ego
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.measures.survey import Survey, survey

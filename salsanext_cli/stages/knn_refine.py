@@ -9,7 +9,7 @@ from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, NoInputError, UsageError, counted
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import pixels_from_points, project

@@ -16,8 +16,7 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, NoInputError, counted
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
-from salsanext_cli.formats.labels import encode_labels
-from salsanext_cli.labelling.label_records import name_of
+from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.picked_data_set import (
     SHEET,
     STAGE,
@@ -29,8 +28,7 @@ from salsanext_cli.labelling.picked_data_set import (
 from salsanext_cli.labelling.scan_choice import choose_scans, require_choice
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.parallel.network_task import NetworkTask
-from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
+from salsanext_cli.parallel.run import Failure, NetworkTask, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.picked import (
     Preview,
     picked_cloud,
@@ -121,16 +119,16 @@ def pick(
     space = space_of(found, loaded.space)
     chosen = choose(found, replace(selection, limit=None), space, source)
     scans = evenly_spaced(chosen, selection.limit or 0)
-    known = {name_of(scan) for path in labelled for scan in find_scans(path)}
-    done = {scan for scan in scans if name_of(scan) in known}
+    known = {scan.name for path in labelled for scan in find_scans(path)}
+    done = {scan for scan in scans if scan.name in known}
     if len(done) == len(scans):
         raise NoInputError(source, "every scan is labelled already", "others to pick")
     with data_set.open():
         loaded = fit_scans(network, loaded, ScanSample(found, loaded.sensor))
-        how = {"strategy": strategy, "count": count, "seed": seed, "scans": _digest(scans)}
+        choice = {"strategy": strategy, "count": count, "seed": seed, "scans": _digest(scans)}
         if labelled:
-            how["labelled"] = _digest(sorted(done, key=name_of))
-        settings = as_json(how | {"samples": SAMPLES} | network.record(loaded))
+            choice["labelled"] = _digest(sorted(done))
+        settings = as_json(choice | {"samples": SAMPLES} | network.record(loaded))
         record = data_set.earlier(settings, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
             outcome = Outcome(len(record.picked), _failures(record, scans), 0)
@@ -156,7 +154,7 @@ def pick(
 
 def _digest(scans: Sequence[ScanFile]) -> str:
     """Return the number of scans and a digest of their names and places."""
-    names = "\n".join(f"{scan.sequence}/{scan.stem} {scan.path}" for scan in scans)
+    names = "\n".join(f"{scan.name} {scan.path}" for scan in scans)
     digest = hashlib.sha256(names.encode("utf-8", "surrogateescape")).hexdigest()
     return f"{len(scans)}, {digest[:16]}"
 
@@ -197,10 +195,10 @@ def _written(
     space: LabelSpace,
 ) -> Outcome:
     """Write what is missing of a data set of picked scans."""
-    files, guesses = {name_of(scan): scan for scan in scans}, dict[str, Guess]()
+    files, guesses = {scan.name: scan for scan in scans}, dict[str, Guess]()
 
     def keep(guess: Guess) -> None:
-        guesses[name_of(guess.file)] = guess
+        guesses[guess.file.name] = guess
 
     picked = [files[each.name] for each in record.picked if each.name in files]
     outcome = run_over_scans(task, picked, options, on_result=keep)

@@ -54,8 +54,7 @@ def picture_scan(
             raise ResultFolder(output.root).missing_column(colour, file)
     views = colours or known_views(columns)
     strips = colours or [colour for colour in COLOURINGS if colour in columns]
-    name = f"{file.sequence}/{file.stem}"
-    png = picture_of_results(name, results, space, sensor, scales, views, strips)
+    png = picture_of_results(file.name, results, space, sensor, scales, views, strips)
     output.write_result(file, FOLDER, png)
 
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Stage `predict`: scans to labels in memory, or range images on disk to pixel labels."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -12,27 +10,23 @@ import numpy as np
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.errors import UsageError
 from salsanext_cli.fitting.label_scan import (
     LabelledScan,
-    ProjectedScan,
     label_scan,
-    labelled,
-    project_for,
     projected_sensor,
     range_image,
     sensor_of_images,
 )
 from salsanext_cli.fitting.scan_checks import check_image
 from salsanext_cli.fitting.scan_fit import fitted_view, network_of_run
+from salsanext_cli.fusion.top_classes import top_classes
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.parallel.network_task import NetworkTask, Steps, named_if_too_large
-from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.parallel.worker import Attempt
+from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, Steps, run_over_scans
 from salsanext_cli.records import Float
-from salsanext_cli.results.layout import ERROR, ScanFile, with_outputs
+from salsanext_cli.results.layout import ERROR, LEAST_CONFIDENCE, ScanFile, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
@@ -51,6 +45,9 @@ class LabelWriter:
         """Write the results of a scan; return numbers about it."""
         file, image, softmax, labels = scan.file, scan.image, scan.softmax, scan.labels
         space, output = network.space, self.output
+        confidence = softmax.max(axis=0)
+        doubt = points_from_pixels(1 - confidence, image.pixel_of_point, np.nan)
+        output.write_array(file, LEAST_CONFIDENCE, doubt)
         rejected = np.zeros(len(labels), bool)
         if "pixel_labels" in output.folders:
             output.write_array(file, "pixel_labels", most_probable(softmax))
@@ -58,6 +55,10 @@ class LabelWriter:
             none = np.eye(1, space.class_count)  # certainly unlabelled
             of_points = points_from_pixels(softmax, image.pixel_of_point, none)
             output.write_array(file, "probabilities", of_points.astype(np.float16))
+        if "votes" in output.folders:
+            none = np.eye(1, space.class_count)
+            of_points = points_from_pixels(softmax, image.pixel_of_point, none)
+            output.write_array(file, "votes", top_classes(of_points))
         if ERROR in output.folders:
             error = label_error(network, image, softmax, labels)
             output.write_array(file, ERROR, error)
@@ -66,10 +67,8 @@ class LabelWriter:
         labels[rejected] = 0
         output.write_labels(file, space.to_raw(labels))
         occupied = image.channels[0] > 0
-        confidence = float(softmax.max(axis=0)[occupied].mean()) if occupied.any() else 1.0
-        return ScanSummary.of_labels(
-            file, labels, space, scan.check, int(rejected.sum()), confidence
-        )
+        mean = float(confidence[occupied].mean()) if occupied.any() else 1.0
+        return ScanSummary.of_labels(file, labels, space, scan.check, int(rejected.sum()), mean)
 
 
 def most_probable(probabilities: Float) -> TrainIds:
@@ -85,32 +84,6 @@ def predict_scan(file: ScanFile, network: Network, writer: LabelWriter) -> Steps
     yield writer.write(scan, network)
 
 
-def predict_batch(
-    files: Sequence[ScanFile], network: Network, writer: LabelWriter
-) -> Iterator[Attempt]:
-    """Label the points of several scans, computed together; yield an attempt of each."""
-    scans: list[ProjectedScan] = []
-    for file in files:
-        try:
-            with named_if_too_large(file, network):
-                writer.output.require_replaceable(file)
-                scans.append(project_for(network, file))
-        except SalsanextError as error:
-            yield file, None, error
-    softmax: Sequence[Float | None] = [None] * len(scans)
-    with suppress(MemoryError):
-        softmax = network.pixel_probabilities([scan.image.channels for scan in scans])
-    for scan, probabilities in zip(scans, softmax, strict=True):
-        try:
-            with named_if_too_large(scan.file, network):
-                if probabilities is None:
-                    probabilities = network.probabilities(scan.image, scan.file.path)
-                done = writer.write(labelled(scan, probabilities, network, writer.knn), network)
-            yield scan.file, done, None
-        except SalsanextError as error:
-            yield scan.file, None, error
-
-
 def predict_scans(
     source: Path,
     out: Path,
@@ -123,9 +96,10 @@ def predict_scans(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Label scans into `OUT/sequences/<seq>/predictions`.
+    """Label scans into `OUT/sequences/<seq>/predictions`, beside their least confidence.
 
-    `extras`: further results to write, of "pixel_labels", "probabilities" and "uncertainty/error";
+    `extras`: further results to write, of "pixel_labels", "probabilities", "votes" for `fuse` and
+    "uncertainty/error";
     `reject`: points whose error, 0…1, is above it are unlabelled, and the error is written too;
     `batch`: scans computed together, halved where memory runs out; None for what suits the device.
     """
@@ -148,13 +122,12 @@ def predict_scans(
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     settings |= {} if reject is None else {"reject": reject}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
-    folders = (*extras, "predictions")
+    folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
         writer = LabelWriter(knn, output, reject)
-        one = partial(predict_scan, writer=writer)
-        several = partial(predict_batch, writer=writer)
-        task = NetworkTask(one, network.resolved(loaded), loaded, several, batch)
+        label = partial(predict_scan, writer=writer)
+        task = NetworkTask(label, network.resolved(loaded), loaded, takes_softmax=True, batch=batch)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )

@@ -16,7 +16,7 @@ from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.report.page.clouds import encode_cloud, plain_scales, scales_of
+from salsanext_cli.report.page.clouds import encode_cloud, scales_of
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import (
     RunReader,
@@ -82,7 +82,8 @@ class Report:
             "accuracy": plain(self.accuracy),
             "iou_mean_present": plain(self.iou_mean_present),
             "sentence": self.sentence,
-            **_left_out(self.missing, self.failures),
+            **self.missing.to_dict(),
+            "failures": [failure.to_dict() for failure in self.failures],
         }
 
 
@@ -96,7 +97,7 @@ def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice])
     OwnedFolder(out).require_own([page])
     run, unread = read_run(out, **choice)
     chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.reader.space)
-    rows = {row.name: row for row in run.rows}
+    rows = {row.file.name: row for row in run.rows}
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
     reasons = [failure.reason for failure in failures]
@@ -136,26 +137,23 @@ class View(PageServer):
         self._run, self._state = run, _state_of(run.reader.out)
         reasons = worth_looking_at(run.rows, run.reader.space)
         spaced = {*np.linspace(0, len(run.rows) - 1, SAMPLED).astype(int).tolist()}
-        chosen = (r for i, r in enumerate(run.rows) if i in spaced or r.name in reasons)
+        chosen = (r for i, r in enumerate(run.rows) if i in spaced or r.file.name in reasons)
         sample, unread = _readable(run, ((row, "") for row in chosen))
         self.scans, self.missing = len(run.rows), run.missing
         self.failures = (*failures, *unread)
         self._scales = scales_of(sample)
         failed = [failure.reason for failure in self.failures]
-        served = {row.name: reasons.get(row.name, "") for row in run.rows}
+        served = {row.file.name: reasons.get(row.file.name, "") for row in run.rows}
         page = html_of(
             run, run.compared(), (), self._scales, failed, served=served, token=self.token
         )
-        self._page = page.encode()
+        self.page = page.encode()
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
+        failures = [failure.to_dict() for failure in self.failures]
         found = {"stage": "view", "url": self.url, "scans": self.scans}
-        return found | _left_out(self.missing, self.failures)
-
-    def page(self) -> bytes:
-        """Return the page as HTML."""
-        return self._page
+        return found | self.missing.to_dict() | {"failures": failures}
 
     def cloud(self, place: int) -> dict[str, Any] | None:
         """Read a scan; a kind of values keeps the scale that it first got."""
@@ -171,7 +169,7 @@ class View(PageServer):
             if new := shown.values().keys() - self._scales:
                 self._scales |= {name: scales_of([shown])[name] for name in new}
         cloud = encode_cloud(shown, run.reader.space, run.reader.sensor, self._scales)
-        cloud["scales"] = plain_scales(self._scales)
+        cloud["scales"] = self._scales
         plain_cloud: dict[str, Any] = escaped(cloud)
         return plain_cloud
 
@@ -247,7 +245,7 @@ def _rows(
     if (scored := counts.scored()).left_out:
         rows = [replace(row, confusion=None) if row in trained_on else row for row in rows]
     # Workers are done in any order.
-    rows.sort(key=lambda row: (row.file.sequence, row.file.stem))
+    rows.sort(key=lambda row: row.file)
     return rows, scored if scored.scans else None, outcome.failures
 
 
@@ -272,12 +270,3 @@ def _state_of(out: Path) -> list[tuple[int, int] | None]:
     paths = [out / f"{stage}.json" for stage in LABELLING_STAGES]
     states = [path.stat() if path.exists() else None for path in paths]
     return [state and (state.st_size, state.st_mtime_ns) for state in states]
-
-
-def _left_out(missing: MissingResults, failures: tuple[Failure, ...]) -> dict[str, Any]:
-    """Return the scans that are not on the page, as plain data."""
-    return {
-        "missing": [str(scan.path) for scan in missing.scans],
-        "not_asked_for": missing.not_asked_for,
-        "failures": [failure.to_dict() for failure in failures],
-    }

@@ -22,8 +22,7 @@ from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.files.atomic import MARK
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.files.reading import filled
-from salsanext_cli.formats.kitti import encode_bin
-from salsanext_cli.formats.labels import encode_labels, read_labels
+from salsanext_cli.formats.kitti import encode_bin, encode_labels, read_labels
 from salsanext_cli.parallel.options import worker_count
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.parallel.worker import end_with_parent, signals_blocked
@@ -104,8 +103,8 @@ def manifest(
     """Return the record of a data set, its sequences by split; parameters as of `synthesise`."""
     names = map("{:02d}".format, range(sum(counts.values())))
     splits = {split: tuple(islice(names, count)) for split, count in counts.items()}
-    how = {"scans": scans, "seed": seed, "spacing": spacing, "sensor": sensor}
-    return {"stage": "synth", "version": __version__, "settings": {"splits": splits} | how}
+    settings = {"scans": scans, "seed": seed, "spacing": spacing, "sensor": sensor}
+    return {"stage": "synth", "version": __version__, "settings": {"splits": splits} | settings}
 
 
 def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, jobs: int) -> None:

@@ -32,7 +32,6 @@ from salsanext_cli.training.data.sources import (
 )
 from salsanext_cli.training.distributed import group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
-from salsanext_cli.training.initial_network import initial_network
 from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.recipe import Recipe
@@ -47,7 +46,7 @@ from salsanext_cli.training.run_folder import (
     require_free,
     training_settings,
 )
-from salsanext_cli.training.setup import Setup, require_pixels
+from salsanext_cli.training.setup import Setup, initial_network, require_pixels
 
 SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0
 """Scans of a simulated street, and the distance between two."""
@@ -181,18 +180,28 @@ def _simulated_streets(
         log.log(NOTICE, "no simulated streets: they tell other classes apart than your labels")
         return []
     roots = {seen: folder / seen for seen in RIGS}
-    splits: dict[str, Any] = {"train": count, "valid": 0, "test": 0}
-    how: dict[str, Any] = {"scans": SCANS_OF_STREET, "seed": 0, "spacing": STREET_SPACING_M}
+    splits = {"train": count, "valid": 0, "test": 0}
     for seen, root in roots.items():
-        wanted = as_json(manifest(splits, **how, sensor=seen))
-        found = read_json(root / MANIFEST)
+        wanted = as_json(manifest(splits, SCANS_OF_STREET, 0, STREET_SPACING_M, seen))
+        recorded = read_json(root / MANIFEST)
         made = len([*root.glob("sequences/*/velodyne/*.bin")])
         # The label space is written last.
         whole = made == count * SCANS_OF_STREET and (root / LABEL_SPACE).exists()
-        if not whole or found != wanted:
-            others = ": those there are of another version or settings"
-            why = "" if found in (None, wanted) else others
-            log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
-            synthesise(root, **splits, **how, sensor=seen, jobs=jobs, overwrite=found != wanted)
+        if whole and recorded == wanted:
+            continue
+        others = ": those there are of another version or settings"
+        why = "" if recorded in (None, wanted) else others
+        log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
+        synthesise(
+            root,
+            train=count,
+            valid=0,
+            scans=SCANS_OF_STREET,
+            seed=0,
+            spacing=STREET_SPACING_M,
+            sensor=seen,
+            jobs=jobs,
+            overwrite=recorded != wanted,
+        )
     sources = [further_source(root, classes, sensor) for root in roots.values()]
     return [replace(source, simulated=True) for source in sources]

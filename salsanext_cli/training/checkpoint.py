@@ -8,7 +8,6 @@ header. Nothing in it is ever unpickled.
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -19,7 +18,7 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
-from salsanext_cli.errors import TrainingError, error_text, shortened
+from salsanext_cli.errors import TrainingError, error_text
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row
@@ -27,20 +26,12 @@ from salsanext_cli.training.log import Row
 KEY = "salsanext-checkpoint"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""
 DAMAGE = (
-    safetensors.SafetensorError,
-    OSError,
-    ArithmeticError,
-    AttributeError,
-    LookupError,
-    TypeError,
-    ValueError,
+    *(safetensors.SafetensorError, OSError, AttributeError, LookupError, TypeError, ValueError),
     RuntimeError,
 )
 """Errors that reading a damaged checkpoint may end in."""
 OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
 """Names of the tensors that torch's optimisers keep for each parameter."""
-DTYPES = {torch.float32: "F32", torch.float64: "F64", torch.int64: "I64"}
-"""Types of a checkpoint's tensors, as safetensors names them."""
 
 
 @dataclass(slots=True)
@@ -73,19 +64,14 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
     """Restore a saved state; `TrainingError` if damaged or of another network or optimiser."""
     try:
         with safetensors.safe_open(path, framework="pt") as file:
-            _require_fitting({name: file.get_slice(name) for name in [*file.keys()]}, learner)
             tensors = {name: file.get_tensor(name) for name in [*file.keys()]}
             values = json.loads((file.metadata() or {})[KEY])
-        checksum = values["sha256"]
-        del values["sha256"]
-        if checksum != _checksum(values, tensors):
+        if values.pop("sha256") != _checksum(values, tensors):
             raise ValueError("the checksum is wrong")
-        state = TrainingState(**values["progress"], losses=tensors.pop("losses").tolist())
-        _require_numbers(state, learner.recipe.epochs)
-        scaler, own = values["scaler"], learner.scaler.state_dict()
-        if {k: type(v) for k, v in scaler.items()} != {k: type(v) for k, v in own.items()}:
-            raise TypeError("a scaler of another precision")
-        learner.scaler.load_state_dict(scaler)
+        losses = tensors.pop("losses")
+        _require_alike("losses", losses, torch.empty(losses.numel(), dtype=torch.float64))
+        state = TrainingState(**values["progress"], losses=losses.tolist())
+        learner.scaler.load_state_dict(values["scaler"])
         _restore(learner, tensors)
     except DAMAGE as error:
         raise TrainingError(
@@ -114,47 +100,29 @@ def _checksum(values: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
     return digest.hexdigest()
 
 
-def _require_numbers(state: TrainingState, epochs: int) -> None:
-    """Raise `TypeError` or the like unless a state is of plain numbers."""
-    if type(state.epoch) is not int or not 0 <= state.epoch <= epochs:
-        raise TypeError(f"epoch {shortened(state.epoch)} of {epochs}")
-    numbers = [state.best, state.seconds]
-    for row in state.rows:
-        numbers += [row["epoch"], row["loss"], *row.values()]
-    if any(type(number) not in (int, float) for number in numbers):
-        raise TypeError("a log that is not of numbers")
-    # An integer may be too large for a float.
-    sum(map(float, numbers))
-
-
-def _require_fitting(slices: Mapping[str, Any], learner: Learner) -> None:
-    """Raise `ValueError` unless tensors, not read yet, are of the learner's types and shapes."""
-    count = math.prod(slices["losses"].get_shape())
-    wanted = {"losses": torch.empty(count, dtype=torch.float64, device="meta")}
-    wanted |= _networks(learner)
-    for name, parameter in learner.module.named_parameters():
-        keys = {f"optimiser.{name}.{key}": key for key in OPTIMISER_STATE[learner.recipe.optimiser]}
-        # Parameters have none before the first step, or if they are never used.
-        if slices.keys() & keys.keys():
-            step = torch.zeros(())
-            wanted |= {key: step if k == "step" else parameter for key, k in keys.items()}
-    if unlike := slices.keys() ^ wanted.keys():
-        raise ValueError(f"{min(unlike)} is of another network or optimiser, or is missing")
-    for name, tensor in wanted.items():
-        kind = slices[name].get_dtype(), slices[name].get_shape()
-        if kind != (DTYPES[tensor.dtype], [*tensor.shape]):
-            raise ValueError(f"{name} is of another type or shape")
-
-
 @torch.no_grad()
 def _restore(learner: Learner, tensors: Mapping[str, Tensor]) -> None:
-    for name, tensor in _networks(learner).items():
+    """Copy tensors into a learner; if one is of another type or shape, change nothing."""
+    own, states = _networks(learner), dict[Tensor, dict[str, Tensor]]()
+    for name, parameter in learner.module.named_parameters():
+        keys = {key: f"optimiser.{name}.{key}" for key in OPTIMISER_STATE[learner.recipe.optimiser]}
+        # Parameters have none before the first step, or if they are never used.
+        if tensors.keys() & {*keys.values()}:
+            state = states[parameter] = {key: torch.empty_like(parameter) for key in keys}
+            if "step" in state:
+                # It stays on the CPU: on a GPU every parameter would wait for it.
+                state["step"] = torch.zeros(())
+            own |= {keys[key]: tensor for key, tensor in state.items()}
+    if unlike := tensors.keys() ^ own.keys():
+        raise ValueError(f"{min(unlike)} is of another network or optimiser, or is missing")
+    for name, tensor in own.items():
+        _require_alike(name, tensors[name], tensor)
+    for name, tensor in own.items():
         tensor.copy_(tensors[name])
     learner.optimiser.state.clear()
-    for name, parameter in learner.module.named_parameters():
-        for key in OPTIMISER_STATE[learner.recipe.optimiser]:
-            kept = tensors.get(f"optimiser.{name}.{key}")
-            if kept is not None:
-                # The count of steps stays on the CPU: on a GPU every parameter would wait for it.
-                like = torch.zeros(()) if key == "step" else torch.empty_like(parameter)
-                learner.optimiser.state[parameter][key] = like.copy_(kept)
+    learner.optimiser.state.update(states)
+
+
+def _require_alike(name: str, tensor: Tensor, own: Tensor) -> None:
+    if (tensor.dtype, tensor.shape) != (own.dtype, own.shape):
+        raise ValueError(f"{name} is of another type or shape")

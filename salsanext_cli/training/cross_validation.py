@@ -28,11 +28,10 @@ def folds(files: Sequence[ScanFile], count: int) -> list[list[ScanFile]]:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """Scores on scans left out, which tell what to expect of new ones.
+    """Scores on scans left out: means over the folds, what to expect on new scans.
 
-    The scores are means over the folds, each after the number of epochs that the others would
-    choose, so that no scan chooses its own; the spreads are standard deviations with one degree of
-    freedom less, None of a single fold.
+    Each fold is scored after the number of epochs that the others choose. Spreads are standard
+    deviations with one degree of freedom less, None of a single fold.
     """
 
     epochs: int  # Number of epochs with the highest mean IoU over the folds
@@ -47,8 +46,7 @@ class Expectation:
     def scores(self) -> dict[str, float]:
         """Return what the card of weights tells."""
         names = ("folds", "miou", "miou_spread", "accuracy", "accuracy_spread")
-        values = {name: getattr(self, name) for name in names}
-        return {name: value for name, value in values.items() if value is not None}
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
 
 
 def expectation(logs: Sequence[Sequence[Row]], *, one_drive: bool = False) -> Expectation | None:

@@ -18,18 +18,23 @@ import torch
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import TrainingError
-from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.geometry.projection import project
+from salsanext_cli.measures.scores import Confusion, scores
+from salsanext_cli.network.card import TEMPERATURES, WeightsCard
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
-from salsanext_cli.training.data.sources import Source
+from salsanext_cli.training.data.sources import Source, read_labelled
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.log import EpochWriter, Row, draw_curve, tensorboard_in, write_log
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
-from salsanext_cli.training.validation import validate
+from salsanext_cli.training.tuning.temperature import best_temperature
 
 SAVE_INTERVAL_S = 600.0
 """Seconds between two checkpoints within an epoch."""
+MAX_VALIDATED_POINTS = 200_000
+"""Bound of the points of a validation whose logits the temperature is fitted to."""
 
 log = logging.getLogger(__name__)
 
@@ -121,8 +126,7 @@ class Training:
         if due and self.validation.files:
             # On CPUs the workers' statistics of batch norm differ; kept are those of the main one.
             group.broadcast(self.learner.average.buffers())
-            network = self._network()
-            row |= validate(network, self.validation, group).row(network)
+            row |= validate(self._network(), self.validation, group)
         if group.is_main:
             self._write(state, row, write_epoch)
         self._report(state, step, losses[-1], row)
@@ -184,3 +188,38 @@ class Training:
         if self.learner.group.is_main:
             epoch, epochs = state.epoch + (row is None), self.learner.recipe.epochs
             self.report(StepReport(epoch, epochs, step + 1, self.samples.plan.steps, loss, row))
+
+
+def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS) -> Row:
+    """Score labelled scans, predicted as `predict` does, each by one worker of a group.
+
+    Returns columns of the log: scores, and the best temperature, 1 where there is none.
+    """
+    space = network.card.space
+    confusion = Confusion(space.class_count)
+    # (C, M) float32, (M,) int64: some points of the classes that count, evenly spaced in every scan
+    logits, truth = [torch.empty(space.class_count, 0)], [torch.empty(0, dtype=torch.int64)]
+    for file in source.files[group.rank :: group.size]:
+        own = network.for_sensor(source.sensor_of(file))
+        scan, labels = read_labelled(file, source.space, own.sensor)
+        image = project(scan, own.sensor)
+        of_pixels = own.logits(image)
+        confusion.update(labels, own.labels(image, of_pixels))
+        usable = np.flatnonzero(space.scored[labels] & (image.pixel_of_point >= 0))
+        chosen = usable[:: max(1, len(usable) * len(source.files) // MAX_VALIDATED_POINTS)]
+        pixels = image.pixel_of_point[chosen]
+        logits.append(torch.from_numpy(of_pixels.reshape(space.class_count, -1)[:, pixels]))
+        truth.append(torch.from_numpy(labels[chosen].astype(np.int64)))
+    counts = group.sum(torch.from_numpy(confusion.matrix).to(network.device)).cpu().numpy()
+    all_logits, all_truth = (
+        torch.cat(group.gather(torch.cat(own, dim=-1).to(network.device)), dim=-1).cpu()
+        for own in (logits, truth)
+    )
+    result, (lowest, highest) = scores(Confusion(space.class_count, counts), space), TEMPERATURES
+    best = best_temperature(all_logits.T.contiguous(), all_truth) if len(all_truth) else 1.0
+    return {
+        "accuracy": result.accuracy,
+        "miou": result.iou_mean_present,
+        "temperature": best if lowest <= best <= highest else 1.0,
+        **{f"iou_{score.name}": score.iou for score in result.classes},
+    }

@@ -27,10 +27,8 @@ ONE_CYCLE_START, ONE_CYCLE_END = 1 / 25, 1 / 250_000
 """Learning rate at both ends of a one-cycle schedule, as shares of its peak."""
 
 
-def choose_precision(name: str, device: torch.device) -> str:
-    """Return the number type behind a recipe's `precision`: of "auto", the fastest of a device."""
-    if name != "auto":
-        return name
+def fastest_precision(device: torch.device) -> str:
+    """Return the number type that a device computes fastest in."""
     if device.type != "cuda":
         return "bfloat16" if has_bfloat16() else "float32"
     major, _ = torch.cuda.get_device_capability(device)
@@ -39,16 +37,16 @@ def choose_precision(name: str, device: torch.device) -> str:
 
 def common_precision(device: torch.device, group: ProcessGroup) -> str:
     """Return the number type that suits the devices of all workers; float32 if they differ."""
-    own = choose_precision("auto", device)
+    own = fastest_precision(device)
     chosen = group.gather(torch.tensor([PRECISIONS.index(own)], device=device))
     return own if len({int(number) for number in chosen}) == 1 else "float32"
 
 
 class Float32Convolution(nn.Conv2d):
-    """Convolution that autocast leaves alone."""
+    """Convolution that autocast leaves alone: float32, from features of any type."""
 
     def forward(self, x: Tensor) -> Tensor:
-        """Compute in float32, from features of any type."""
+        """Map (B, in, H, W) to (B, out, H, W)."""
         with torch.autocast(x.device.type, enabled=False):
             return super().forward(x.float())
 
@@ -65,7 +63,8 @@ class Learner:
     """Everything that changes during training: network, running average, optimiser, scaler.
 
     `average` is validated and kept: the running average of the weights of `module`, or the module
-    itself. `forward` is the module, wrapped if several workers train it.
+    itself. `forward` is the module, wrapped if several workers train it. The recipe's precision is
+    no longer "auto".
     """
 
     def __init__(
@@ -77,7 +76,7 @@ class Learner:
         group: ProcessGroup = SINGLE_PROCESS,
         sets: ClassSets = (),
     ) -> None:
-        dtype: torch.dtype = getattr(torch, choose_precision(recipe.precision, device))
+        dtype: torch.dtype = getattr(torch, recipe.precision)
         # In float32 on CPUs channels last gains nothing, or is slower.
         plain = device.type == "cpu" and dtype is torch.float32
         self.layout = torch.contiguous_format if plain else torch.channels_last
@@ -96,9 +95,9 @@ class Learner:
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> float:
         """Learn from a worker's images (B, 5, H, W) and truth (B, H, W) uint8; return all's loss.
 
-        It is NaN, and no weight has changed, if it or its gradient is not finite, unless the
-        gradient overflows in float16: the scaler leaves such steps out. The number of the step in
-        the whole training, from 0, decides learning rate and dropout.
+        It is NaN, and no weight has changed, if it or its gradient is not finite; steps whose
+        gradient overflows in float16 are left out by the scaler. The number of the step in the
+        whole training, from 0, decides learning rate and dropout.
         """
         self.optimiser.zero_grad()
         loss = float(self._gradient(images, truth, step))
@@ -109,7 +108,8 @@ class Learner:
         truth = truth.to(self.device, non_blocking=True)
         parts = self._parts(images.shape[3])
         several = parts * self.group.size > 1
-        total = self.group.sum(self.loss.weight_of(truth)) if several else None
+        weight = self.loss.weights[truth.long()].sum()
+        total = self.group.sum(weight) if several else None
         losses = []
         self.module.train()
         # Seeded, every step is a function of its number, so that training can be resumed.

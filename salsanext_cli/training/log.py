@@ -16,7 +16,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.run_folder import EVENTS
 
 Row = dict[str, float]
-"""One epoch: epoch, learning_rate, loss, seconds; where validated, also what `Validation` says."""
+"""One epoch: epoch, learning_rate, loss, seconds; where validated, also what `validate` returns."""
 EpochWriter = Callable[[Row, npt.NDArray[np.uint8]], None]
 """Writes a finished epoch and its picture, (H, W, 3)."""
 

@@ -25,12 +25,9 @@ def weighted_cross_entropy(
 
     Of log-probabilities (P, T) of `class_count` classes and, behind them, of sets of classes; truth
     (P,) int64; weights (T,). `total_weight` is that of all pixels, if these are only some. Smoothed
-    by ε, with K classes that have a weight, −log p(truth) becomes::
-
-        (1 − ε) (−log p(truth)) + ε/K Σ_k (−log p(k))
-
-    `F.cross_entropy` weighs the terms of the sum by their own classes instead of the true one, so
-    that a common class is spread mostly over the rarest.
+    by ε, with K classes that have a weight, −log p(truth) becomes (1 − ε) (−log p(truth)) +
+    ε/K Σ_k (−log p(k)); `F.cross_entropy` weighs the terms of the sum by their own classes, so that
+    a common class is spread mostly over the rarest.
     """
     loss = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
     if smoothing:
@@ -65,9 +62,9 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
 def lovasz_softmax(
     probabilities: Tensor, truth: Tensor, group: ProcessGroup = SINGLE_PROCESS
 ) -> Tensor:
-    """Return the mean Lovász-Softmax loss of the classes present in the truth (P,) int64, 0-d.
+    """Return a worker's share of the mean Lovász-Softmax loss of the classes in the truth, 0-d.
 
-    Of probabilities (P, C). The losses of all workers of a group add up to that of all pixels.
+    Of probabilities (P, C) and truth (P,) int64.
     """
     present = group.sum(truth.bincount(minlength=probabilities.shape[1])).nonzero()[:, 0]
     if not len(present):
@@ -107,10 +104,6 @@ class SegmentationLoss(nn.Module):
         self.lovasz = lovasz
         self.smoothing = smoothing
         self.sets = sets
-
-    def weight_of(self, truth: Tensor) -> Tensor:
-        """Return the weight of all pixels of targets (B, H, W), 0-d."""
-        return self.weights[truth.long()].sum()
 
     def forward(
         self,

@@ -16,14 +16,8 @@ from salsanext_cli.files.yaml_toml import read_toml, refuse_unknown
 BUILT_IN = resources.files("salsanext_cli").joinpath("presets/recipes")
 MAX_INTEGER = 2**53
 """Bound of whole numbers in place of others: floats are no longer exact beyond."""
-
-READERS: dict[type, tuple[Callable[[str], Any], str]] = {
-    int: (int, "a whole number"),
-    float: (float, "a number"),
-    str: (lambda text: text.strip("\"'"), "a word"),
-}
-"""Reader of the text of each type of key, and its name; quotes are taken for those of TOML."""
-
+KINDS = {int: "a whole number", float: "a number", str: "a word"}
+"""Names of the types of keys."""
 
 Positive = Annotated[int, ("at least 1", lambda value: value >= 1)]
 Count = Annotated[int, ("at least 0", lambda value: value >= 0)]
@@ -149,9 +143,10 @@ def read_overrides(texts: Iterable[str]) -> dict[str, Any]:
         if not (key and equals and value):
             raise UsageError(f"--set {text}", "no key and value", "key=value, such as batch=4")
         refuse_unknown({key: value}, Recipe, f"--set {text}")
-        read, expected = READERS[type(getattr(Recipe(), key))]
+        kind = type(getattr(Recipe(), key))
         try:
-            changes[key] = read(value)
+            # Quotes are taken for those of TOML.
+            changes[key] = kind(value.strip("\"'") if kind is str else value)
         except ValueError as error:
-            raise UsageError(f"--set {key}={value}", f"{value!r}", expected) from error
+            raise UsageError(f"--set {key}={value}", f"{value!r}", KINDS[kind]) from error
     return changes

@@ -59,7 +59,7 @@ def training_settings(
 
 def scans_digest(scans: Sequence[ScanFile]) -> str:
     """Return the number of scans and a digest of their names."""
-    names = "\n".join(f"{scan.sequence}/{scan.stem}" for scan in scans)
+    names = "\n".join(scan.name for scan in scans)
     return f"{len(scans)}, {hashlib.sha256(names.encode()).hexdigest()[:16]}"
 
 
@@ -127,8 +127,7 @@ def _holds_recipe(run: Path, settings: Mapping[str, Any]) -> bool:
 def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings that may not change when a training is resumed.
 
-    Keys that recipes of older versions lack are the default. The parts of a batch may change, since
-    a training that has run out of memory must be able to go on.
+    The parts of a batch may: a training that has run out of memory must be able to go on.
     """
     recipe = settings.get("recipe")
     if not isinstance(recipe, dict):

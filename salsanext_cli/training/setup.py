@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Setup of a training: what trainings on parts of the same data share, cross-validation of them."""
+"""Setup of a training: the network it starts from, what its folds share, their cross-validation."""
 
 import copy
 import hashlib
@@ -15,19 +15,23 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 import torch
+from torch import Tensor
 
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.graphs import LOGITS
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import NOTICE, UsageError, WeightsError, first_few
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
+from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.sensors.sensor import Sensor, sensor
 from salsanext_cli.training import run_folder
 from salsanext_cli.training.cross_validation import Expectation, expectation, folds
 from salsanext_cli.training.data.class_counts import (
@@ -55,7 +59,74 @@ from salsanext_cli.training.tuning.error import (
 from salsanext_cli.uncertainty.error_features import FEATURES
 from salsanext_cli.version import __version__
 
+DEFAULT_SENSOR = "hdl64"
+"""Sensor of a training from random weights, unless another is given."""
+
 log = logging.getLogger(__name__)
+
+
+def initial_network(
+    weights: Path | None, space: LabelSpace, recipe: Recipe, own: Sensor | None
+) -> tuple[SegmentationNetwork, WeightsCard]:
+    """Return the network before training, and its card: architecture, classes, sensor, scans.
+
+    Without weights it is random; where they are of other classes, so are the outputs of classes
+    without one of the same name. The sensor is `own`, else that of the weights, else the default.
+    """
+    architecture = {
+        "name": recipe.architecture,
+        "class_count": space.class_count,
+        "dropout": recipe.dropout,
+    }
+    with torch.random.fork_rng([]):
+        torch.manual_seed(recipe.seed)
+        module = build(architecture, "recipe key architecture")
+    if weights is None:
+        return module, WeightsCard(architecture, space, _completed(own, sensor(DEFAULT_SENSOR)))
+    trained, card = read_weights(weights)
+    if _hidden_shapes(trained) != _hidden_shapes(module):
+        name = card.architecture["name"]
+        remedy = f'set architecture = "{name}" in the recipe'
+        raise WeightsError(weights, f"of a {name}", f"of a {recipe.architecture}", remedy)
+    tensors = trained.state_dict()
+    if not card.space.fits(space):
+        tensors |= _outputs(module, tensors, card.space, space)
+    module.load_state_dict(tensors)
+    begun = WeightsCard(architecture, space, _completed(own, card.sensor))
+    return module, replace(begun, trained_on=card.trained_on)
+
+
+def _completed(own: Sensor | None, trained: Sensor) -> Sensor:
+    """Return a sensor, or else that of trained weights, with what these know of it."""
+    if own is None:
+        return trained
+    quantiles = own.intensity_quantiles or trained.intensity_quantiles
+    gaps = trained.row_gaps if own.row_gaps is None else own.row_gaps
+    return replace(own, intensity_quantiles=quantiles, row_gaps=gaps)
+
+
+def _outputs(
+    module: SegmentationNetwork,
+    trained: Mapping[str, Tensor],
+    classes: LabelSpace,
+    space: LabelSpace,
+) -> dict[str, Tensor]:
+    """Return the tensors of the outputs, (C, …), that begin with those of trained classes."""
+    outputs = {f"{LOGITS}.{key}": t.clone() for key, t in module.logits.state_dict().items()}
+    places = {name: place for place, name in enumerate(classes.names)}
+    kept = [place for place, name in enumerate(space.names) if name in places]
+    for name, tensor in outputs.items():
+        tensor[kept] = trained[name][[places[space.names[place]] for place in kept]]
+    new = [name for name in space.names if name not in places]
+    text = f"; at random: {first_few(new)}" if new else ""
+    log.log(NOTICE, "weights of %d of %d classes kept%s", len(kept), space.class_count, text)
+    return outputs
+
+
+def _hidden_shapes(module: SegmentationNetwork) -> dict[str, torch.Size]:
+    """Return the shapes of the tensors of all layers but the outputs, by name."""
+    tensors = module.state_dict().items()
+    return {name: tensor.shape for name, tensor in tensors if not name.startswith(f"{LOGITS}.")}
 
 
 def require_pixels(
@@ -184,9 +255,9 @@ class Setup:
         self.report(replace(report, step=done, steps=steps, fold=number))
 
     def _error_model(self, temperature: float) -> ErrorModel | None:
-        """Return a model of errors of the folds; None if it tells no more than the confidence.
+        """Return a model of errors of the folds, kept in the run folder until their weights change.
 
-        It is kept in the run folder, and fitted again only if weights or scans are others.
+        None if it tells no more than the confidence.
         """
         numbers = range(1, len(self._folds()) + 1)
         weights = [run_folder.fold_folder(self.run, number) / run_folder.LAST for number in numbers]

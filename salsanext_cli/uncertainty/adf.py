@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from salsanext_cli.compiled.kernels import parallel_for
+from salsanext_cli.compiled import parallel_for
 
 NODES = 12
 """Nodes of the Gauss-Hermite quadrature of the logistic function."""

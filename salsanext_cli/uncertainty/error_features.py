@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import TrainIds
-from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices
+from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.network.error_model import ErrorModel

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: MIT
 """Methods of estimating uncertainty, and their numbers."""
 
-import logging
 from dataclasses import dataclass, replace
 from typing import Any
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
-from salsanext_cli.files.json_files import RecordedSettings
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import require_dropout
-from salsanext_cli.options import KnnParameters
 from salsanext_cli.records import RangeImage
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.sensors.sensor import Sensor
@@ -24,8 +21,6 @@ ALEATORIC_KINDS = ("aleatoric", "total")
 """Kinds of uncertainty; the second ones need the sensor's noise."""
 METHODS = ("sampling", "analytic")
 ALEATORIC_METHODS = ("copies", "paper", "none")
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,28 +82,3 @@ def _numbers(method: str, aleatoric: str) -> tuple[str, ...]:
     if method == "sampling":
         return ("samples", "seed")
     return ("seed",) if aleatoric == "copies" else ()
-
-
-def recorded_method(settings: RecordedSettings) -> UncertaintyMethod:
-    """Return the method that the record of a run of `uncertainty` names."""
-    method, aleatoric = settings["method"], settings.one_of("aleatoric", ALEATORIC_METHODS)
-    numbers = {key: settings.integer(key) for key in _numbers(method, aleatoric)}
-    return UncertaintyMethod(method, aleatoric=aleatoric, **numbers)
-
-
-def possible_method(colour: str, seen: Sensor) -> UncertaintyMethod:
-    """Leave out what needs a noise that the sensor does not know, unless it is asked for."""
-    aleatoric = colour in ALEATORIC_KINDS or seen.knows_noise
-    if not aleatoric:
-        log.warning("sensor %s does not know its noise: epistemic uncertainty only", seen.name)
-    return UncertaintyMethod(aleatoric="copies" if aleatoric else "none")
-
-
-def recorded_knn(knn: RecordedSettings) -> KnnParameters:
-    """Return the neighbours that the record of a run names."""
-    return KnnParameters(
-        k=knn.integer("k"),
-        window=knn.integer("window"),
-        sigma=knn.number("sigma"),
-        cutoff=knn.number("cutoff"),
-    )

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from salsanext_cli.compiled.kernels import argument, compiled, parallel_for_slices, thread_count
+from salsanext_cli.compiled import argument, compiled, parallel_for_slices, thread_count
 from salsanext_cli.engines.device import MAX_BATCH_PIXELS
 from salsanext_cli.engines.network import Engine, Network
 from salsanext_cli.engines.torch_engine import inference_mode

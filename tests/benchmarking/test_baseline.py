@@ -15,7 +15,7 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import RangeImage, Scan, knn_refine, load_network, project, read_labels
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 

@@ -19,10 +19,10 @@ from speed import PARTS, benchmark, benchmark_table
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError, UsageError, WeightsError
 from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.weights import save_weights
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.sensors.sensor import sensor as find_sensor
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="benchmark needs POSIX")

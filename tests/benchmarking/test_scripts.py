@@ -13,8 +13,17 @@ import numpy as np
 import pytest
 from scans import write_sequence
 
-from salsanext_cli import Scan, write_labels
-from salsanext_cli.results.point_files import write_bin
+from salsanext_cli import (
+    Scan,
+    label_space,
+    project,
+    read_labels,
+    read_scan,
+    sensor,
+    write_labels,
+)
+from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
@@ -164,3 +173,58 @@ def test_learning_curve(tmp_path, capsys, monkeypatch):
     ]
     assert commands == [1, 1, 1, 3, 3, 3] * 3
     assert (tmp_path / "out/curve.png").stat().st_size > 1000
+
+
+def test_holes_are_counted_as_by_a_plain_loop():
+    script = runpy.run_path(str(BENCHMARKS / "hole_shares.py"))
+    random = np.random.default_rng(0)
+    ranges = np.where(random.random((8, 64)) < 0.3, 0, random.uniform(2, 60, (8, 64)))
+    cells, kinds = hole_cells(ranges), HOLE_SHARES.shape[1]
+    wanted = np.zeros((3, *HOLE_SHARES.shape), int)
+    for row in range(8):
+        for column in range(64):
+            cell, right = cells[row, column], (column + 1) % 64
+            if cell < 0:
+                continue
+            hole = ranges[row, column] == 0
+            goes_on = hole and ranges[row, right] == 0 and cells[row, right] >= 0
+            wanted[:, cell // kinds, cell % kinds] += [1, hole, goes_on]
+    np.testing.assert_array_equal(script["count_holes"](ranges), wanted)
+
+
+def test_hole_shares(tmp_path, capsys):
+    write_sequence(tmp_path / "streets/sequences/00", ["0", "1"], count=900)
+    tiny = tmp_path / "tiny.toml"
+    tiny.write_text(TINY)
+    scan = tmp_path / "streets/sequences/00/velodyne/0.bin"
+    script = runpy.run_path(str(BENCHMARKS / "hole_shares.py"))
+    script["main"](f"two={tmp_path / 'streets'}", str(scan), "--sensor", str(tiny))
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[1:]] == ["two", "0", "mean"]
+    columns = HOLE_SHARES.size + 4
+    assert [len(line.split()) for line in lines[1:]] == [1 + columns] * 3
+    assert 0 < float(lines[1].split()[1]) < 100
+
+
+def test_street_statistics(tmp_path, capsys):
+    script = runpy.run_path(str(BENCHMARKS / "street_statistics.py"))
+    folder = write_sequence(tmp_path / "streets/sequences/00", ["0"], count=900)
+    tiny = tmp_path / "tiny.toml"
+    tiny.write_text(TINY)
+    words = (f"simulated={tmp_path / 'streets'}", str(tmp_path / "streets"), "--sensor", str(tiny))
+    script["main"](*words, "--json")
+    found = json.loads(capsys.readouterr().out)
+    assert [*found] == ["simulated", "streets"]
+    labels = label_space().to_train(read_labels(folder / "labels/0.label"))
+    ranges = project(read_scan(folder / "velodyne/0.bin"), sensor(str(tiny))).point_range
+    row = found["simulated"]["car"]
+    assert row["share"] == pytest.approx((labels == 1).sum() / (labels > 0).sum())
+    quartiles = np.quantile(ranges[labels == 1], (0.25, 0.5, 0.75))
+    assert row["range"] == pytest.approx(quartiles.tolist())
+    assert row["nearer"][1] == pytest.approx((ranges[labels == 1] < 10).mean())
+    assert 0 < row["columns"] < 1
+    assert 0 <= row["to_top"] <= 1
+    script["main"](*words)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2 + 2 * 19
+    assert {line.count("|") for line in lines} == {11}

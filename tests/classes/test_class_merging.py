@@ -119,12 +119,6 @@ def test_alternatives_are_those_of_the_merged_classes(targets, others):
     assert ClassMerging.between(own, merged).space.alternatives[70] == tuple(told[70])
 
 
-def test_an_ignored_class_goes_where_the_raw_id_that_stands_for_it_does():
-    """SemanticKITTI's unlabelled points are other structures too, which coarse has a class for."""
-    assert COARSE.learning_map[52] == 4
-    assert ClassMerging.between(FULL, COARSE).targets[0] == 0
-
-
 def test_splits_are_those_of_the_other_where_there_are_none():
     targets = [0, *[1] * 8, *[2] * 11]
     assert ClassMerging.between(FULL, space_of(targets)).space.splits == FULL.splits

@@ -179,12 +179,12 @@ def test_eval_replaces_its_result_of_other_settings_and_inputs(run, predict, res
     assert reports[0]["origins"] != reports[-1]["origins"]
 
 
-def test_the_three_lines_may_be_typed_again(run, predict, weights, tmp_path):
+def test_the_three_lines_may_be_typed_again(run, predict, tmp_path):
     out = tmp_path / "out"
     assert predict(out).exit_code == 0
     for line in (
         ("eval", "--split", "valid"),
-        ("export-ply", "--colour", "uncertainty", "--weights", weights, "--device", "cpu"),
+        ("export-ply", "--colour", "uncertainty"),
         ("eval", "--split", "valid"),
         ("eval",),
     ):
@@ -206,7 +206,7 @@ def test_eval_prints_how_good_the_uncertainty_is_and_notices_when_it_changes(
     assert result.exit_code == 0
     assert "eval: 2 scans" in result.stderr
     assert (out / "scores.txt").exists()
-    for word in ("car", "mean", "NLL", "ECE per scan", "confidence", "mutual_information", "AUSE"):
+    for word in ("car", "NLL", "ECE per scan", "least_confidence", "mutual_information", "AUSE"):
         assert word in result.stdout
     report = json.loads((out / "eval.json").read_text("utf-8"))
     assert report["settings"]["uncertainty"]["method"] == "sampling"
@@ -272,22 +272,18 @@ ON_DATA = "{data} other --weights {weights}"
     ("line", "says"),
     [
         ("export-ply --colour range --scale nan 1", "--scale"),
-        ("picture --colour range --scale nan 1", "--scale"),
         ("export-ply --colour rainbow", "--colour · rainbow"),
-        ("picture --colour red", "--colour · red"),
         ("picture --colour range --scale 2 1", "--scale · 2.0 1.0"),
         ("picture --colour label --scale 1 2", "--scale · --colour is label"),
         ("picture --scale 1 2", "--colour is none"),
         ("picture --fps nan", "--fps · nan"),
         ("picture --gif --shard 1/2", "--gif · --shard 1/2"),
         ("picture --mp4", "--mp4 · no ffmpeg found"),
-        ("pick {data} other --count 0", "--count · 0"),
         ("pick {data} other --seed -1", "--seed · -1"),
         ("tune dropout {data} other.safetensors --weights {weights} --samples 1", "--samples · 1"),
         ("tune dropout {data} other.safetensors --weights {weights} --steps 1", "--steps · 1"),
         ("tune dropout {data} other.safetensors --weights {weights} --lowest 0.9", "--lowest"),
         ("tune dropout {data} other.safetensors --weights {weights} --highest 1", "--highest · 1"),
-        (f"predict {ON_DATA} --ego 1,2,3", "--ego"),
         (f"predict {ON_DATA} --ego a,b,c,d,e,f", "--ego"),
         (f"predict {ON_DATA} --precision half", "precision"),
         (f"predict {ON_DATA} --backend threading --scheduler tcp://h:1", "--scheduler tcp://h:1"),
@@ -300,17 +296,13 @@ ON_DATA = "{data} other --weights {weights}"
         (f"predict {ON_DATA} --sensor hdl65", "sensor hdl65"),
         (f"predict {ON_DATA} --device cuda:99", "device cuda:99"),
         (f"predict {ON_DATA} --knn-window 4", "window 4"),
-        (f"predict {ON_DATA} --knn-k 30", "k 30"),
         (f"predict {ON_DATA} --knn-cutoff nan", "cutoff nan"),
         (f"uncertainty {ON_DATA} --samples 1", "--samples · 1 · expected at least 2"),
-        (f"uncertainty {ON_DATA} --samples 0", "--samples · 0"),
         (f"predict {ON_DATA} --sequences ,", "--sequences"),
         (f"predict {ON_DATA} --shard 3/2", "--shard · 3/2"),
-        (f"predict {ON_DATA} --shard 0", "i/n"),
         (f"predict {ON_DATA} --scheduler tcp://h:1", "--scheduler tcp://h:1 · --backend loky"),
         ("knn-refine --label-space none.yaml", "none.yaml · no such file"),
         ("train {data} other --set epoch=3", "--set epoch=3 · unknown key epoch"),
-        ("train {data} other --set epochs=0", "recipe key epochs · 0"),
         ("import-weights {weights} other.safetensors --dropout 0.2", "leave --dropout out"),
         (
             "import-weights {weights} other.safetensors --label-space semantic-kitti",
@@ -335,14 +327,11 @@ def test_wrong_settings_are_status_two(run, predicted, weights, monkeypatch, lin
     [
         ("predict nowhere --weights {weights}", "nowhere · no such file"),
         ("predict empty --weights {weights}", "empty · holds no scans"),
-        ("project empty --sensor hdl64", "empty · holds no scans"),
         ("uncertainty empty --weights {weights}", "empty · holds no scans"),
         ("eval --out nowhere", "nowhere · no such folder"),
         ("eval --out empty", "empty · holds no results"),
-        ("export-ply --out nowhere", "nowhere · no such folder"),
         ("picture nowhere", "nowhere · no such folder"),
         ("picture empty", "empty · holds no results"),
-        ("knn-refine nowhere", "nowhere · no such folder"),
         ("models nowhere.safetensors", "nowhere.safetensors · no such file"),
         ("import-weights nowhere w.safetensors", "nowhere · cannot be read"),
         ("predict empty --weights rubbish.safetensors", "rubbish.safetensors"),

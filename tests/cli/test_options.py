@@ -101,15 +101,6 @@ def test_a_shard_that_is_typed_goes_before_the_array(run, data, tmp_path, weight
     assert only_json(result)["done"] == 2
 
 
-def test_shards_do_not_estimate_what_others_may_be_estimating(run, data, tmp_path, weights):
-    out = tmp_path / "out"
-    run("predict", data, out, "--weights", weights, "--device", "cpu")
-    call = ["export-ply", "--out", out, "--colour", "uncertainty", "--shard", "1/2"]
-    result = run(*call, "--weights", weights)
-    assert result.exit_code == 2
-    assert f"run `salsanext uncertainty SCANS {out}` first" in result.stderr
-
-
 KNOWING = {"intensity_quantiles": (0.0,) * 64 + (1.0,), "row_gaps": 0.3}
 
 

@@ -7,6 +7,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from torch import nn
 
 from salsanext_cli.engines.device import has_bfloat16
 from salsanext_cli.engines.graphs import compiled_graph, converted
+from salsanext_cli.engines.network import Graph
 from salsanext_cli.engines.torch_engine import in_precision
 from salsanext_cli.network.registry import build
 
@@ -42,9 +44,8 @@ def images(*size):
 
 
 def compiled(module, x, **options):
-    return compiled_graph(
-        lambda: converted(module, lambda m, image: m(image), [x]), "test", **options
-    )
+    make = partial(converted, module, lambda m, image: m(image), [x])
+    return Graph(compiled_graph(make, "test", **options))
 
 
 @pytest.mark.parametrize("name", EACH)
@@ -139,7 +140,7 @@ def test_what_was_compiled_once_is_not_made_again(tmp_path, caplog):
     def refuse():
         raise AssertionError("made again")
 
-    assert np.array_equal(compiled_graph(refuse, "test")(x.numpy())[0], expected)
+    assert np.array_equal(Graph(compiled_graph(refuse, "test"))(x.numpy())[0], expected)
     with pytest.raises(AssertionError, match="made again"):
         compiled_graph(refuse, "other")
     # Cut, changed, or of another program: made again, and said.
@@ -147,7 +148,7 @@ def test_what_was_compiled_once_is_not_made_again(tmp_path, caplog):
     for damaged in (b"", content[:100], content[:-40], content[:5000] + b"\0" + content[5001:]):
         blob.write_bytes(damaged)
         assert np.array_equal(compiled(module, x)(x.numpy())[0], expected)
-        assert np.array_equal(compiled_graph(refuse, "test")(x.numpy())[0], expected)
+        assert np.array_equal(Graph(compiled_graph(refuse, "test"))(x.numpy())[0], expected)
     assert "is damaged: made again" in caplog.text
 
 
@@ -156,9 +157,10 @@ def test_signals_are_handled_after_the_last_graph_is_gone():
     program = """
 import gc, os, signal, threading, torch
 from salsanext_cli.engines.graphs import compiled_graph, converted
+from salsanext_cli.engines.network import Graph
 signal.signal(signal.SIGUSR1, lambda *_: print("handled"))
 part = torch.nn.Conv2d(5, 3, 1), lambda module, image: module(image), [torch.zeros(1, 5, 8, 8)]
-made = [compiled_graph(lambda: converted(*part), "test")]
+made = [Graph(compiled_graph(lambda: converted(*part), "test"))]
 thread = threading.Thread(target=lambda: (made.clear(), gc.collect()))
 thread.start()
 thread.join()

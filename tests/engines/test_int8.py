@@ -14,10 +14,10 @@ from salsanext_cli.engines.onnx_export import run
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.network.card import read_card
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages import export_onnx as stage
 from salsanext_cli.stages.export_onnx import export_onnx

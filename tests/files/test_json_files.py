@@ -13,11 +13,9 @@ from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 SETTINGS = RecordedSettings(
-    {"n": 3, "x": 0.5, "endless": "Infinity", "pair": [1, 2.5], "in": {"k": 5}, "yes": True},
+    {"n": 3, "endless": "Infinity", "pair": [1, 2.5], "in": {"k": 5}},
     Path("out/predict.json"),
 )
 
@@ -35,15 +33,12 @@ def change(path, *keys, to=None):
 
 
 def test_settings_are_read_back():
-    assert SETTINGS.integer("n") == 3
-    assert (SETTINGS.number("x"), SETTINGS.number("n")) == (0.5, 3.0)
-    assert SETTINGS.number("endless") == float("inf")
     assert SETTINGS.pair("pair") == (1.0, 2.5)
     assert SETTINGS.table("in")["k"] == 5
     assert SETTINGS.get("none") is None
 
 
-@pytest.mark.parametrize("read", ["integer", "number", "pair", "table", "__getitem__"])
+@pytest.mark.parametrize("read", ["pair", "table", "__getitem__"])
 def test_what_was_cut_out_is_named(read):
     with pytest.raises(OutputError, match=r"out/predict\.json · settings lack none · .*delete it"):
         getattr(SETTINGS, read)("none")
@@ -54,8 +49,6 @@ def test_what_was_cut_out_is_named(read):
 @pytest.mark.parametrize(
     ("read", "key"),
     [
-        *(("integer", key) for key in ("x", "endless", "pair", "in", "yes")),
-        *(("number", key) for key in ("pair", "in", "yes")),
         *(("pair", key) for key in ("n", "endless", "in")),
         *(("table", key) for key in ("n", "pair", "endless")),
     ],
@@ -65,19 +58,12 @@ def test_what_was_put_in_is_named(read, key):
         getattr(SETTINGS, read)(key)
 
 
-def test_a_word_that_means_nothing_is_named():
-    with pytest.raises(OutputError, match=r"settings have yes True · expected one of copies, none"):
-        SETTINGS.one_of("yes", ("copies", "none"))
-
-
 def fill(world):
     """Leave records of most stages in the output folder of a world."""
     first = {"network": world.network, "selection": ScanSelection(limit=1)}
     sensor = world.network.load().sensor
     project_scans(world.data, world.out, sensor=sensor, selection=first["selection"])
     predict_scans(world.data, world.out, **first)
-    uncertainty(world.data, world.out, method=UncertaintyMethod(samples=2), **first)
-    world.result("uncertainty/epistemic", "00").unlink()
     export_ply(world.out, colour="range")
     picture(world.out, colours=["range"])
 
@@ -96,21 +82,18 @@ def filled(once_filled):
     ("stage", "keys", "value"),
     [
         *(("export-ply", ["scale"], scale) for scale in (None, 3, [1], ["a", "b"])),
-        *(("predict", [key], None) for key in ("label_space", "sensor", "weights")),
+        *(("predict", [key], None) for key in ("label_space", "sensor")),
         *(("picture", ["scales"], scales) for scales in (None, 3)),
         *(("picture", ["scales", "range"], scale) for scale in (3, [1], ["a", "b"])),
         ("predict", ["label_space"], 7),
         ("project", ["sensor"], None),
-        *(("uncertainty", [key], None) for key in ("method", "samples", "seed", "aleatoric")),
-        *(("uncertainty", ["knn", *more], None) for more in ([], ["cutoff"])),
     ],
 )
 def test_a_stage_names_the_record_and_what_it_lacks(filled, stage, keys, value):
     change(filled.out / f"{stage}.json", *keys, to=value)
-    network = {"network": filled.network}
-    run = partial(export_ply, filled.out, colour="epistemic", **network)
+    run = partial(export_ply, filled.out, colour="label")
     if stage == "project":
-        run = partial(predict_range_images, filled.out, filled.out, **network)
+        run = partial(predict_range_images, filled.out, filled.out, network=filled.network)
     elif stage == "picture":
         run = partial(picture, filled.out, colours=["range"])
     elif stage == "export-ply":

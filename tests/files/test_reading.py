@@ -12,12 +12,11 @@ from scans import IN_BYTES, make_scan
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.files.reading import filled, is_folder, present, refusing_damage
-from salsanext_cli.formats import SCAN_SUFFIXES, kitti, labels, read_scan
-from salsanext_cli.formats.kitti import read_bin
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats import SCAN_SUFFIXES, kitti, read_scan
+from salsanext_cli.formats.kitti import read_bin, read_labels, write_bin, write_labels
 from salsanext_cli.formats.npy import read_array
+from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.records import Scan
-from salsanext_cli.results.point_files import write_bin, write_labels, write_ply
 
 SCAN = Scan(np.float32([[1, 2, 3], [-4.5, 0, 1e-3], [70, -80, 2]]), np.float32([0.0, 127.5, 255.0]))
 TEXTS = {".csv": ",", ".xyz": " ", ".txt": "; "}
@@ -143,7 +142,6 @@ def test_shorter_while_it_is_read(tmp_path, monkeypatch, name, read):
     """A program that writes the file anew makes it short for a moment."""
     write_bin(tmp_path / "a.bin", make_scan(10))
     write_labels(tmp_path / "a.label", np.zeros(10, np.uint32))
-    for reader in (kitti, labels):
-        monkeypatch.setattr(reader, "size_of", lambda file: 16 + os.fstat(file.fileno()).st_size)
+    monkeypatch.setattr(kitti, "size_of", lambda file: 16 + os.fstat(file.fileno()).st_size)
     with pytest.raises(FormatError, match="changed while it was read"):
         read(tmp_path / name)

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from salsanext_cli.errors import FormatError, LabelError
-from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.results.point_files import write_labels
+from salsanext_cli.formats.kitti import read_labels, write_labels
 
 
 @given(hnp.arrays(np.uint32, st.integers(0, 50)))

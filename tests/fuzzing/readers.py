@@ -24,12 +24,14 @@ from tiny_network import TinyNetwork
 from salsanext_cli import LabelSpace, label_space, project, read_labels, read_scan, sensor
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.formats import recordings
-from salsanext_cli.formats.npy import encode_array, read_array
+from salsanext_cli.formats.kitti import write_labels
+from salsanext_cli.formats.npy import read_array
+from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_labels, write_ply
+from salsanext_cli.results.output_run import encode_array
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.stage_records import StageRecord, StageRecords
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint

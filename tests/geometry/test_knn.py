@@ -76,7 +76,7 @@ def test_equals_the_slow_loop_on_both_devices(problem):
 @pytest.mark.parametrize("cell", [1, 9])
 def test_many_points_on_any_number_of_threads(rings, cell, threads, monkeypatch):
     """Labels that change with every pixel, and labels in patches of 9 × 9."""
-    monkeypatch.setattr("salsanext_cli.compiled.kernels.MIN_SLICE_ITEMS", 100)
+    monkeypatch.setattr("salsanext_cli.compiled.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     image = project(rings, sensor("hdl64").resized(width=512))
     labels = np.random.default_rng(1).integers(0, 20, (64, 512), np.uint8)
@@ -181,13 +181,3 @@ def test_published_labels(golden, real_image, image_name, labels_name):
     differs = ours != published
     assert differs.mean() < 0.005
     assert (at_edge | no_vote)[differs].all()
-
-
-@pytest.mark.real
-@pytest.mark.parametrize("image_name", ["argmax_image", "blob_image"])
-def test_real_scan_equals_the_slow_loop(golden, real_image, image_name):
-    labels = np.load(golden / "knn.npz")[image_name]
-    ours = knn_refine(real_image, labels)
-    np.testing.assert_array_equal(ours, on_torch(real_image, labels, KnnParameters()))
-    few = some_points(real_image, 11)
-    np.testing.assert_array_equal(ours[::11], slow(few, labels, KnnParameters()))

@@ -66,7 +66,7 @@ def test_equals_the_slow_loop_on_both_devices(scan, drawn):
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_many_points_on_any_number_of_threads(rings, threads, monkeypatch):
-    monkeypatch.setattr("salsanext_cli.compiled.kernels.MIN_SLICE_ITEMS", 100)
+    monkeypatch.setattr("salsanext_cli.compiled.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     assert_same(project(rings, sensor("hdl64")), slow_project(rings, sensor("hdl64")))
 
@@ -118,9 +118,3 @@ def test_published_projection(real_image, golden):
         assert (row == published["pixel_y"]).mean() >= 0.9999
         assert (real_image.point_of_pixel == published["pixel_to_point"]).mean() >= 0.9999
         np.testing.assert_allclose(real_image.point_range, published["point_range"], rtol=2e-7)
-
-
-@pytest.mark.real
-def test_torch_on_a_real_scan(real_scan, real_image):
-    image = project(real_scan, sensor("hdl64"), ON_TORCH)
-    assert_same(image, fields_of(real_image))

@@ -11,7 +11,7 @@ import pytest
 from scans import write_sequence
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.formats.labels import encode_labels
+from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.label_records import (
     GUESSES,
     IMPORTED,

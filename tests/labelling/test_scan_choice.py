@@ -81,13 +81,6 @@ def test_scans_on_a_line():
     assert order(line, doubt, 2, "both") == [1, 4]
 
 
-def test_nearly_equal_neighbours_are_passed_over_however_uncertain():
-    features = np.array([[0.0], [0.01], [0.02], [0.03], [5], [9]])
-    doubt = [1.0, 0.9, 0.8, 0.7, 0.01, 0.02]
-    for strategy in GREEDY:
-        assert sorted(order(features, doubt, 3, strategy))[1:] == [4, 5]
-
-
 def test_what_is_told_of_a_choice():
     features, weights = np.array([[0.0], [1], [4]]), [0.1, 0.3, 0.2]
     first, second, third = choose_scans(features, weights, 3, "both")

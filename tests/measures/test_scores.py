@@ -41,12 +41,6 @@ def test_counts_are_those_of_scikit_learn_and_add_up(one, two):
     assert parts[1].matrix.sum() == len(two)
 
 
-def test_only_points_of_ignored_truth_are_left_out():
-    confusion = Confusion(3).update(ids(1, 1, 0, 2), ids(1, 0, 1, 2))
-    counted = confusion.counted(np.array([False, True, False]))
-    assert counted.tolist() == [[0, 0, 0], [1, 1, 0], [0, 0, 0]]
-
-
 @pytest.mark.parametrize(
     ("truth", "predicted", "message"),
     [
@@ -141,15 +135,5 @@ def test_the_official_text_is_sorted_yaml_with_every_digit():
 
 def test_json_holds_null_for_what_is_absent():
     plain = json.loads(json.dumps(of([(1, 1)]).to_dict(), allow_nan=False))
-    assert plain["classes"][0] == {
-        "name": "car",
-        "train_id": 1,
-        "iou": 1.0,
-        "iou_official": 1 / (1 + 1e-15),
-        "precision": 1.0,
-        "recall": 1.0,
-        "points": 1,
-        "predicted": 1,
-    }
-    assert plain["classes"][1]["iou"] is None
-    assert plain["accuracy"] == 1.0
+    car, road, _ = plain["classes"]
+    assert (car["name"], car["iou"], road["iou"], plain["accuracy"]) == ("car", 1.0, None, 1.0)

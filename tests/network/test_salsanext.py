@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from scans import lively
 
-from salsanext_cli.network.blocks import ReplicatingConvTranspose2d, TransposedUnit
+from salsanext_cli.network.blocks import ReplicatingConvTranspose2d, transposed_unit
 from salsanext_cli.network.published import our_name
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.salsanext import SalsaNext
@@ -36,7 +36,7 @@ def test_names_and_shapes_are_those_of_the_published_checkpoint(golden):
 @pytest.mark.parametrize("training", [False, True])
 def test_the_first_version_repeats_the_last_row_and_column(training):
     """The published up block: convolution, repetition, LeakyReLU, batch norm, in this order."""
-    unit = lively(TransposedUnit(ReplicatingConvTranspose2d(6, 4))).train(training)
+    unit = lively(transposed_unit(ReplicatingConvTranspose2d(6, 4))).train(training)
     x = noise(2, 6, 5, 7)
     convolution, _, norm = unit
     short = F.conv_transpose2d(x, convolution.weight, convolution.bias, stride=2, padding=1)

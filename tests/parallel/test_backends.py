@@ -111,7 +111,7 @@ def connected(workers):
 
 def test_the_bytes_do_not_depend_on_who_works(tmp_path, alone, weights, connected, two_cores):
     data, expected = alone
-    assert len(expected) == 4 * (2 + 3) + 3
+    assert len(expected) == 4 * (3 + 3) + 3
     assert everything(data, tmp_path / "out", weights, **connected) == expected
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.files.atomic import MARK
-from salsanext_cli.parallel.network_task import overlapping
+from salsanext_cli.parallel.run import overlapping
 from salsanext_cli.results.layout import ScanFile
 
 FILES = [ScanFile("00", str(number), Path(f"{number}.bin")) for number in range(5)]

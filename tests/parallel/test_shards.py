@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.parallel.shards import (
+from salsanext_cli.parallel.options import Shard
+from salsanext_cli.parallel.run import (
     MAX_CHUNK_SCANS,
     MIN_CHUNKS_PER_WORKER,
-    Shard,
     chunks,
 )
 from salsanext_cli.results.layout import ScanFile

@@ -13,10 +13,7 @@ from salsanext_cli.report.colours import (
     EMPTY,
     LEAST_CONTRAST,
     LEAST_DIFFERENCE,
-    RIGHT,
-    WRONG,
     colour_difference,
-    error_colours,
     lab_difference,
     legend_of,
     map_colours,
@@ -47,11 +44,6 @@ PUBLISHED = """
 2.0776 0.0795 -1.1350 0.9033 -0.0636 -0.5514 0.9082
 """
 """Pairs of CIELAB colours and their difference, of the table in the paper by Sharma and others."""
-
-
-def test_errors_are_right_wrong_or_of_ignored_truth():
-    colours = error_colours(np.array([CAR, CAR, CAR, 0]), np.array([CAR, ROAD, 0, CAR]), SPACE)
-    np.testing.assert_array_equal(colours, [RIGHT, WRONG, WRONG, EMPTY])
 
 
 def test_values_have_the_colours_of_the_map():

@@ -72,12 +72,12 @@ def test_values_come_back_on_their_scale_and_none_stays_none():
     error = np.linspace(0, 1, 300, dtype=np.float32)
     one = shown(scan, uncertainty={"entropy": entropy, "error": error}, doubt=error / 2)
     scales = scales_of([one])
-    assert scales["error"] == scales["doubt"] == (0, 1)
-    assert 1.9 < scales["entropy"][1] <= 2
+    assert scales["error"] == scales["doubt"] == {"low": 0, "high": 1, "unit": ""}
+    assert 1.9 < scales["entropy"]["high"] <= 2
     values = encoded(one)["values"]
     assert [*values] == ["error", "entropy", "doubt", "range", "intensity"]
     for name, exact in (("error", error), ("doubt", error / 2), ("entropy", entropy)):
-        found, highest = numbers(values[name], "u1"), scales[name][1]
+        found, highest = numbers(values[name], "u1"), scales[name]["high"]
         wanted = np.minimum(exact[order], highest)
         known = ~np.isnan(wanted)
         assert np.array_equal(found == NO_VALUE, ~known)

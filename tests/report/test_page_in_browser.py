@@ -17,8 +17,8 @@ from scans import SMALL, make_scan
 from served import served
 
 from salsanext_cli import write_labels
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.results.layout import output_path
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import report, view
 
@@ -255,8 +255,8 @@ def test_the_live_page_plays_the_drive_and_names_what_fails(world, tmp_path, mon
         world.add(stem, [CAR, ROAD], [CAR, CAR])
     with view(world.out, dataset=world.dataset) as server, served(server):
         (world.dataset / "sequences/08/velodyne/000002.bin").write_bytes(b"damaged")
-        page = server.page().replace(b"</body>", f"{LIVE_PROBE}</body>".encode())
-        monkeypatch.setattr(server, "page", lambda: page)
+        page = server.page.replace(b"</body>", f"{LIVE_PROBE}</body>".encode())
+        monkeypatch.setattr(server, "page", page)
         state = {"scan": "08/000000", "colour": "wrong", "by": "entropy", "above": "0.5"}
         said = console_of(f"{server.url}#{urlencode(state)}", tmp_path)
     found = found_in(said)

@@ -11,7 +11,7 @@ from salsanext_cli import Scan, label_space
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.report.canvas import MARGIN_PX
-from salsanext_cli.report.colours import EMPTY, WRONG, screen_colours
+from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, screen_colours
 from salsanext_cli.report.scan_pictures import (
     HEAD_PX,
     NARROW_PX,
@@ -162,10 +162,14 @@ def test_strips_are_range_truth_prediction_and_errors(tmp_path):
     written = imread(tmp_path / "sample.png")[..., :3]
     np.testing.assert_array_equal((written * 255).round().astype(np.uint8), picture)
     starts = [i * (height + SAMPLE_GAP_PX) for i in range(4)]
-    _, truth, prediction, _ = (picture[s : s + height : SAMPLE_ROW_PX] for s in starts)
+    _, truth, prediction, errors = (picture[s : s + height : SAMPLE_ROW_PX] for s in starts)
     road = screen_colours(SPACE)[SPACE.names.index("road")]
     filled = (prediction != EMPTY).any(axis=2)
     assert 100 < filled.sum() < filled.size
     assert (prediction[filled] == road).all()
     np.testing.assert_array_equal((truth != EMPTY).any(axis=2)[~filled], False)
     assert len(np.unique(truth[filled], axis=0)) > 3
+    unlabelled = (truth == screen_colours(SPACE)[0]).all(axis=2)
+    expected = np.where((truth == prediction).all(axis=2)[..., None], RIGHT, WRONG)
+    expected[unlabelled | ~filled] = EMPTY
+    np.testing.assert_array_equal(errors, expected)

@@ -18,8 +18,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, WeightsError
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.options import KnnParameters
-from salsanext_cli.parallel.network_task import NetworkTask
-from salsanext_cli.parallel.run import RunOptions, run_over_scans
+from salsanext_cli.parallel.run import NetworkTask, RunOptions, run_over_scans
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.stages.predict import predict_scan, predict_scans

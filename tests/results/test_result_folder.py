@@ -7,9 +7,9 @@ from empty_runs import begin_and_end
 from scans import SMALL, write_array, write_sequence
 
 from salsanext_cli.errors import NoInputError
+from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_labels
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
@@ -99,13 +99,6 @@ def test_refined_labels_are_those_that_predict_was_asked_for(world):
     assert knn_refine_scans(world.out).done == 1
     scans = find_scans(world.data, ["08"])
     assert names(ResultFolder(world.out).missing_predictions(scans)) == (["08/000000"], 1)
-
-
-def test_the_results_of_a_scan_that_failed_are_missing(world):
-    world.scan("08", "000001").write_bytes(b"1")
-    predict_scans(world.data, world.out, network=world.network)
-    scans = find_scans(world.data, ["08"])
-    assert names(ResultFolder(world.out).missing_predictions(scans[1:])) == (["08/000001"], 0)
 
 
 def test_a_table_that_was_named_itself_is_found_again_beside_clouds(world, tmp_path):

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
 import numpy as np
 import pytest
-from scans import IN_BYTES, make_scan, write_array
+from scans import make_scan, write_array
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli.errors import FormatError, LabelError
+from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_bin, write_labels
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, scalar_columns
 
 SPACE = label_space()
@@ -66,11 +66,3 @@ def test_files_of_another_scan_are_refused(world, file):
     write_labels(file.label_path, np.zeros(4, np.uint32))
     with pytest.raises(LabelError, match="4 labels"):
         ResultFolder(world.out).read(file, truth_in=(SPACE, SPACE))
-
-
-def test_intensities_are_scaled(world, file):
-    scan = make_scan(7)
-    write_bin(file.path, Scan(scan.points, scan.intensity * 255))
-    file.label_path.unlink()
-    cloud = ResultFolder(world.out).read(file, IN_BYTES)
-    np.testing.assert_allclose(cloud.scan.intensity, scan.intensity, rtol=1e-6)

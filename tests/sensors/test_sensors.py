@@ -96,9 +96,13 @@ def test_unknown_and_missing_keys() -> None:
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("columns", ("x", "y", "z", "_", "ring", "_")), ("beams", (10.5, 2.0, -3.25))],
+    [
+        ("columns", ("x", "y", "z", "_", "ring", "_")),
+        ("beams", (10.5, 2.0, -3.25)),
+        ("origin", (0.9, 0.0, 1.75)),
+    ],
 )
-def test_columns_and_beams_belong_to_the_view_where_they_are_told(
+def test_columns_beams_and_origin_belong_to_the_view_where_they_are_told(
     tmp_path: Path, key: str, value: tuple[object, ...]
 ) -> None:
     told = replace(VALID, **{key: value})
@@ -141,9 +145,8 @@ def test_neither_preset_nor_file(tmp_path: Path) -> None:
 
 
 def test_every_preset_knows_its_noise():
-    assert all(preset.knows_noise for preset in presets().values())
-    assert not Sensor("s", 3, -25, 64, 512).knows_noise
-    assert not Sensor("s", 3, -25, 64, 512, range_noise=0.02).knows_noise
+    for preset in presets().values():
+        assert None not in (preset.range_noise, preset.intensity_noise)
 
 
 def test_the_view_is_all_but_name_noise_and_quantiles():

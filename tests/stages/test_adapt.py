@@ -14,15 +14,14 @@ from salsanext_cli.errors import FormatError, NoInputError, OutputError, Weights
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.fitting.batch_norm import PooledStatistics
 from salsanext_cli.fitting.scan_fit import ADAPTED_SHARE, network_of_run
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES
 from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.parallel.shards import Shard
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.stage_records import StageRecords
-from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
@@ -91,9 +90,7 @@ def test_later_runs_and_stages_take_the_same_statistics(adapting):
     before = fingerprint(adapted(adapting.out))
     write_sequence(adapting.data / "sequences/09", ["000000"], seed=99)
     assert run(adapting).done == 3
-    # Which export-ply knows from the folder.
-    plain = replace(adapting.network, adapt=False)
-    export_ply(adapting.out, colour="epistemic", network=plain)
+    uncertainty(adapting.data, adapting.out, network=adapting.network, method=FEW)
     assert StageRecords(adapting.out).settings("uncertainty")["adapted"] == before
     assert fingerprint(adapted(adapting.out)) == before
 

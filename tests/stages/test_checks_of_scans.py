@@ -10,9 +10,9 @@ from scans import SMALL, write_sequence
 
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.errors import FormatError, TrainingError
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages import inspect as inspect_stage
 from salsanext_cli.stages.inspect import inspect
 from salsanext_cli.stages.project import project_scans

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from salsanext_cli import Scan, read_labels, read_scan
 from salsanext_cli.cli.app import app
-from salsanext_cli.results.point_files import write_bin
+from salsanext_cli.formats.kitti import write_bin
 
 NEAR = 300
 

@@ -21,11 +21,11 @@ from salsanext_cli.errors import (
     OutputError,
     UsageError,
 )
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.formats.las import classification
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
@@ -36,7 +36,7 @@ from salsanext_cli.uncertainty.method import UncertaintyMethod
 SPACE = label_space()
 OVERWRITE = RunOptions(overwrite=True)
 FEW = UncertaintyMethod(samples=2)
-KINDS = FEW.kinds
+KINDS = (*FEW.kinds, "least_confidence")
 
 
 def sample(world):
@@ -56,7 +56,6 @@ def sampled(once_sampled):
 
 
 def export(world, **options):
-    options.setdefault("network", world.network)
     return export_ply(world.out, **options)
 
 
@@ -208,57 +207,31 @@ def test_a_scale_may_be_given(predicted):
     assert export(predicted, colour="range", scale=(0, 20), options=OVERWRITE).done == 3
 
 
-def test_uncertainty_is_sampled_where_it_is_missing(predicted, caplog):
-    earlier = {"method": UncertaintyMethod(samples=2, seed=3), "selection": ScanSelection(limit=1)}
-    uncertainty(predicted.data, predicted.out, network=predicted.network, **earlier)
-    labels = predicted.labels()
-    with caplog.at_level("WARNING"):
-        assert export(predicted, colour="uncertainty").done == 3
-    assert "no uncertainty of 2 scans yet: estimating it" in caplog.text
-    settings = json.loads((predicted.out / "uncertainty.json").read_text())["settings"]
-    assert (settings["samples"], settings["seed"]) == (2, 3)
-    np.testing.assert_array_equal(predicted.labels(), labels)
-    assert any(c.startswith("colour entropy viridis") for c in ply(predicted).comments)
-    assert np.isfinite(column(predicted, "entropy")).all()
-
-
-def test_a_kind_that_was_not_estimated_is_refused(sampled):
-    without = UncertaintyMethod(samples=2, aleatoric="none")
+def test_uncertainty_is_the_least_confidence_until_another_is_known(predicted):
+    one = ScanSelection(limit=1)
+    assert export(predicted, colour="uncertainty", selection=one).done == 1
+    assert ply(predicted, "00").comments[0].startswith("colour least_confidence viridis ")
+    with pytest.raises(NoInputError, match=r"no entropy known .*`salsanext uncertainty SCANS "):
+        export(predicted, colour="entropy")
     uncertainty(
-        sampled.data, sampled.out, network=sampled.network, method=without, options=OVERWRITE
+        *(predicted.data, predicted.out),
+        network=predicted.network,
+        method=replace(FEW, aleatoric="none"),
+        selection=one,
     )
-    with pytest.raises(UsageError, match="without aleatoric · expected total"):
-        export(sampled, colour="total", options=OVERWRITE)
-
-
-def test_a_sensor_of_unknown_noise_has_no_total(world, caplog):
-    silent = replace(SMALL, range_noise=None, fov_up=4.0)
-    predict_scans(world.data, world.out, network=replace(world.network, sensor=silent))
-    with pytest.raises(UsageError, match="sensor small · its noise is not known"):
-        export(world, colour="aleatoric")
-    with caplog.at_level("WARNING"):
-        assert export(world, colour="uncertainty", selection=ScanSelection(limit=1)).done == 1
-    assert "small does not know its noise: epistemic uncertainty only" in caplog.text
-    assert any(c.startswith("colour entropy viridis") for c in ply(world, "00").comments)
-
-
-def test_sampling_uses_the_weights_and_sensor_that_predicted(world, tmp_path):
-    wide = SMALL.resized(width=64)
-    predict_scans(world.data, world.out, network=replace(world.network, sensor=wide))
-    other = NetworkSettings(
-        write_weights(tmp_path / "other.safetensors", seed=1), "cpu", engine="torch"
-    )
-    with pytest.raises(UsageError, match="the same weights"):
-        export(world, colour="epistemic", network=other)
-    uncertainty(
-        world.data,
-        tmp_path / "expected",
-        network=replace(world.network, sensor=wide),
-        selection=ScanSelection(limit=1),
-    )
-    export(world, colour="epistemic", selection=ScanSelection(limit=1))
-    name = "sequences/00/uncertainty/epistemic/000000.npy"
-    assert files_below(world.out)[name] == files_below(tmp_path / "expected")[name]
+    outcome = export(predicted, colour="uncertainty")
+    assert (outcome.done, len(outcome.failures)) == (1, 2)
+    assert "no entropy known · expected" in outcome.failures[0].reason
+    with pytest.raises(NoInputError, match=r"no total known .*`salsanext uncertainty SCANS "):
+        export(predicted, colour="total")
+    for path in predicted.out.rglob("uncertainty/*/*.npy"):
+        path.unlink()
+    with pytest.raises(
+        NoInputError, match=r"no least_confidence known .*`salsanext predict SCANS "
+    ):
+        export(predicted, colour="least_confidence")
+    with pytest.raises(NoInputError, match="`salsanext uncertainty SCANS "):
+        export(predicted, colour="uncertainty")
 
 
 def test_labels_made_anew_by_other_weights_are_not_shown_with_older_uncertainty(sampled, tmp_path):
@@ -267,9 +240,9 @@ def test_labels_made_anew_by_other_weights_are_not_shown_with_older_uncertainty(
     )
     predict_scans(sampled.data, sampled.out, network=other, options=OVERWRITE)
     with pytest.raises(OutputError, match=r"labels by the weights .* SCANS .* --overwrite"):
-        export(sampled, colour="epistemic", network=other)
+        export(sampled, colour="epistemic")
     uncertainty(sampled.data, sampled.out, network=other, method=FEW, options=OVERWRITE)
-    assert export(sampled, colour="epistemic", network=other).done == 3
+    assert export(sampled, colour="epistemic").done == 3
 
 
 def test_other_classes_than_those_predicted_are_refused(predicted):
@@ -356,7 +329,7 @@ def test_scans_that_have_moved_are_exported_from_where_one_says(predicted):
     with pytest.raises(NoInputError, match="--dataset"):
         export(predicted)
     assert export(predicted, dataset=moved).done == 3
-    assert export(predicted, dataset=moved, colour="epistemic", options=OVERWRITE).done == 3
+    assert export(predicted, dataset=moved, colour="uncertainty", options=OVERWRITE).done == 3
 
 
 def test_odd_points_are_exported(world):
@@ -364,9 +337,9 @@ def test_odd_points_are_exported(world):
     write_bin(world.scan(), Scan(points, np.array([0, np.nan, 1, np.inf], np.float32)))
     write_labels(world.data / "sequences/08/labels/000000.label", np.zeros(4, np.uint32))
     predict_scans(world.scan(), world.out, network=world.network)
-    assert export(world, colour="epistemic").done == 1
+    assert export(world, colour="least_confidence").done == 1
     np.testing.assert_array_equal(colours(world)[[0, 1, 3]], np.tile(EMPTY, (3, 1)))
-    assert np.isnan(column(world, "epistemic")[[0, 1, 3]]).all()
+    assert np.isnan(column(world, "least_confidence")[[0, 1, 3]]).all()
 
 
 def test_a_run_that_goes_on_colours_alike_and_most_points_are_in_the_range(predicted):
@@ -409,20 +382,6 @@ def test_error_is_a_colour_and_what_uncertainty_means(known, colour, caplog):
     np.testing.assert_array_equal(column(known, "wrong"), np.where(counts, wrong, np.nan))
     assert export(known, colour=colour).skipped == 3
     assert not (known.out / "uncertainty.json").exists()
-
-
-def test_uncertainty_is_the_entropy_where_there_is_no_error(known):
-    world = known
-    for path in world.out.rglob("error/*.npy"):
-        path.unlink()
-    for kind in ("epistemic", "entropy", "total"):
-        for scan in SCANS:
-            write_array(world.result(f"uncertainty/{kind}", *scan), ERROR)
-    assert export(world, colour="uncertainty").done == 3
-    assert ply(world).comments[0].startswith("colour entropy viridis ")
-    for colour in ("epistemic", "total"):
-        assert export(world, colour=colour).done == 3
-        assert ply(world, folder=f"ply/{colour}").comments[0].startswith(f"colour {colour} viridis")
 
 
 @pytest.mark.parametrize("max_error", [0.0, 0.5])

@@ -8,8 +8,8 @@ import pytest
 from scans import SMALL, labels_below, write_weights
 
 from salsanext_cli import knn_refine, project, read_scan
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.network_input import fill_rows, row_gaps
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans

@@ -12,7 +12,7 @@ from scans import files_below, write_sequence
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NoInputError
-from salsanext_cli.formats.labels import encode_labels
+from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.owned_folder import OwnedFolder

@@ -9,10 +9,10 @@ from scans import SMALL, labels_below, write_sequence, write_weights
 
 from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.network_input import intensity_quantiles
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
 from salsanext_cli.stages.knn_refine import knn_refine_scans
@@ -62,7 +62,7 @@ def test_labels_do_not_depend_on_the_scale_of_the_files(knowing, tmp_path):
 
 
 def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, tmp_path):
-    from salsanext_cli.parallel.shards import Shard
+    from salsanext_cli.parallel.options import Shard
 
     run(knowing)
     steps = tmp_path / "steps"

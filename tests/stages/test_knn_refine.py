@@ -8,9 +8,9 @@ from scans import SMALL, files_below, labels_below, write_array, write_weights
 
 from salsanext_cli import KnnParameters, knn_refine, label_space, project, read_labels, read_scan
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.geometry.projection import pixels_from_points
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.point_files import write_labels
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans

@@ -11,8 +11,8 @@ from scans import files_below, write_array
 from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.parallel.shards import Shard
 from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.colours import WRONG, screen_colours
 from salsanext_cli.stages.picture import picture

@@ -19,9 +19,10 @@ from salsanext_cli import KnnParameters, LabelSpace, Scan, knn_refine, label_spa
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.point_files import write_bin, write_ply
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
@@ -58,6 +59,9 @@ def test_extras_agree_with_the_labels(world):
     image = project(read_scan(world.scan()), SMALL)
     of_points = pixels.ravel()[image.pixel_of_point]
     assert (probabilities.argmax(axis=1) == of_points).mean() > 0.99
+    least = np.load(world.result("uncertainty/least_confidence"))
+    assert (least.dtype, least.shape) == (np.float32, (1500,))
+    np.testing.assert_allclose(least, 1 - probabilities.max(axis=1), atol=1e-3)
 
 
 def test_extras_can_be_asked_for_later(world):
@@ -117,6 +121,8 @@ def test_odd_scans(world, points):
     labels = world.labels()
     assert len(labels) == len(points)
     nowhere = np.array([not np.isfinite(p).all() or not any(p) for p in points], bool)
+    least = np.load(world.result("uncertainty/least_confidence"))
+    np.testing.assert_array_equal(np.isnan(least), nowhere)
     assert not labels[nowhere].any()
     probabilities = np.load(world.result("probabilities"))
     assert probabilities.shape == (len(points), 20)

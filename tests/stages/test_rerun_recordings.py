@@ -12,9 +12,9 @@ from scans import make_scan, replace_points
 
 from salsanext_cli import Scan, read_labels, read_scan
 from salsanext_cli.errors import OutputError, UsageError
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.report.colours import EMPTY, map_on_dark, screen_colours
 from salsanext_cli.results.layout import output_path
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.export_rrd import export_rrd
 
 pytestmark = pytest.mark.slow

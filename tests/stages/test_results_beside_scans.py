@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from salsanext_cli.cli.app import app
 from salsanext_cli.errors import OutputError
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.results.layout import find_scans, require_none_hidden
-from salsanext_cli.results.point_files import write_bin
 
 
 @pytest.fixture

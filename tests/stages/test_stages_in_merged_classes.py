@@ -13,12 +13,11 @@ from scans import SMALL, labels_below, write_weights
 from salsanext_cli import LabelSpace, knn_refine, label_space, project, read_labels, read_scan
 from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.fitting.recorded_network import network_of_labels
+from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.measures.histograms import softmax_errors
 from salsanext_cli.measures.scores import Confusion
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.point_files import write_labels
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
@@ -64,6 +63,9 @@ def test_labels_are_of_the_largest_sum_after_the_vote_in_merged_classes(coarse, 
     assert (pixels.dtype, pixels.max()) == (np.uint8, 7)
     expected = COARSE.to_raw(knn_refine(image, pixels, 8))
     np.testing.assert_array_equal(coarse.labels(), expected)
+    least = 1 - sums.max(axis=0).ravel()[image.pixel_of_point]
+    found = np.load(coarse.result("uncertainty/least_confidence"))
+    np.testing.assert_allclose(found, least, atol=1e-6)
     of_points = np.load(coarse.result("probabilities"))
     assert of_points.shape == (1500, 8)
     np.testing.assert_allclose(of_points, sums.reshape(8, -1)[:, image.pixel_of_point].T, atol=2e-3)
@@ -185,12 +187,11 @@ def test_uncertainty_beside_labels_has_their_classes(coarse, world):
     more = {"method": FEW, "selection": ONE}
     with pytest.raises(OutputError, match=r"other label_space .* give the same --classes"):
         uncertainty(world.data, world.out, network=world.network, **more)
-    done = export_ply(coarse.out, colour="entropy", network=world.network)
-    assert done.done == 1
+    assert uncertainty(coarse.data, coarse.out, network=coarse.network, **more).done == 1
     assert np.nanmax(np.load(coarse.result("uncertainty/entropy", "00"))) <= np.log(8) + 1e-5
     predict(world, selection=ONE, options=RunOptions(overwrite=True))
     with pytest.raises(OutputError, match="uncertainty in those of coarse"):
-        export_ply(coarse.out, colour="entropy", network=world.network)
+        export_ply(coarse.out, colour="entropy")
 
 
 ONE_CLASS = {"learning_ignore": {i: i != 1 for i in range(20)}}
@@ -208,9 +209,6 @@ def test_classes_that_cannot_be_merged_serve_as_they_are(world, tmp_path, change
     world = replace(world, network=replace(world.network, weights=weights))
     (world.data / "labels.yaml").write_text(yaml.safe_dump(space.to_dict()))
     predict(world, selection=ONE)
-    again = network_of_labels(world.out, replace(world.network, classes=COARSE))
-    assert again.classes is None
-    assert again.load().space.fits(space)
     settings = json.loads((world.out / "predict.json").read_text())["settings"]
     recorded = LabelSpace.from_dict(settings["label_space"])
     scans, found = ResultFolder(world.out).predicted(ScanSelection(), classes=recorded)
@@ -230,7 +228,7 @@ def test_a_split_is_the_data_sets_where_the_label_space_has_none(coarse):
 
 def test_clouds_have_the_colours_of_merged_classes(world):
     predict(world, selection=ONE)
-    assert export_ply(world.out, network=replace(world.network, classes=COARSE)).done == 1
+    assert export_ply(world.out, classes=COARSE).done == 1
     cloud = plyfile.PlyData.read(world.result("ply", "00"))
     assert "label space coarse" in cloud.comments
     vertex = cloud["vertex"]

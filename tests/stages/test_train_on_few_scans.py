@@ -87,9 +87,7 @@ def go(data: Path, run: Path, recipe: Recipe = FEW, **changes: object) -> TrainR
 
 
 @pytest.mark.usefixtures("good_errors")
-def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(
-    data: Path, tmp_path: Path
-) -> None:
+def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(data, tmp_path):
     reports: list[StepReport] = []
     run = tmp_path / "run"
     result = go(data, run, progress=reports.append)
@@ -126,9 +124,7 @@ def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(
     assert again == result
 
 
-def test_errors_are_fitted_anew_only_to_other_weights_or_scans(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_errors_are_fitted_anew_only_to_other_weights_or_scans(data, tmp_path, monkeypatch, caplog):
     run, judged = tmp_path / "run", list[Path]()
 
     def count(file: ScanFile, *others: Any) -> JudgedPoints:
@@ -168,9 +164,7 @@ def test_errors_are_fitted_anew_only_to_other_weights_or_scans(
         go(data, run)
 
 
-def test_the_card_says_what_the_training_began_from(
-    data: Path, tmp_path: Path, initial: Path
-) -> None:
+def test_the_card_says_what_the_training_began_from(data, tmp_path, initial):
     few = FEW.with_changes(epochs=1)
     card = read_card(go(data, tmp_path / "default", few).best)
     assert card.recipe == few.to_dict()
@@ -193,9 +187,7 @@ class Stopped(BaseException):
 @pytest.mark.parametrize(
     "step", [8, *(pytest.param(step, marks=pytest.mark.slow) for step in (1, 13))]
 )
-def test_a_training_that_was_stopped_anywhere_ends_alike(
-    data: Path, tmp_path: Path, step: int
-) -> None:
+def test_a_training_that_was_stopped_anywhere_ends_alike(data, tmp_path, step):
     whole, run = go(data, tmp_path / "whole"), tmp_path / "stopped"
 
     def stop(report: StepReport) -> None:
@@ -211,9 +203,7 @@ def test_a_training_that_was_stopped_anywhere_ends_alike(
     assert result.best.read_bytes() == whole.best.read_bytes()
 
 
-def test_scans_without_labels_are_left_out_and_counted(
-    data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_scans_without_labels_are_left_out_and_counted(data, tmp_path, caplog):
     caplog.set_level(NOTICE)
     (data / "sequences/c/labels/0.label").unlink()
     result = go(data, tmp_path / "run")
@@ -225,9 +215,7 @@ def test_scans_without_labels_are_left_out_and_counted(
         go(data, tmp_path / "none")
 
 
-def test_first_guesses_are_no_labels(
-    data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_first_guesses_are_no_labels(data, tmp_path, caplog):
     caplog.set_level(NOTICE)
     files = find_scans(data)
     # What `pick` records; then one guess is confirmed and one corrected.
@@ -245,9 +233,7 @@ def test_first_guesses_are_no_labels(
         go(data, tmp_path / "split", FEW.with_changes(folds=0))
 
 
-def test_a_single_scan_is_trained_on_with_a_warning(
-    data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_single_scan_is_trained_on_with_a_warning(data, tmp_path, caplog):
     for name in ("b", "c"):
         shutil.rmtree(data / "sequences" / name)
     result = go(data, tmp_path / "run")
@@ -256,7 +242,7 @@ def test_a_single_scan_is_trained_on_with_a_warning(
     assert result.best.read_bytes() == result.last.read_bytes()
 
 
-def test_a_validation_split_that_names_every_scan_is_used(data: Path, tmp_path: Path) -> None:
+def test_a_validation_split_that_names_every_scan_is_used(data, tmp_path):
     own = label_space().to_dict() | {"split": {"train": ["a", "b"], "valid": ["c"]}}
     (data / "labels.yaml").write_text(json.dumps(own))
     result = go(data, tmp_path / "run")
@@ -265,9 +251,7 @@ def test_a_validation_split_that_names_every_scan_is_used(data: Path, tmp_path: 
     assert not (tmp_path / "run/folds").exists()
 
 
-def test_scans_of_other_splits_are_not_trained_on(
-    data: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_scans_of_other_splits_are_not_trained_on(data, tmp_path, caplog):
     own = label_space().to_dict() | {"split": {"train": [], "valid": ["b"], "test": ["c"]}}
     (data / "labels.yaml").write_text(json.dumps(own))
     go(data, tmp_path / "run")
@@ -278,9 +262,7 @@ def test_scans_of_other_splits_are_not_trained_on(
         go(data, tmp_path / "none")
 
 
-def test_without_named_splits_all_labelled_scans_are_trained_on(
-    data: Path, tmp_path: Path, initial: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_without_named_splits_all_labelled_scans_are_trained_on(data, tmp_path, initial, caplog):
     # SemanticKITTI trains on 00 and validates 08.
     for seed, (name, usual) in enumerate((("a", "00"), ("b", "08"), ("c", "c"))):
         (data / "sequences" / name).rename(data / "sequences" / usual)
@@ -309,9 +291,7 @@ def test_without_named_splits_all_labelled_scans_are_trained_on(
         go(data, tmp_path / "none", FEW.with_changes(folds=0))
 
 
-def test_the_checkpoint_of_a_first_fold_is_kept(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_checkpoint_of_a_first_fold_is_kept(data, tmp_path, monkeypatch):
     monkeypatch.setattr(fit, "SAVE_INTERVAL_S", 0.0)
     run = tmp_path / "run"
 
@@ -354,9 +334,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     return made
 
 
-def test_simulated_streets_are_trained_on_beside_the_scans(
-    data: Path, tmp_path: Path, simulated: list[Path]
-) -> None:
+def test_simulated_streets_are_trained_on_beside_the_scans(data, tmp_path, simulated):
     run, recipe = tmp_path / "run", FEW.with_changes(streets=1, also=0.5)
     with_streets = go(data, run, recipe)
     streets = run / "streets"
@@ -385,9 +363,9 @@ def test_simulated_streets_are_trained_on_beside_the_scans(
     assert simulated == 2 * both
 
 
-def test_streets_of_an_older_version_or_other_settings_are_simulated_anew(
-    data: Path, tmp_path: Path, simulated: list[Path], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_streets_of_an_older_version_or_settings_are_simulated_anew(
+    data, tmp_path, simulated, caplog
+):
     caplog.set_level(NOTICE)
     run, recipe = tmp_path / "run", FEW.with_changes(streets=1, epochs=1)
     go(data, run, recipe)
@@ -412,9 +390,7 @@ def test_streets_of_an_older_version_or_other_settings_are_simulated_anew(
     assert f"simulating 1 street in {streets}" in caplog.messages
 
 
-def test_streets_of_other_classes_are_not_simulated(
-    data: Path, tmp_path: Path, simulated: list[Path], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_streets_of_other_classes_are_not_simulated(data, tmp_path, simulated, caplog):
     own = label_space().to_dict()
     own["labels"] = {raw: f"our {name}" for raw, name in own["labels"].items()}
     (data / "labels.yaml").write_text(json.dumps(own))

@@ -13,12 +13,12 @@ from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan
 from salsanext_cli.errors import OutputError
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.measures.scores import Confusion
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_scans
@@ -54,9 +54,7 @@ def counts_of(world: World, *scans: tuple[str, str]) -> np.ndarray:
     return confusion.matrix
 
 
-def test_they_are_left_out_whatever_their_name_and_format(
-    trained: World, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_they_are_left_out_whatever_their_name_and_format(trained, caplog):
     """Weights may have gone, scans have been renamed and their intensity changed."""
     path = trained.scan("08", "000001")
     scan = read_scan(path)
@@ -73,9 +71,7 @@ def test_they_are_left_out_whatever_their_name_and_format(
     assert json.loads((trained.out / "eval.json").read_text())["trained_on"] == 1
 
 
-def test_where_all_are_the_scores_are_said_to_be_that(
-    trained: World, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_where_all_are_the_scores_are_said_to_be_that(trained, caplog):
     for other in (trained.scan("00"), trained.scan("08", "000000")):
         other.unlink()
     predict(trained)
@@ -92,9 +88,7 @@ def test_where_all_are_the_scores_are_said_to_be_that(
     assert "accuracy, 1 scan trained on" in made.page.read_text("utf-8")
 
 
-def test_scans_of_another_size_are_not_read(
-    trained: World, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scans_of_another_size_are_not_read(trained, monkeypatch):
     path = trained.scan("08", "000001")
     write_bin(path, read_scan(path).take(np.arange(1000)))
     labels = trained.data / "sequences/08/labels/000001.label"
@@ -106,7 +100,7 @@ def test_scans_of_another_size_are_not_read(
     assert path not in {call.args[0] for call in read.call_args_list}
 
 
-def test_a_report_leaves_out_the_same(trained: World) -> None:
+def test_a_report_leaves_out_the_same(trained):
     predict(trained)
     made = report(trained.out)
     assert (made.trained_on, made.on_training_scans) == (1, False)
@@ -116,14 +110,14 @@ def test_a_report_leaves_out_the_same(trained: World) -> None:
     assert [row.confusion is None for row in rows.rows] == [False, False, True]
 
 
-def test_labels_refined_anew_are_still_of_the_same_weights(trained: World) -> None:
+def test_labels_refined_anew_are_still_of_the_same_weights(trained):
     predict(trained, extras=("pixel_labels",))
     shutil.rmtree(trained.out / "sequences/08/predictions")
     assert not knn_refine_scans(trained.out, options=RunOptions(overwrite=True)).failures
     assert judged(trained).trained_on == 1
 
 
-def test_a_record_that_was_changed_is_refused(trained: World) -> None:
+def test_a_record_that_was_changed_is_refused(trained):
     predict(trained)
     record = json.loads((trained.out / "predict.json").read_text())
     record["settings"]["trained_on"] = "all"

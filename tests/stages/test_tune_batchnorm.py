@@ -11,9 +11,9 @@ from salsanext_cli import Scan, load_network, project, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import FormatError, WeightsError
 from salsanext_cli.fitting.batch_norm import norms
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES, read_weights, save_weights
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.stages.tune import tune
 
 WIDER = replace(SMALL, name="wider", width=192, fov_up=5.0, means=(10.0, 9.0, 0.0, -1.0, 0.3))

@@ -12,10 +12,10 @@ from scans import write_sequence
 
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import LabelError, OutputError
+from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES, read_weights, save_weights
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.results.point_files import write_labels
 from salsanext_cli.stages.tune import tune as tune_part
 
 TUNE = ("temperature", "dropout", "batchnorm")

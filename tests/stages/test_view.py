@@ -15,7 +15,7 @@ from scans import SMALL
 from served import served
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.report.page import run_results
+from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import report, view
 
@@ -66,10 +66,8 @@ def test_of_a_thousand_scans_any_can_be_looked_at(world, monkeypatch):
     for number in range(7, 1000):
         world.add(f"{number:06}", [CAR, ROAD], [CAR, CAR])
     read = []
-    shown = run_results.read_shown
-    monkeypatch.setattr(
-        run_results, "read_shown", lambda file, *a, **k: read.append(file) or shown(file, *a, **k)
-    )
+    shown = RunResults.read
+    monkeypatch.setattr(RunResults, "read", lambda *a, **k: read.append(a) or shown(*a, **k))
     with view(world.out, dataset=world.dataset) as server, served(server):
         assert server.scans == 1000
         assert len(read) < 10
@@ -81,7 +79,7 @@ def test_names_and_scans_without_labels_are_text_and_no_markup(tmp_path):
     world = World(tmp_path / "<script>\"'")
     world.add("a<b>", None, [CAR, ROAD])
     with view(world.out, dataset=world.dataset) as server:
-        page = server.page().decode()
+        page = server.page.decode()
     assert "<h1>&lt;script&gt;&quot;&#x27;/öut</h1>" in page
     assert "<b>" not in page.partition('id="data">')[2].partition("</script>")[0]
 

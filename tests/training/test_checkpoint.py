@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 import json
 import struct
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -81,12 +80,9 @@ def test_the_scale_of_float16_is_kept(tmp_path: Path) -> None:
     other = learner(precision="float16")
     load_checkpoint(tmp_path / NAME, other)
     assert other.scaler.get_scale() == 4096
-    refused(tmp_path / NAME, learner(), "another precision")
 
 
-@pytest.mark.parametrize(
-    "changes", [{"classes": 4}, {"optimiser": "sgd"}, {"average": 0.0}, {"epochs": 1}]
-)
+@pytest.mark.parametrize("changes", [{"classes": 4}, {"optimiser": "sgd"}, {"average": 0.0}])
 def test_a_checkpoint_of_another_training(tmp_path: Path, changes: dict[str, Any]) -> None:
     save_checkpoint(tmp_path / NAME, trained(), TrainingState(2))
     refused(tmp_path / NAME, learner(**changes))
@@ -109,31 +105,6 @@ def test_a_flipped_bit_is_noticed(share: float, tmp_path: Path) -> None:
     refused(tmp_path / NAME, learner(), "the checksum is wrong")
 
 
-def rewritten(path: Path, change: Callable[[dict[str, Any], dict[str, Any]], object]) -> None:
-    """Change the values and tensors of a checkpoint, and mend its checksum."""
-    with safetensors.safe_open(path, "pt") as file:
-        values = json.loads(file.metadata()[KEY])
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    del values["sha256"]
-    change(values, tensors)
-    values["sha256"] = _checksum(values, tensors)
-    safetensors.torch.save_file(tensors, path, {KEY: json.dumps(values)})
-
-
-@pytest.mark.parametrize(
-    "progress",
-    [
-        *({"epoch": "1"}, {"epoch": -1}, {"epoch": True}, {"epoch": 10}, {"best": None}),
-        *({"rows": [{"loss": 1.0}]}, {"rows": [{"epoch": 1, "loss": "x"}]}, {"rows": 3}),
-        *({"rows": [{"epoch": 10**400, "loss": 1.0}]}, {"seconds": [1]}, {"other": 1}),
-    ],
-)
-def test_progress_that_is_none(tmp_path: Path, progress: dict[str, object]) -> None:
-    save_checkpoint(tmp_path / NAME, trained(), TrainingState())
-    rewritten(tmp_path / NAME, lambda values, _: values["progress"].update(progress))
-    refused(tmp_path / NAME, learner())
-
-
 @pytest.mark.parametrize(
     ("name", "tensor"),
     [
@@ -150,10 +121,15 @@ def test_progress_that_is_none(tmp_path: Path, progress: dict[str, object]) -> N
 def test_tensors_that_are_others(tmp_path: Path, name: str, tensor: torch.Tensor | None) -> None:
     """Also where the checksum is right."""
     save_checkpoint(tmp_path / NAME, trained(), TrainingState())
-    rewritten(
-        tmp_path / NAME,
-        lambda _, tensors: tensors.pop(name) if tensor is None else tensors.update({name: tensor}),
-    )
+    with safetensors.safe_open(tmp_path / NAME, "pt") as file:
+        values = json.loads(file.metadata()[KEY])
+        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    tensors.pop(name, None)
+    if tensor is not None:
+        tensors[name] = tensor
+    del values["sha256"]
+    values["sha256"] = _checksum(values, tensors)
+    safetensors.torch.save_file(tensors, tmp_path / NAME, {KEY: json.dumps(values)})
     refused(tmp_path / NAME, learner())
 
 

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from salsanext_cli.training.learner import (
     Learner,
     build_optimiser,
-    choose_precision,
+    fastest_precision,
     learning_rate,
     update_average,
 )
@@ -255,5 +255,4 @@ def test_auto_is_what_the_device_computes_fast(
     monkeypatch.setattr("salsanext_cli.training.learner.has_bfloat16", lambda: multiplies)
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     devices = (torch.device("cpu"), torch.device("cuda", 0))
-    assert tuple(choose_precision("auto", device) for device in devices) == chosen
-    assert {choose_precision("float32", device) for device in devices} == {"float32"}
+    assert tuple(map(fastest_precision, devices)) == chosen

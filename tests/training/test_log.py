@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from salsanext_cli.training import log
-from salsanext_cli.training.log import draw_curve, tensorboard_in, write_log
+from salsanext_cli.training.log import tensorboard_in, write_log
 
 ROWS = [
     {"epoch": 1, "loss": 3.25},
@@ -24,12 +24,6 @@ def test_log_has_a_line_per_epoch_and_nothing_where_nothing_was_measured(tmp_pat
     empty = {"miou": "", "iou_car": "", "iou_road": ""}
     assert first == {"epoch": "1", "loss": "3.25", **empty}
     assert second == {"epoch": "2", "loss": "2.5", **empty, "miou": "0.25", "iou_road": "0.5"}
-
-
-def test_curve_is_a_picture(tmp_path: Path) -> None:
-    for rows in (ROWS, ROWS[:1]):
-        draw_curve(tmp_path / "curve.png", rows)
-        assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_an_epoch_is_scalars_and_an_image(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

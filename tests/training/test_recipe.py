@@ -37,7 +37,7 @@ def test_a_recipe_survives_its_toml(name: str, tmp_path: Path) -> None:
     assert tomllib.loads(recipe(name).to_toml()) == recipe(name).to_dict()
 
 
-def test_an_unknown_key_names_the_known_ones(tmp_path: Path) -> None:
+def test_an_unknown_key_or_recipe_names_the_known_ones(tmp_path: Path) -> None:
     path = tmp_path / "typo.toml"
     path.write_text("epoch = 7\n", "utf-8")
     with pytest.raises(
@@ -46,6 +46,8 @@ def test_an_unknown_key_names_the_known_ones(tmp_path: Path) -> None:
         recipe(path)
     with pytest.raises(UsageError, match="unknown key learnig_rate"):
         Recipe().with_changes(learnig_rate=1.0)
+    with pytest.raises(UsageError, match=r"recipe papr .* one of finetune, .* street"):
+        recipe("papr")
 
 
 @pytest.mark.parametrize(
@@ -60,11 +62,6 @@ def test_an_unknown_key_names_the_known_ones(tmp_path: Path) -> None:
 def test_impossible_values_name_the_key(key: str, value: object) -> None:
     with pytest.raises(UsageError, match=f"recipe key {key}"):
         Recipe().with_changes(**{key: value})
-
-
-def test_no_such_recipe_names_the_presets() -> None:
-    with pytest.raises(UsageError, match=r"recipe papr .* one of finetune, .* street"):
-        recipe("papr")
 
 
 # Overrides

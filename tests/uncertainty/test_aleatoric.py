@@ -49,11 +49,6 @@ def with_noise(network, metres, intensity):
     return network.for_sensor(sensor)
 
 
-def test_a_sensor_of_unknown_noise(network, image):
-    with pytest.raises(UsageError, match="its noise is not known"):
-        aleatoric(with_noise(network, None, 0.02), image)
-
-
 def test_it_ranks_pixels_as_noisy_copies_do(network, image):
     """Sixty-four copies of the scan, each with its own noise of 2 cm and 0.02."""
     occupied = image.channels[0] > 0

@@ -29,7 +29,7 @@ def test_features_are_those_of_a_slow_loop(
     count: int, width: int, block: int, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Large blocks of pixels are alike, so that regions are; of many points some are compared."""
-    monkeypatch.setattr("salsanext_cli.compiled.kernels.MIN_SLICE_ITEMS", 100)
+    monkeypatch.setattr("salsanext_cli.compiled.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     scan = drawn(count, count + block)
     # Points in the origin have no pixel: some where the threads' slices meet.

@@ -8,8 +8,8 @@ from scans import SMALL, make_scan, write_sequence
 
 from salsanext_cli import knn_refine, load_network, project, read_scan, sample
 from salsanext_cli.errors import FormatError
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.uncertainty.scan_description import describe_scan, label_sampled, pixel_features
 
 PASSES = {"samples": 3, "seed": 4}

@@ -26,34 +26,29 @@ FARTHEST_M = 1e4
 STEPS = 65535
 NO_VALUE = 255
 """Byte of a point without a value; values are 0 to 254."""
+Scale = Mapping[str, Any]
+"""Lowest and highest value that are told apart, `low` and `high`, and their `unit`."""
 
 
-def scales_of(scans: Sequence[ShownScan]) -> dict[str, tuple[float, float]]:
-    """Return the ends of the scale of each value: 0 to 1, or 0 to what 99 % do not exceed."""
+def scales_of(scans: Sequence[ShownScan]) -> dict[str, Scale]:
+    """Return the scale of each value: from 0 to 1, or to what 99 % of its points do not exceed."""
     values: dict[str, list[npt.NDArray[Any]]] = {}
     for scan in scans:
         for name, of_points in scan.values().items():
             values.setdefault(name, []).append(of_points)
-    scales = {}
+    scales: dict[str, Scale] = {}
     for name, each in values.items():
         highest = value_range(np.concatenate(each))[1]
-        scales[name] = (0.0, 1.0 if name in ("error", DOUBT) else highest if highest > 0 else 1.0)
+        high = highest if highest > 0 and name not in ("error", DOUBT) else 1.0
+        scales[name] = {"low": 0.0, "high": high, "unit": UNITS.get(name, "")}
     return scales
-
-
-def plain_scales(scales: Mapping[str, tuple[float, float]]) -> dict[str, dict[str, Any]]:
-    """Return scales with their units, as plain data."""
-    return {
-        name: {"low": low, "high": high, "unit": UNITS.get(name, "")}
-        for name, (low, high) in scales.items()
-    }
 
 
 def encode_cloud(
     shown: ShownScan,
     space: LabelSpace,
     sensor: Sensor,
-    scales: Mapping[str, tuple[float, float]],
+    scales: Mapping[str, Scale],
 ) -> dict[str, Any]:
     """Return a scan as plain data: numbers of points are base64 of little-endian integers.
 
@@ -75,7 +70,7 @@ def encode_cloud(
     index = taken[order]
     position, low, step_m = _positions(points[index])
     values = _classes(shown.results, space, index) | {
-        name: _bytes_on_scale(of_points[index], *scales[name])
+        name: _bytes_on_scale(of_points[index], scales[name])
         for name, of_points in shown.values().items()
     }
     return {
@@ -109,9 +104,10 @@ def _positions(points: Float) -> tuple[npt.NDArray[np.uint16], list[float], list
     return np.rint((points - low) / step).astype(np.uint16), low.tolist(), step.tolist()
 
 
-def _bytes_on_scale(values: npt.NDArray[Any], low: float, high: float) -> npt.NDArray[np.uint8]:
+def _bytes_on_scale(values: npt.NDArray[Any], scale: Scale) -> npt.NDArray[np.uint8]:
     """Return values as 0 to 254 on a scale; those beyond it are its ends."""
-    share = np.clip((values.astype(np.float64) - low) / (high - low), 0, 1)
+    low, span = scale["low"], scale["high"] - scale["low"]
+    share = np.clip((values.astype(np.float64) - low) / span, 0, 1)
     steps = np.rint(np.nan_to_num(share) * (NO_VALUE - 1))
     return np.where(np.isnan(values), NO_VALUE, steps).astype(np.uint8)
 

@@ -19,14 +19,14 @@ from salsanext_cli.errors import counted, escaped, printable
 from salsanext_cli.measures.scan_counts import RING_NAMES
 from salsanext_cli.measures.scores import Confusion, Counts, scores
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
-from salsanext_cli.report.page.clouds import NO_VALUE, base64_of, encode_cloud, plain_scales
-from salsanext_cli.report.page.facts import facts_of_run
+from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
 from salsanext_cli.report.page.run_results import (
     UNCERTAIN,
     Comparison,
     RunResults,
     ScanRow,
     ShownScan,
+    facts_of_run,
     leading_kind,
 )
 from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
@@ -58,7 +58,7 @@ def html_of(
     run: RunResults,
     compared: Comparison | None,
     shown: Sequence[ShownScan],
-    scales: Mapping[str, tuple[float, float]],
+    scales: Mapping[str, Scale],
     failures: Sequence[str] = (),
     *,
     served: Mapping[str, str] | None = None,
@@ -80,7 +80,7 @@ def html_of(
             for name, rgb in zip(space.names, colours.tolist(), strict=True)
         ],
         "outcomes": [{"name": name, "rgb": rgb} for name, rgb in OUTCOME_COLOURS.items()],
-        "scales": plain_scales(scales),
+        "scales": scales,
         "uncertain": list(UNCERTAIN),
         "map": _light_map().ravel().tolist(),
         "shown": [{"name": name, "reason": reason} for name, reason in offered.items()],
@@ -263,8 +263,8 @@ def _drive(rows: Sequence[ScanRow], class_points: Counts, shown: Sequence[str]) 
         shares = class_points / np.maximum(class_points.sum(axis=1, keepdims=True), 1)
         numbers["shares"] = base64_of(shares, "<f4")
     return {
-        "names": [row.name for row in rows],
-        "shown": [places.get(row.name, -1) for row in rows],
+        "names": [row.file.name for row in rows],
+        "shown": [places.get(row.file.name, -1) for row in rows],
         "kind": kind.replace("_", " "),
         **numbers,
     }

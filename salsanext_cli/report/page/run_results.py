@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""Results of a run, scan by scan: numbers of all of them, all points of those to look at."""
+"""Results of a run: numbers of all scans, points of those to look at, and what was recorded."""
 
 from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Collection, Sequence
+import re
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
 import numpy as np
@@ -16,9 +21,11 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.errors import UsageError, counted, first_few
+from salsanext_cli.errors import SalsanextError, UsageError, counted, first_few
+from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.reading import present
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.fitting.view_fit import view_text
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.measures.histograms import lack_of_confidence
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts, count_scan, read_softmax
 from salsanext_cli.measures.scores import Confusion, Counts, Scores, scores
@@ -26,11 +33,13 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
 )
+from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.records import Float
-from salsanext_cli.report.page.facts import warnings_of_run
-from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
+from salsanext_cli.results.layout import ERROR, UNCERTAINTY, ScanFile, find_outputs, output_path
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
@@ -41,6 +50,19 @@ UNCERTAIN = ("error", "entropy", DOUBT, "epistemic", "aleatoric", "total", "mutu
 """Values by which points can be hidden, in the order in which they are offered."""
 SCALARS = (*UNCERTAIN, "range", "intensity")
 """Values that are shown on a scale; labels are not."""
+DEFAULT_LIMITS = (
+    "On real scans they find fences where there are none, take trucks for fence, sidewalk, "
+    "building or car, hardly tell parking from road and sidewalk, and hardly ever find cyclists."
+)
+"""Failures of the default weights, as docs/model-card.md has them; it does not come with a page."""
+SHOWN_DIGITS = 12
+"""Hexadecimal digits of a SHA-256 that are shown."""
+LEAST_TIMED = 4
+"""Scans that it takes to say how long one takes."""
+PAUSE_S = 60.0
+"""Time between two results from which on nothing ran in between."""
+CHECKED_STAGES = ("project", "predict", "uncertainty")
+"""Stages that check scans."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +85,6 @@ class ScanRow:
     class_points: Counts | None  # (C,) int64 or None: number of points by predicted train id
     uncertainty: dict[str, float]  # Mean over the points by kind; NaN without any
     confusion: Counts | None = None  # (C, C) as `Confusion.counted`; None without labels
-
-    @property
-    def name(self) -> str:
-        """Sequence and stem."""
-        return f"{self.file.sequence}/{self.file.stem}"
 
     @property
     def wrong(self) -> float:
@@ -125,17 +142,6 @@ class ShownScan:
         return {name: known[name] for name in SCALARS if name in known}
 
 
-def read_shown(file: ScanFile, reason: str, reader: RunReader) -> ShownScan:
-    """Read a scan, its results, and the confidence of its points."""
-    space = reader.space
-    results = ResultFolder(reader.out).read(file, reader.sensor, space, (reader.labels, space))
-    doubt = None
-    if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
-        every = np.ones(len(results.scan), bool)
-        doubt = lack_of_confidence(read_softmax(path, every, space, reader.merging))
-    return ShownScan(f"{file.sequence}/{file.stem}", reason, results, doubt)
-
-
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """Comparison of the scans that have labels with these."""
@@ -155,8 +161,14 @@ class RunResults:
     missing: MissingResults  # Scans without results, left out
 
     def read(self, row: ScanRow, reason: str = "") -> ShownScan:
-        """Read a scan to be shown."""
-        return read_shown(row.file, reason, self.reader)
+        """Read a scan to be shown, its results, and the confidence of its points."""
+        file, reader, space = row.file, self.reader, self.reader.space
+        results = ResultFolder(reader.out).read(file, reader.sensor, space, (reader.labels, space))
+        doubt = results.uncertainty.get("least_confidence")
+        if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
+            every = np.ones(len(results.scan), bool)
+            doubt = lack_of_confidence(read_softmax(path, every, space, reader.merging))
+        return ShownScan(row.file.name, reason, results, doubt)
 
     def compared(self) -> Comparison | None:
         """Divide the counts; None without labels."""
@@ -168,16 +180,9 @@ class RunResults:
 
     def warnings(self) -> list[str]:
         """Return every reason to doubt the page, a line each."""
-        lines = warnings_of_run(self.reader.out, {row.name for row in self.rows})
+        lines = warnings_of_run(self.reader.out, {row.file.name for row in self.rows})
         if self.counts:
             lines = [*self.counts.label_warnings(self.reader.space), *lines]
-            for what, ids in (
-                ("labels", self.counts.unknown_truth),
-                ("predictions", self.counts.unknown_predictions),
-            ):
-                if ids:
-                    listed = first_few([f"{i} ({n:,}×)" for i, n in sorted(ids.items())])
-                    lines.append(f"{what}: unknown ids {listed} are taken as unlabelled")
         if self.missing.scans:
             lines.append(f"{counted(len(self.missing.scans), 'scan')} without results left out")
         return lines
@@ -198,12 +203,12 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
     def add_largest(values: Sequence[float], reason: Callable[[float], str]) -> None:
         place = int(np.nan_to_num(values).argmax())
         if values[place] > 0:
-            reasons.setdefault(rows[place].name, []).append(reason(values[place]))
+            reasons.setdefault(rows[place].file.name, []).append(reason(values[place]))
 
     if kind := leading_kind(rows):
         means = [row.uncertainty.get(kind, math.nan) for row in rows]
         words = f"most uncertain (mean {kind.replace('_', ' ')}"
-        add_largest(means, lambda mean: f"{words} {mean:.3g})")
+        add_largest(means, lambda value: f"{words} {value:.3g})")
     add_largest(
         [row.wrong for row in rows], lambda share: f"most wrong ({100 * share:.1f} % of the points)"
     )
@@ -212,9 +217,9 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
         missed = [_missed(row.confusion, worst) for row in rows]
         name = space.names[worst]
         add_largest(missed, lambda n: f"worst class: {n:,.0f} points of {name} wrong")
-    if left := [row for row in rows if row.name not in reasons]:
+    if left := [row for row in rows if row.file.name not in reasons]:
         # The same for the same scans.
-        reasons[random.Random(len(rows)).choice(left).name] = ["at random"]
+        reasons[random.Random(len(rows)).choice(left).file.name] = ["at random"]
     return {name: ", ".join(given) for name, given in reasons.items()}
 
 
@@ -239,10 +244,91 @@ def named(rows: Sequence[ScanRow], names: Sequence[str]) -> dict[str, str]:
     """Choose scans by name, ``08/000000``, or by stem where only one sequence has it."""
     chosen: dict[str, str] = {}
     for name in names:
-        found = [row.name for row in rows if name in (row.name, row.file.stem)]
+        found = [row.file.name for row in rows if name in (row.file.name, row.file.stem)]
         if len(found) != 1:
             what = f"{len(found)} scans" if found else "no results of a scan of that name"
-            there = first_few(found or [row.name for row in rows])
+            there = first_few(found or [row.file.name for row in rows])
             raise UsageError("--scans", f"{name}: {what}", f"names such as {there}")
         chosen[found[0]] = "named"
     return chosen
+
+
+def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
+    """Yield what was run and how, as pairs of a title and a text."""
+    records = StageRecords(out)
+    yield "Weights", _weights(records)
+    yield "Sensor", f"{sensor.name}, {sensor.height}×{sensor.width}, {view_text(sensor)}"
+    if stage := records.owner("predictions"):
+        yield "Labels", _labels(stage, records.settings(stage) or {})
+    if settings := records.settings("uncertainty"):
+        numbers = ("samples", "seed", "aleatoric")
+        given = (f"{key} {settings[key]}" for key in numbers if key in settings)
+        yield "Uncertainty", ", ".join([str(settings.get("method")), *given])
+    if records.owner(ERROR) == "predict":
+        yield "Uncertainty", "probability of error, of predict --error"
+    folders = ("predictions", "uncertainty/epistemic")
+    for stage, folder in {records.owner(folder): folder for folder in folders}.items():
+        if stage and (seconds := _seconds_per_scan(out, folder)):
+            yield "Time", f"{stage}: {seconds:.2g} s per scan"
+
+
+def _weights(records: StageRecords) -> str:
+    """Describe the weights behind the labels, else those behind the uncertainty."""
+    folders = ("predictions", "uncertainty/epistemic", "uncertainty/error", "pixel_labels")
+    sha256 = next(filter(None, map(records.weights, folders)), None)
+    if sha256 is None:
+        return "not recorded"
+    name = f"SHA-256 {sha256[:SHOWN_DIGITS]}"
+    path = default_weights()
+    # An installation without its weights still has results to show.
+    with suppress(SalsanextError):
+        if fingerprint(path) == sha256:
+            description = read_card(path).description.replace("`", "")
+            own = re.sub(r"See docs/\S+ (.)", lambda rest: rest[1].upper(), description)
+            return f"the default ones, {name}. {own} {DEFAULT_LIMITS}"
+    return f"{name}, not the default ones; salsanext models FILE describes a file of weights"
+
+
+def _labels(stage: str, settings: Mapping[str, Any]) -> str:
+    words = [stage]
+    if settings.get("engine"):
+        words.append(f"{settings['engine']} in {settings.get('precision')}")
+    if isinstance(temperature := settings.get("temperature"), float):
+        words.append(f"temperature {temperature:.3g}")
+    if settings.get("adapted"):
+        words.append("batch norm adapted to the scans")
+    if settings.get("reject") is not None:
+        words.append(f"points unlabelled whose error is above {settings['reject']:g}")
+    return ", ".join(words)
+
+
+def _seconds_per_scan(out: Path, folder: str) -> float | None:
+    """Return the mean time between two results, pauses left out.
+
+    None of a folder whose files are not those that were written there, such as a copy.
+    """
+    paths = list(find_outputs(out, folder).values())
+    if len(paths) < LEAST_TIMED or OwnedFolder(out).others(paths):
+        return None
+    written = sorted(path.stat().st_mtime_ns for path in paths)
+    gaps_s = [gap / 1e9 for a, b in pairwise(written) if (gap := b - a) < PAUSE_S * 1e9]
+    return mean(gaps_s) if gaps_s else None
+
+
+def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:
+    """Return what the stages found doubtful about the wanted scans, a line for each kind."""
+    scans: dict[str, list[str]] = {}
+    words: dict[str, Counter[str]] = {}
+    for stage in CHECKED_STAGES:
+        for name, findings in OwnedFolder(out, stage).findings().items():
+            if name not in wanted:
+                continue
+            for code, message, remedy in findings:
+                if name not in scans.setdefault(code, []):
+                    scans[code].append(name)
+                words.setdefault(code, Counter())[f"{message}; {remedy}"] += 1
+    return [
+        f"{code} in {counted(len(names), 'scan')} ({first_few(names)}): "
+        f"{words[code].most_common(1)[0][0]}"
+        for code, names in sorted(scans.items())
+    ]

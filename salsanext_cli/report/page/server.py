@@ -8,7 +8,6 @@ import json
 import re
 import secrets
 import sys
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -24,11 +23,13 @@ read the scans.
 """
 
 
-class PageServer(ABC, ThreadingHTTPServer):
-    """Server on the loopback interface, of `page` and `cloud`.
+class PageServer(ThreadingHTTPServer):
+    """Server of a page, and of the clouds that a subclass gives, on the loopback interface.
 
     The port, any free one if 0, is taken at once; requests wait until `serve_forever`.
     """
+
+    page = b""
 
     def __init__(self, port: int) -> None:
         # Part of the address of the clouds: the page of an earlier server gets none of this one's.
@@ -46,13 +47,9 @@ class PageServer(ABC, ThreadingHTTPServer):
         """Address of the page."""
         return f"http://{LOOPBACK}:{self.server_port}/"
 
-    @abstractmethod
-    def page(self) -> bytes:
-        """Return the page as HTML."""
-
-    @abstractmethod
     def cloud(self, place: int) -> Mapping[str, Any] | None:
         """Return the cloud of a scan by its place, as plain data; None if there is no such scan."""
+        raise NotImplementedError
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of a browser that no longer waits for its answer."""
@@ -78,7 +75,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         match path.split("/"):
             case ["", ""]:
-                self._answer(HTTPStatus.OK, "text/html; charset=utf-8", self.server.page())
+                self._answer(HTTPStatus.OK, "text/html; charset=utf-8", self.server.page)
             case ["", "cloud", token, place] if re.fullmatch("[0-9]{1,9}", place):
                 self._answer_cloud(token, int(place))
             case _:

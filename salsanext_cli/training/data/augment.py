@@ -76,9 +76,8 @@ def shift(points: Float, offset: npt.NDArray[np.float64]) -> Float:
 class Checkerboard:
     """Checkerboard over the directions in which a sensor looks.
 
-    Cell (i, j) is band i of inclination, from below, and sector j of azimuth, counter-clockwise; it
-    is odd if i + j is. Bands are equally high, and the outer ones hold the points beyond the field
-    of view.
+    Cell (i, j), band i of inclination from below and sector j of azimuth counter-clockwise, is odd
+    if i + j is. The outer bands hold the points beyond the field of view.
     """
 
     bands: int

@@ -21,7 +21,7 @@ from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.network.card import joined, parted, scan_digest
+from salsanext_cli.network.card import parted, scan_digest
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.data.sources import Source, read_labelled
@@ -29,8 +29,6 @@ from salsanext_cli.training.data.sources import Source, read_labelled
 Counts = npt.NDArray[np.int64]
 RARE_SHARE = 0.01
 """Share of the scored training points below which a class is rare."""
-WARNING_TEXTS = ("code", "message", "remedy")
-"""Keys of a warning, beside its scans."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,9 +109,8 @@ def class_counts(
 ) -> ClassCounts:
     """Return the points per class of all training data, reading and checking all scans.
 
-    The JSON file keeps the result until a file of scans or labels changes; for a whole
-    SemanticKITTI 55 GB are read. Points count as often as they are drawn: further sources get the
-    share `also` of the samples.
+    The JSON file keeps the result until a file changes: a whole SemanticKITTI is 55 GB. Points
+    count as often as they are drawn: further sources get the share `also` of the samples.
     """
     first, *further = sources
     space, training = first.space, first.files
@@ -142,7 +139,7 @@ def class_counts(
         counts = np.rint(len(training) * per_draw).astype(np.int64)
     result = ClassCounts(counts, warnings, dict(zip(files, digests, strict=True)))
     by_name = dict(zip(space.names, counts.tolist(), strict=True))
-    content = {"files": digest, "points": by_name, "warnings": warnings, "scans": joined(digests)}
+    content = {"files": digest, "points": by_name, "warnings": warnings, "scans": "".join(digests)}
     OwnedFolder(path.parent).write(path, encode_json(content))
     return result
 
@@ -166,18 +163,11 @@ def _kept(
     if known.get("files") != digest:
         return None
     try:
-        points, warnings = known["points"], known["warnings"]
-        if points.keys() != {*names} or any(type(n) is not int or n < 0 for n in points.values()):
-            return None
-        counts = np.array([points[name] for name in names], np.int64)
-        texts = [
-            text for each in warnings for text in (*map(each.get, WARNING_TEXTS), *each["scans"])
-        ]
+        counts = np.array([known["points"][name] for name in names], np.int64)
         digests = dict(zip(files, parted(known["scans"]), strict=True))
-    except (AttributeError, LookupError, OverflowError, TypeError, ValueError):
+        return ClassCounts(counts, known["warnings"], digests)
+    except (LookupError, OverflowError, TypeError, ValueError):
         return None
-    is_whole = all(isinstance(text, str) for text in texts)
-    return ClassCounts(counts, warnings, digests) if is_whole else None
 
 
 def data_digest(

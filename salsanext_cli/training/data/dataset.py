@@ -50,9 +50,9 @@ Batch = tuple[Tensor, Tensor, Tensor]
 class SamplingPlan:
     """Batches of the whole training, each a list of sample keys.
 
-    Every scan of a data set is drawn once before any is drawn again, and every batch is whole,
-    since one of one or two samples would upset batch norm: the last of an epoch goes on with the
-    next round. Data sets behind the first share `recipe.also` of the samples evenly.
+    Every scan of a data set is drawn once before any is drawn again. Every batch is whole, for the
+    sake of batch norm: the last of an epoch goes on with the next round. Data sets behind the first
+    share `recipe.also` of the samples evenly.
     """
 
     scan_counts: Sequence[int]

@@ -6,8 +6,7 @@ and the intensities that are left after `match_intensity`, which knows neither a
 to distance nor which surfaces a street has. The frequencies of holes are those of real scans in
 64 x 512 pixels, the mean over Pandar64 (second drive of PandaSet), VLP-32C (front sectors of RWTH
 Aachen), OS0-128, OS1-128 and OS2-32 (captures of Ouster): `benchmarks/hole_shares.py` learns them.
-They leave intensity as it is: dark surfaces have more holes in some of these sensors and fewer in
-others.
+Dark surfaces have more holes in some of these sensors and fewer in others: intensity has no part.
 """
 
 from dataclasses import replace
@@ -116,9 +115,8 @@ def hole_cells(ranges: Float) -> npt.NDArray[np.intp]:
 def make_holes(channels: Float, random: Rng) -> Float:
     """Return channels (C, H, W), the range first, of which pixels are lost as real sensors do.
 
-    Each is lost with the share of its cell times a factor that is uniform up to `MOST_HOLES`. With
-    probability `CONTINUED` a pixel shares the random number of its left neighbour, so that holes
-    come in runs.
+    By the share of their cell times a factor, uniform up to `MOST_HOLES`; with probability
+    `CONTINUED` a pixel shares the random number of its left neighbour.
     """
     shares = np.append(HOLE_SHARES, 0.0)[hole_cells(channels[0])] * random.uniform(0, MOST_HOLES)
     chance, own = random.random(shares.shape), random.random(shares.shape) >= CONTINUED

@@ -16,7 +16,7 @@ from salsanext_cli.errors import NOTICE, LabelError, NoInputError, counted, firs
 from salsanext_cli.fitting.scan_fit import ScanSample, with_image_statistics
 from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.network_input import on_other_scale
 from salsanext_cli.geometry.projection import ego_points, in_sensor_frame, project
 from salsanext_cli.labelling.label_records import first_guesses
@@ -133,9 +133,9 @@ def scans_to_train_on(
 ) -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
     """Return the label space of a data set, its training scans and its validation scans.
 
-    If it is `divisible`, scans without a validation split will do: all labelled ones are trained on
-    where no splits are named; where a labelled scan is in none, or ``train`` or ``valid`` is empty,
-    all but those of other splits than ``train``. No scans at all raise `NoInputError`.
+    If it is `divisible`, a validation split may lack: all labelled scans are trained on where no
+    splits are named; where one is in none, or ``train`` or ``valid`` is empty, all but those of
+    other splits than ``train``.
     """
     if not divisible:
         classes, training = labelled_split(dataset, space, "train")

@@ -8,13 +8,7 @@ from typing import Any
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import FormatError, UsageError, counted
-from salsanext_cli.fitting.batch_norm import (
-    PooledStatistics,
-    Statistics,
-    as_tensors,
-    norms,
-    require_norms,
-)
+from salsanext_cli.fitting import batch_norm
 from salsanext_cli.fitting.label_scan import project_for
 from salsanext_cli.fitting.scan_fit import ADAPTED_SHARE, EGO
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
@@ -27,22 +21,19 @@ def require_batchnorm(network: Network, share: float = ADAPTED_SHARE) -> None:
     """Raise what `fit_batchnorm` raises for a network and a share, before a scan is read."""
     if not 0 < share <= 1:
         raise UsageError("--share", f"{share:g}", "above 0, at most 1")
-    require_norms(network)
+    batch_norm.require_norms(network)
 
 
 def fit_batchnorm(scans: TuningScans, share: float = ADAPTED_SHARE) -> Tuned:
     """Move the statistics of batch norm towards those of scans of one's own.
 
-    The statistics of all scans, which pass once, are pooled in float64; no label is read. Scores of
-    the weights, measured with the old statistics, are left out. Reports of every batch norm, in
-    order of computation, the distance of the new mean from the old one in old standard deviations,
-    `shift`, mean over the channels; and the new variance over the old, ε added to both,
-    `variance_ratio`, geometric mean.
+    Reports of every batch norm, in order of computation, means over its channels: `shift`, of the
+    mean in old standard deviations, and `variance_ratio`, new to old, ε added to both (geometric).
     """
     network = scans.network
-    layers = norms(network.module)
-    old = {name: Statistics.kept_by(layer) for name, layer in layers.items()}
-    pooled, summary = PooledStatistics(network, share), RunSummary(network.sensor)
+    layers = batch_norm.norms(network.module)
+    old = {name: batch_norm.Statistics.kept_by(layer) for name, layer in layers.items()}
+    pooled, summary = batch_norm.PooledStatistics(network, share), RunSummary(network.sensor)
     for file in scans.each():
         projected = project_for(network, file)
         image = projected.image
@@ -51,7 +42,7 @@ def fit_batchnorm(scans: TuningScans, share: float = ADAPTED_SHARE) -> Tuned:
             none = f"none of its {len(image.pixel_of_point)} points has a pixel"
             raise FormatError(file.path, none, "points that were measured, in view of the sensor")
         pooled.add(image.channels, file.path)
-        log.info("%s/%s: done", file.sequence, file.stem)
+        log.info("%s: done", file.name)
     new, sensor, trained = pooled.moved(), network.sensor, network.card.sensor
     scanned = counted(len(scans.files), "scan")
     done = f"Batch norm re-estimated on {scanned} of {sensor.name}, share {share:g}."
@@ -68,10 +59,12 @@ def fit_batchnorm(scans: TuningScans, share: float = ADAPTED_SHARE) -> Tuned:
         "warnings": summary.finished().warnings(),
     }
     card = replace(network.card.changed(done), sensor=sensor)
-    return Tuned(card, report, as_tensors(new))
+    return Tuned(card, report, batch_norm.as_tensors(new))
 
 
-def _moved(layer: str, old: Statistics, new: Statistics, eps: float) -> dict[str, Any]:
+def _moved(
+    layer: str, old: batch_norm.Statistics, new: batch_norm.Statistics, eps: float
+) -> dict[str, Any]:
     variance = old.variance + eps
     shift = ((new.mean - old.mean).abs() / variance.sqrt()).mean()
     ratio = ((new.variance + eps) / variance).log().mean()

@@ -75,11 +75,9 @@ def fit_dropout(
     highest: float = HIGHEST,
     steps: int = STEPS,
 ) -> Tuned:
-    """Find the rate of dropout of the least `objective`, among `steps` rates.
+    """Find the rate of dropout of the least `objective`, mean over the points, among some rates.
 
-    `samples`, `seed`: passes per scan and rate, and the seed of their masks. Reports the rate that
-    the weights had, `before`, the `best`, and all `rates` with their `objectives`, means over the
-    points.
+    `samples`, `seed`: passes per scan and rate, and the seed of their masks.
     """
     network, rates = scans.network, rates_between(lowest, highest, steps)
     candidates = [with_dropout(network, rate) for rate in rates]
@@ -97,7 +95,7 @@ def fit_dropout(
             if scans.progress:
                 done = number * len(rates) + index + 1
                 scans.progress(done, len(scans.files) * len(rates))
-        log.info("%s/%s: %d points", file.sequence, file.stem, len(labelled.truth))
+        log.info("%s: %d points", file.name, len(labelled.truth))
     scans.require_points(points)
     objectives: list[float] = (sums / points).tolist()
     if not np.isfinite(objectives).all():

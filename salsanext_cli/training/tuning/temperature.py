@@ -36,11 +36,9 @@ log = logging.getLogger(__name__)
 def fit_temperature(scans: TuningScans) -> Tuned:
     """Fit the temperature of the least negative log-likelihood.
 
-    Each point has the logits of its pixel, as for `predict --probabilities`. Of a scan with more
-    points than its share of `MAX_LOGITS`, a random sample is taken, the same one every time.
-    Reports, of the temperature that the weights had, `before`, and of the new one, `after`, the
-    `temperature`, the mean negative log-likelihood of the true class in nats, `nll`, and the
-    expected calibration error over 15 bins, `ece`, 0…1.
+    Of a scan with more points than its share of `MAX_LOGITS`, a random sample is taken, the same
+    one every time. Reports `before` and `after` the fit: `temperature`, mean negative
+    log-likelihood in nats, `nll`, and expected calibration error over 15 bins, `ece`, 0…1.
     """
     card = scans.network.card
     most = max(1, MAX_LOGITS // card.space.class_count // len(scans.files))
@@ -71,7 +69,7 @@ def _samples(scans: TuningScans, most: int) -> Iterator[tuple[Float, Any]]:
         random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
         count = len(labelled.truth)
         chosen = random.choice(count, most, replace=False) if count > most else slice(None)
-        log.info("%s/%s: %d points", file.sequence, file.stem, min(count, most))
+        log.info("%s: %d points", file.name, min(count, most))
         yield labelled.of_points(logits)[chosen].copy(), labelled.truth[chosen]
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from salsanext_cli.formats.raw_records import COUNTS, evident_count, likely_names
+from salsanext_cli.formats.kitti import COUNTS, evident_count, likely_names
 
 VLP16_DEG = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
 """Elevations in the order of firing: every other beam looks up."""

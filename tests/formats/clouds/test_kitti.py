@@ -7,8 +7,7 @@ import pytest
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import kitti
-from salsanext_cli.formats.labels import read_labels
-from salsanext_cli.formats.raw_records import evident_count
+from salsanext_cli.formats.kitti import evident_count, read_labels
 
 
 def five_columns(count, seed=0):

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: MIT
 import io
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scans import SMALL
 
+from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.numpy_scans import read_npy, read_npz
 
 TABLE = np.array([[1, -2, 3, 51], [4, 5, -6, 255]], np.float32)
 
@@ -23,7 +25,7 @@ def test_tables_of_any_type_and_order(tmp_path_factory, shape, kind, order):
     path = tmp_path_factory.mktemp("npy") / "s.npy"
     table = np.arange(shape[0] * shape[1]).reshape(shape).astype(kind, order)
     np.save(path, table)
-    scan = read_npy(path)
+    scan = read_scan(path)
     np.testing.assert_array_equal(scan.points, np.float32(table[:, :3]))
     divisor = np.float32(255 if kind == "u1" else 1)
     expected = np.float32(table[:, 3]) / divisor if shape[1] > 3 else np.zeros(shape[0])
@@ -44,7 +46,7 @@ def test_fields_have_names(tmp_path):
     for name, values in zip(("x", "y", "Z", "intensity"), TABLE.T, strict=True):
         table[name] = values
     np.save(tmp_path / "s.npy", table)
-    scan = read_npy(tmp_path / "s.npy", columns=("x", "y", "z"))
+    scan = read_scan(tmp_path / "s.npy", replace(SMALL, columns=("x", "y", "z")))
     np.testing.assert_array_equal(scan.points, TABLE[:, :3])
     np.testing.assert_array_equal(scan.intensity, np.float32([0.2, 1]))
 
@@ -52,7 +54,7 @@ def test_fields_have_names(tmp_path):
 def test_columns_may_be_named(tmp_path):
     np.save(tmp_path / "s.npy", np.column_stack([TABLE[:, ::-1], TABLE, TABLE]))
     names = ("remission", "z", "y", "x", *"________")
-    scan = read_npy(tmp_path / "s.npy", columns=names, intensity_scale=255)
+    scan = read_scan(tmp_path / "s.npy", replace(SMALL, columns=names, intensity_scale=255.0))
     np.testing.assert_array_equal(scan.points, TABLE[:, :3])
     np.testing.assert_array_equal(scan.intensity, np.float32([0.2, 1]))
 
@@ -71,7 +73,7 @@ ARCHIVES = {
 @pytest.mark.parametrize("name", ARCHIVES)
 def test_archives(tmp_path, name, save):
     save(tmp_path / "s.npz", **ARCHIVES[name])
-    scan = read_npz(tmp_path / "s.npz", intensity_scale=255)
+    scan = read_scan(tmp_path / "s.npz", replace(SMALL, intensity_scale=255.0))
     np.testing.assert_array_equal(scan.points, TABLE[:, :3])
     np.testing.assert_array_equal(scan.intensity, np.float32([0.2, 1]))
 
@@ -95,7 +97,7 @@ def test_archives(tmp_path, name, save):
 def test_other_arrays_are_refused(tmp_path, array, message):
     np.save(tmp_path / "s.npy", array, allow_pickle=True)
     with pytest.raises(FormatError, match=message):
-        read_npy(tmp_path / "s.npy")
+        read_scan(tmp_path / "s.npy")
 
 
 @pytest.mark.parametrize(
@@ -110,7 +112,7 @@ def test_other_arrays_are_refused(tmp_path, array, message):
 def test_archives_without_one_scan(tmp_path, arrays, message):
     np.savez(tmp_path / "s.npz", **arrays)
     with pytest.raises(FormatError, match=message):
-        read_npz(tmp_path / "s.npz")
+        read_scan(tmp_path / "s.npz")
 
 
 def test_archives_that_are_cut_or_promise_too_much(tmp_path):
@@ -119,14 +121,14 @@ def test_archives_that_are_cut_or_promise_too_much(tmp_path):
     content = path.read_bytes()
     path.write_bytes(content[:-5])
     with pytest.raises(FormatError, match="damaged or cut off"):
-        read_npz(path)
+        read_scan(path)
     zeros = io.BytesIO()
     np.save(zeros, np.zeros((1 << 22, 4), np.float32))
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("points.npy", zeros.getvalue())
     with pytest.raises(FormatError, match="damaged or cut off"):
-        read_npz(path)
+        read_scan(path)
     np.save(tmp_path / "s.npy", TABLE)
     (tmp_path / "s.npy").write_bytes((tmp_path / "s.npy").read_bytes()[:-1])
     with pytest.raises(FormatError, match="31 bytes of data · expected 32"):
-        read_npy(tmp_path / "s.npy")
+        read_scan(tmp_path / "s.npy")

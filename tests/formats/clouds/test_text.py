@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: MIT
 """Tables of text as many programs write them, compared with a slow clear reader."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scans import SMALL
 
+from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.text import read_text
 
 ROWS = [[1.5, -2.0, 3e-3, 0.25], [4.0, 5.0, -6.0, 1.0]]
 TABLES = {
@@ -34,7 +37,7 @@ TABLES = {
 def test_tables_of_several_programs(tmp_path, name):
     path = tmp_path / "s.csv"
     path.write_text(TABLES[name], "utf-8")
-    scan = read_text(path)
+    scan = read_scan(path)
     np.testing.assert_array_equal(scan.points, np.float32(ROWS)[:, :3])
     np.testing.assert_array_equal(scan.intensity, np.float32(ROWS)[:, 3])
 
@@ -46,25 +49,25 @@ NUMBERS = st.floats(-500, 500, width=32) | st.sampled_from([0.0, -0.0, float("na
 def test_what_python_writes_is_read_exactly(tmp_path_factory, rows, mark):
     path = tmp_path_factory.mktemp("text") / "s.xyz"
     path.write_text("".join(mark.join(map(repr, row)) + "\n" for row in rows))
-    scan = read_text(path, intensity_scale=2)
+    scan = read_scan(path, replace(SMALL, intensity_scale=2.0))
     np.testing.assert_array_equal(scan.points, np.float32(rows)[:, :3])
     np.testing.assert_array_equal(scan.intensity, np.float32(rows)[:, 3] / np.float32(2))
 
 
 def test_columns_are_named_where_the_file_does_not(tmp_path):
     path = tmp_path / "s.txt"
-    columns = ("_", "z", "y", "x", "ring", "reflectivity", "_")
+    named = replace(SMALL, columns=("_", "z", "y", "x", "ring", "reflectivity", "_"))
     for header in ("", "a,b,c,d,e,f,g\n"):
         path.write_text(f"{header}0,3,2,1,9,.5,0\n0,6,5,4,9,1,0\n")
-        scan = read_text(path, columns=columns)
+        scan = read_scan(path, named)
         assert scan.points.tolist() == [[1, 2, 3], [4, 5, 6]]
         assert scan.intensity.tolist() == [0.5, 1]
     path.write_text("i,x,y,z\n.5,1,2,3\n")
-    assert read_text(path, columns=columns).points.tolist() == [[1, 2, 3]]
+    assert read_scan(path, named).points.tolist() == [[1, 2, 3]]
     path.write_text("1 2 3\n")
-    assert read_text(path).intensity.tolist() == [0]
+    assert read_scan(path).intensity.tolist() == [0]
     path.write_text("x,y,z\n")
-    assert len(read_text(path)) == 0
+    assert len(read_scan(path)) == 0
 
 
 @pytest.mark.parametrize(
@@ -95,7 +98,7 @@ def test_other_text_is_refused_in_one_line(tmp_path, text, message):
     path = tmp_path / "s.txt"
     path.write_text(text)
     with pytest.raises(FormatError, match=message) as caught:
-        read_text(path)
+        read_scan(path)
     assert caught.value.subject == str(path)
     assert "\n" not in str(caught.value)
 
@@ -104,4 +107,4 @@ def test_a_number_of_columns_other_than_named(tmp_path):
     path = tmp_path / "s.txt"
     path.write_text("1 2 3 4\n")
     with pytest.raises(FormatError, match="4 columns · expected 3: x, y, z"):
-        read_text(path, columns=("x", "y", "z"))
+        read_scan(path, replace(SMALL, columns=("x", "y", "z")))

@@ -108,8 +108,10 @@ def test_a_bag_that_was_cut_is_refused_with_a_remedy(tmp_path, kind):
 
 def test_damaged_metadata_are_refused_and_the_storage_itself_is_read(tmp_path):
     path = write_bag(tmp_path, ".db3", messages(POINTS))
-    for damaged in ("a: [", "rosbag2_bagfile_information: 3", "", "\0", "{"):
-        (path.parent / "metadata.yaml").write_text(damaged)
+    metadata = path.with_name("metadata.yaml")
+    twice = metadata.read_text().replace("  - drive.db3\n", "  - drive.db3\n" * 2)
+    for damaged in ("a: [", "rosbag2_bagfile_information: 3", "", "\0", "{", twice):
+        metadata.write_text(damaged)
         with pytest.raises(FormatError, match=r"drive · "):
             find_scans(path.parent)
     assert len(find_scans(path)) == 5

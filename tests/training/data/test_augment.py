@@ -40,11 +40,6 @@ def augmented(seed: int = 0, **probabilities: float) -> LabelledScan:
     )
 
 
-def test_rotation_is_counter_clockwise() -> None:
-    turned = rotate(np.array([[1, 0, 3], [0, 2, -1]], np.float32), np.pi / 2)
-    np.testing.assert_allclose(turned, [[0, 1, 3], [-2, 0, -1]], atol=1e-6)
-
-
 def test_shift_moves_all_points_alike_and_within_bounds() -> None:
     moved = [
         augmented(seed, shift=1.0)[0].points - labelled(0, count=500)[0].points

@@ -9,9 +9,19 @@ import pytest
 import yaml
 from scans import SMALL, make_scan, write_sequence
 
-from salsanext_cli import LabelSpace, Scan, label_space, load_network, project, read_scan
+from salsanext_cli import (
+    LabelSpace,
+    Scan,
+    knn_refine,
+    label_space,
+    load_network,
+    project,
+    read_labels,
+    read_scan,
+)
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
 from salsanext_cli.fitting.scan_fit import with_image_statistics
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.network_input import (
     bright_intensity,
     match_intensity,
@@ -19,8 +29,8 @@ from salsanext_cli.geometry.network_input import (
     with_filled_gaps,
 )
 from salsanext_cli.geometry.projection import pixels_from_points
+from salsanext_cli.measures.scores import Confusion, scores
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.results.point_files import write_bin
 from salsanext_cli.training.data.dataset import SAMPLE, Samples, SamplingPlan
 from salsanext_cli.training.data.other_sensors import change_intensity, mount_otherwise, other_view
 from salsanext_cli.training.data.sources import (
@@ -30,8 +40,8 @@ from salsanext_cli.training.data.sources import (
     labelled_split,
 )
 from salsanext_cli.training.data.targets import class_sets, to_targets
+from salsanext_cli.training.fit import validate
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.validation import validate
 
 SPACE, COARSE = label_space(), label_space("coarse")
 NOTHING = Recipe(rotate=0.0, shift=0.0, flip=0.0, drop=0.0)
@@ -205,10 +215,31 @@ def test_further_data_sets_are_merged_as_the_first(roots: list[Path], described:
     assert found == [1, 1, 3, 8 + sets.index((5, 6)) if described else 5, 6]
 
 
+def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
+    """Every point of every scan is counted, not every pixel."""
+    files = find_scans(write_sequence(tmp_path / "08", ["a", "b", "c"]))
+    network = load_network(weights, "cpu")
+    assert network.sensor == SMALL
+    space = network.card.space
+    expected = np.zeros((20, 20), int)
+    for file in files:
+        image = project(read_scan(file.path), SMALL)
+        predicted = knn_refine(image, network.probabilities(image).argmax(0))
+        truth = space.to_train(read_labels(file.label_path))
+        np.add.at(expected, (truth, predicted), 1)
+    assert expected.sum() == 4500
+    wanted = scores(Confusion(20, expected), space)
+    row = validate(network, Source(files, space, network.sensor))
+    assert (row["accuracy"], row["miou"]) == (wanted.accuracy, wanted.iou_mean_present)
+    np.testing.assert_equal(
+        [row[f"iou_{s.name}"] for s in wanted.classes], [s.iou for s in wanted.classes]
+    )
+
+
 def test_validation_sees_each_sequence_by_its_own_sensor(tmp_path: Path, weights: Path) -> None:
     """Scans upside down, with the sensor that is so, have the labels of upright ones."""
     network = load_network(weights, "cpu")
-    confusions = []
+    rows = []
     for name, sign, up in (("upright", 1, 1), ("hanging", -1, -1)):
         folder = write_sequence(tmp_path / name / "00", ["0", "1"], count=800)
         files = find_scans(folder)
@@ -217,6 +248,8 @@ def test_validation_sees_each_sequence_by_its_own_sensor(tmp_path: Path, weights
             write_bin(file.path, Scan(scan.points * np.float32([1, sign, sign]), scan.intensity))
         fitted = {"00": replace(network.sensor, up=(0.0, 0.0, float(up)))}
         source = Source(files, network.card.space, network.sensor, fitted)
-        confusions.append(validate(network, source).confusion.matrix)
-    np.testing.assert_array_equal(*confusions)
-    assert confusions[0].sum() == 1600
+        row = validate(network, source)
+        del row["temperature"]
+        rows.append(row)
+    np.testing.assert_equal(*rows)
+    assert 0 < rows[0]["accuracy"] < 1

@@ -7,8 +7,7 @@ import torch
 from scans import SMALL, write_sequence
 
 from salsanext_cli import label_space, project
-from salsanext_cli.formats.kitti import read_bin
-from salsanext_cli.formats.labels import read_labels
+from salsanext_cli.formats.kitti import read_bin, read_labels
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.training.data.class_counts import (

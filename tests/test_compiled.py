@@ -13,7 +13,7 @@ import numba
 import pytest
 
 import salsanext_cli
-from salsanext_cli.compiled.kernels import KernelCache, cache_folder, compiled, parallel_for
+from salsanext_cli.compiled import KernelCache, cache_folder, compiled, parallel_for
 
 
 @pytest.fixture
@@ -112,7 +112,7 @@ def test_processes_that_write_at_once(kernel, tmp_path):
     """Each compiles two signatures in another order; afterwards both can be loaded."""
     code = (
         "import sys; from small_kernel import twice\n"
-        "from salsanext_cli.compiled.kernels import compiled\n"
+        "from salsanext_cli.compiled import compiled\n"
         "kernel, values = compiled(twice), [2, 1.5][:: int(sys.argv[1])]\n"
         "assert [repr(kernel(x)) for x in values] == [repr(2 * x) for x in values]\n"
         "print(sum(kernel.stats.cache_hits.values()))"
@@ -140,7 +140,7 @@ def test_works_where_nothing_can_be_cached(kernel, tmp_path, monkeypatch, caplog
 
 def test_an_error_of_any_thread_is_raised_after_all_are_done(monkeypatch):
     together, arrived, done = threading.Barrier(3, timeout=10), iter(range(3)), []
-    monkeypatch.setattr("salsanext_cli.compiled.kernels.thread_count", lambda: 3)
+    monkeypatch.setattr("salsanext_cli.compiled.thread_count", lambda: 3)
 
     def work(_):
         together.wait()

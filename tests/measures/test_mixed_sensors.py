@@ -10,8 +10,8 @@ import pytest
 from scans import SMALL
 
 from salsanext_cli import Scan, read_scan, sensor
-from salsanext_cli.fitting.scan_checks import ScanCheck, ScanTraits, check_scan, mixed_sensors
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.fitting.scan_checks import ScanCheck, ScanTraits, check_scan
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, mixed_sensors
 from salsanext_cli.results.layout import ScanFile
 
 FILE = Path("scan.bin")

@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: MIT
-"""Compilation of kernels for the CPU, their cache and threads."""

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: MIT
+"""Votes of the scans of a drive for the classes of the places that they see.
+
+Space is cut into cubes, of two sizes. In each cube a scan has one vote: the mean softmax of its
+points there. So a place that a scan sees with a thousand points from nearby weighs no more than
+from afar with one, and what the network gets wrong from one place, it gets right from another.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.compiled import argument, compiled, parallel_for_slices
+from salsanext_cli.records import Float
+
+CUBE_SIZES_M = (0.3, 0.6)
+"""Edges of the cubes, whose shares of the votes are averaged."""
+KEY_BITS = 21
+"""Bits of a cube's place along each axis: 2²¹ cubes of 0.3 m are 629 km."""
+SCALE = 65535
+"""Of a probability in a vote, which is kept as uint16."""
+
+Keys = npt.NDArray[np.int64]
+Votes = npt.NDArray[np.uint16]
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Votes of one scan in the cubes of one size that it sees, V of them."""
+
+    keys: Keys  # (V,) ascending
+    votes: Votes  # (V, C): mean softmax × `SCALE`
+    cube_of_point: npt.NDArray[np.int32]  # (N,): index in `keys`, -1 for a point without a vote
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """Sum of the votes of all scans for the places of one scan's points."""
+
+    probabilities: Float  # (N, C) float32: mean of the votes, 0 without a vote
+    views: npt.NDArray[np.uint16]  # (N,): number of scans that see the place, 0 without a vote
+
+
+def view_of(
+    points: npt.NDArray[np.float64],
+    probabilities: Float,
+    voting: npt.NDArray[np.bool_],
+    size: float,
+) -> View:
+    """Gather the votes of a scan.
+
+    `points`: (N, 3) float64 metres in the frame of the drive; `probabilities`: (N, C) float32;
+    `voting`: (N,) whose points have a vote; `size`: edge of a cube in metres.
+    """
+    cells = np.floor(points[voting] / size).astype(np.int64) + (1 << (KEY_BITS - 1))
+    keys = (cells[:, 0] << (2 * KEY_BITS)) | (cells[:, 1] << KEY_BITS) | cells[:, 2]
+    order = np.argsort(keys, kind="stable")
+    first = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    cube = np.repeat(np.arange(len(first)), np.diff(first, append=len(keys)))
+    cube_of_point = np.full(len(points), -1, np.int32)
+    cube_of_point[np.flatnonzero(voting)[order]] = cube
+    votes = np.empty((len(first), probabilities.shape[1]), np.uint16)
+    rows = np.flatnonzero(voting)[order]
+    _mean_of_cubes(argument(probabilities, np.float32), rows, np.append(first, len(keys)), votes)
+    return View(keys[order][first], votes, cube_of_point)
+
+
+@compiled
+def _mean_of_cubes(probabilities: Float, rows: Keys, borders: Keys, votes: Votes) -> None:
+    """Write the mean softmax of the points ``rows[borders[v]:borders[v + 1]]`` of each cube."""
+    classes = probabilities.shape[1]
+    total = np.empty(classes, np.float32)
+    for cube in range(len(borders) - 1):
+        total[:] = 0
+        for place in range(borders[cube], borders[cube + 1]):
+            for c in range(classes):
+                total[c] += probabilities[rows[place], c]
+        count = borders[cube + 1] - borders[cube]
+        for c in range(classes):
+            votes[cube, c] = np.uint16(total[c] / count * 65535 + 0.5)
+
+
+def tally(own: View, others: Iterable[tuple[View, npt.NDArray[np.uint8]]]) -> Tally:
+    """Add up the votes of a scan and of others for the places of its points.
+
+    `others`: views of the same cubes, and (C,) whether the votes of each for a class count.
+    """
+    total = own.votes.astype(np.uint32)
+    seen = np.ones(len(own.keys), np.uint16)
+    for view, counted in others:
+        work = partial(_add_slice, own.keys, view, counted, total, seen)
+        parallel_for_slices(work, len(own.keys))
+    sums = np.maximum(total.sum(axis=1, dtype=np.float32, keepdims=True), 1)
+    # The last row is of points without a vote, whose cube is -1.
+    shares = np.zeros((len(total) + 1, total.shape[1]), np.float32)
+    np.divide(total, sums, out=shares[:-1], dtype=np.float32)
+    views = np.append(seen, np.uint16(0))
+    return Tally(shares[own.cube_of_point], views[own.cube_of_point])
+
+
+def _add_slice(
+    own: Keys,
+    view: View,
+    counted: npt.NDArray[np.uint8],
+    total: npt.NDArray[np.uint32],
+    seen: npt.NDArray[np.uint16],
+    part: slice,
+) -> None:
+    _add(own[part], view.keys, view.votes, counted, total[part], seen[part])
+
+
+@compiled
+def _add(
+    own: Keys,
+    keys: Keys,
+    votes: Votes,
+    counted: npt.NDArray[np.uint8],
+    total: npt.NDArray[np.uint32],
+    seen: npt.NDArray[np.uint16],
+) -> None:
+    """Add the votes of another scan in the cubes that both see; both keys ascend."""
+    if len(own) == 0:
+        return
+    there = np.searchsorted(keys, own[0])
+    for here in range(len(own)):
+        while there < len(keys) and keys[there] < own[here]:
+            there += 1
+        if there == len(keys):
+            return
+        if keys[there] == own[here]:
+            seen[here] += 1
+            for c in range(total.shape[1]):
+                total[here, c] += votes[there, c] * counted[c]

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: MIT
+"""Fusion of the softmax of scans that see the same places, in a window along the drive."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.errors import SalsanextError
+from salsanext_cli.fusion.poses import Poses, segments
+from salsanext_cli.fusion.votes import CUBE_SIZES_M, Tally, View, tally, view_of
+from salsanext_cli.options import FusionReach
+from salsanext_cli.records import Float, Scan
+
+MOVABLE_WORDS = (
+    *("car", "truck", "bus", "van", "trailer", "vehicle", "train", "rails", "animal"),
+    *("bicycle", "motorcycle", "cycle", "rider", "cyclist", "person", "pedestrian", "people"),
+)
+"""Words in the names of classes of what may move."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Scans of a sequence whose poses are known."""
+
+    poses: Poses  # (S, 4, 4)
+    # Reads the points (N, 3) of a scan, its softmax (N, C) float32, and which of them vote (N,)
+    read: Callable[[int], tuple[Float, Float, npt.NDArray[np.bool_]]]
+
+
+def movable_classes(space: LabelSpace) -> npt.NDArray[np.bool_]:
+    """Return which train ids (C,) are of what may move, by the names of their raw ids."""
+    movable = np.zeros(space.class_count, bool)
+    for raw, train in space.learning_map.items():
+        words = space.labels.get(raw, "").lower().replace("-", " ").replace("_", " ").split()
+        movable[train] |= "moving" in words or not set(MOVABLE_WORDS).isdisjoint(words)
+    movable[0] = False
+    return movable
+
+
+class FusionWindow:
+    """Views of the scans around one, which are read once while the window moves on."""
+
+    def __init__(self, drive: Drive, reach: FusionReach, movable: npt.NDArray[np.bool_]) -> None:
+        self.drive = drive
+        self.reach = reach
+        self.parts = segments(drive.poses)
+        self.counted = {True: np.ones(len(movable), np.uint8), False: (~movable).astype(np.uint8)}
+        self.views: dict[int, list[View] | SalsanextError] = {}
+
+    def tally(self, index: int) -> Tally:
+        """Return what the scans of the window say about the places of a scan's points."""
+        last = min(len(self.parts) - 1, index + self.reach.reach)
+        wanted = range(max(0, index - self.reach.reach), last + 1)
+        members = [each for each in wanted if self.parts[each] == self.parts[index]]
+        self.views = {each: view for each, view in self.views.items() if each in wanted}
+        own = self._views(index)
+        if isinstance(own, SalsanextError):
+            raise own
+        tallies = []
+        for size, view in enumerate(own):
+            others = []
+            for each in members:
+                views = self._views(each)
+                # One that cannot be read has no vote; its own turn says why.
+                if each != index and not isinstance(views, SalsanextError):
+                    near = abs(each - index) <= self.reach.movable_reach
+                    others.append((views[size], self.counted[near]))
+            tallies.append(tally(view, others))
+        mean = np.mean([each.probabilities for each in tallies], axis=0)
+        return Tally(mean, tallies[-1].views)
+
+    def _views(self, index: int) -> list[View] | SalsanextError:
+        if index not in self.views:
+            try:
+                points, softmax, voting = self.drive.read(index)
+                pose = self.drive.poses[index]
+                placed = points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+                views = [view_of(placed, softmax, voting, size) for size in CUBE_SIZES_M]
+                self.views[index] = views
+            except SalsanextError as error:
+                self.views[index] = error
+        return self.views[index]
+
+
+def fused_labels(tally: Tally, labels: TrainIds) -> TrainIds:
+    """Return the labels of a scan's points (N,) by all scans that see their places.
+
+    A label changes only where at least one other scan sees the place.
+    """
+    fused = (tally.probabilities[:, 1:].argmax(axis=1) + 1).astype(np.uint8)
+    return np.where(tally.views > 1, fused, labels)
+
+
+def disagreement(tally: Tally, labels: TrainIds) -> Float:
+    """Return which share of the votes is against the label of each point (N,); NaN without any."""
+    share = 1 - np.take_along_axis(tally.probabilities, labels[:, None].astype(np.intp), 1)[:, 0]
+    return np.where(tally.views > 0, share, np.nan).astype(np.float32)
+
+
+def fuse(
+    scans: Sequence[Scan],
+    probabilities: Sequence[Float],
+    poses: Poses,
+    reach: FusionReach = FusionReach(),
+    space: LabelSpace | None = None,
+) -> list[Tally]:
+    """Fuse the softmax of the scans of a drive where they see the same places.
+
+    Parameters
+    ----------
+    scans : sequence of S Scan
+        In the order of the drive.
+    probabilities : sequence of S arrays (N, C)
+        Softmax of the points of each scan, certain of class 0 for a point without a label.
+    poses : (S, 4, 4) float64
+        From the frame of each scan to that of the drive, metres.
+    reach : FusionReach
+        How many scans before and after each vote.
+    space : LabelSpace
+        Classes, which tell what may move; the built-in ones by default.
+
+    Returns
+    -------
+    list of S Tally
+        ``probabilities`` (N, C) float32, the mean over the scans that see the place of each point,
+        and ``views`` (N,), their number.
+    """
+    from salsanext_cli.classes.label_space import label_space
+
+    def read(index: int) -> tuple[Float, Float, npt.NDArray[np.bool_]]:
+        softmax = np.asarray(probabilities[index], np.float32)
+        return scans[index].points, softmax, voting(softmax)
+
+    movable = movable_classes(space or label_space("semantic-kitti"))
+    window = FusionWindow(Drive(np.asarray(poses, np.float64), read), reach, movable)
+    return [window.tally(index) for index in range(len(scans))]
+
+
+def voting(softmax: Float) -> npt.NDArray[np.bool_]:
+    """Return which points (N,) have a vote by their softmax (N, C): those with a label."""
+    return softmax[:, 0] < 1

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: MIT
+import shutil
+
+import numpy as np
+import pytest
+from command_line import only_json
+from scans import files_below
+from typer.testing import CliRunner
+
+from salsanext_cli import KnnParameters, label_space, read_labels, read_scan
+from salsanext_cli.cli.app import app
+from salsanext_cli.errors import FormatError, NoInputError, OutputError, UsageError
+from salsanext_cli.fusion.poses import encode_poses
+from salsanext_cli.fusion.window import disagreement, fuse, fused_labels
+from salsanext_cli.options import FusionReach, ScanSelection
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.fuse import fuse_results
+from salsanext_cli.stages.predict import predict_scans
+
+SPACE = label_space()
+STEMS = ("000000", "000001", "000002")
+
+
+@pytest.fixture
+def drive(world):
+    """Predict a drive of three scans at one place, two of which are the same."""
+    folder = world.data / "sequences/08"
+    for kind, suffix in (("velodyne", "bin"), ("labels", "label")):
+        shutil.copy(folder / kind / f"000000.{suffix}", folder / kind / f"000002.{suffix}")
+    (folder / "poses.txt").write_bytes(encode_poses(np.tile(np.eye(4), (3, 1, 1))))
+    predict_scans(folder, world.out, network=world.network, extras=("probabilities",))
+    return world
+
+
+def fused_folder(world):
+    return world.out / "fused/sequences/08"
+
+
+def test_labels_are_those_of_the_function(drive):
+    single = {stem: drive.labels(stem=stem) for stem in STEMS}
+    outcome = fuse_results(drive.out)
+    assert (outcome.done, outcome.failures) == (3, ())
+    scans = [read_scan(drive.scan(stem=stem)) for stem in STEMS]
+    softmax = [np.load(drive.result("probabilities", stem=stem)) for stem in STEMS]
+    tallies = fuse(scans, softmax, np.tile(np.eye(4), (3, 1, 1)))
+    changed = 0
+    for stem, tally in zip(STEMS, tallies, strict=True):
+        of_fused = fused_folder(drive)
+        labels = SPACE.to_train(single[stem])
+        fused = fused_labels(tally, labels)
+        written = read_labels(of_fused / f"predictions/{stem}.label")
+        np.testing.assert_array_equal(written, SPACE.to_raw(fused))
+        np.testing.assert_array_equal(drive.labels(stem=stem), single[stem])
+        for folder, of_folder in ((drive.out / "sequences/08", labels), (of_fused, fused)):
+            against = np.load(folder / f"uncertainty/disagreement/{stem}.npy")
+            np.testing.assert_array_equal(against, disagreement(tally, of_folder))
+            np.testing.assert_array_equal(np.load(folder / f"views/{stem}.npy"), tally.views)
+        changed += int((fused != labels).sum())
+    assert changed
+
+
+def test_fused_labels_are_a_folder_of_results(drive):
+    fuse_results(drive.out)
+    results = ResultFolder(drive.out / "fused")
+    assert results.owner("predictions") == "fuse"
+    assert results.weights("predictions") == ResultFolder(drive.out).weights("predictions")
+    assert results.sensor() == ResultFolder(drive.out).sensor()
+    for folder, kinds in ((drive.out / "fused", set()), (drive.out, {"least_confidence"})):
+        scans, space = ResultFolder(folder).predicted(ScanSelection())
+        found = evaluate(scans, folder, space).uncertainty
+        assert found is not None
+        assert {*found.kinds} >= {"disagreement", *kinds}
+
+
+def test_a_run_goes_on_with_the_same_bytes(drive, tmp_path):
+    fuse_results(drive.out)
+    before = files_below(fused_folder(drive))
+    for stem in STEMS[:2]:
+        (fused_folder(drive) / f"predictions/{stem}.label").unlink()
+    outcome = fuse_results(drive.out, options=RunOptions(jobs=2, backend="threading"))
+    assert (outcome.done, outcome.skipped) == (2, 1)
+    assert files_below(fused_folder(drive)) == before
+
+
+def test_other_settings_are_not_mixed(drive):
+    fuse_results(drive.out)
+    with pytest.raises(OutputError, match="reach"):
+        fuse_results(drive.out, reach=FusionReach(5, 1))
+    fuse_results(drive.out, reach=FusionReach(5, 1), options=RunOptions(overwrite=True))
+
+
+def test_new_labels_take_away_what_is_known_against_the_old(drive):
+    fuse_results(drive.out)
+    predict_scans(
+        drive.data / "sequences/08",
+        drive.out,
+        network=drive.network,
+        knn=KnnParameters(k=1),
+        extras=("probabilities",),
+        options=RunOptions(overwrite=True),
+    )
+    assert not any(drive.result("uncertainty/disagreement").parent.iterdir())
+    assert not any(drive.result("views").parent.iterdir())
+
+
+@pytest.mark.parametrize("lines", [2, 4])
+def test_poses_of_other_scans_are_refused_before_anything_is_written(drive, lines):
+    poses = drive.data / "sequences/08/poses.txt"
+    poses.write_bytes(encode_poses(np.tile(np.eye(4) * 1.0, (lines, 1, 1)) * 1.5))
+    with pytest.raises(FormatError):
+        fuse_results(drive.out)
+    assert not fused_folder(drive).exists()
+
+
+def test_a_scan_that_is_damaged_fails_and_has_no_vote(drive):
+    drive.result("probabilities", stem="000001").write_bytes(b"no array")
+    outcome = fuse_results(drive.out)
+    assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
+    assert np.load(fused_folder(drive) / "views/000000.npy").max() == 2
+
+
+def test_what_cannot_be_fused_is_said(world, drive):
+    with pytest.raises(UsageError, match="another folder"):
+        fuse_results(drive.out, drive.out)
+    with pytest.raises(NoInputError, match="no scans of sequence 77"):
+        fuse_results(drive.out, selection=ScanSelection(sequences=("77",)))
+    shutil.rmtree(drive.out / "sequences/08/probabilities")
+    with pytest.raises(NoInputError, match="--fuse"):
+        fuse_results(drive.out)
+
+
+def test_computed_poses_are_written_and_kept(drive):
+    pytest.importorskip("small_gicp")
+    (drive.data / "sequences/08/poses.txt").unlink()
+    fuse_results(drive.out)
+    path = fused_folder(drive) / "poses.txt"
+    assert len(path.read_text().splitlines()) == 3
+    edited = encode_poses(np.tile(np.eye(4), (3, 1, 1)))
+    path.write_bytes(edited)
+    fuse_results(drive.out, options=RunOptions(overwrite=True))
+    assert path.read_bytes() == edited
+
+
+def test_predict_can_fuse_at_once(world):
+    folder = world.data / "sequences/08"
+    (folder / "poses.txt").write_bytes(encode_poses(np.tile(np.eye(4), (2, 1, 1))))
+    words = ["predict", folder, world.out, "--weights", world.network.weights, "--fuse", "--json"]
+    result = CliRunner().invoke(app, [*map(str, words), "--engine", "torch"])
+    assert result.exit_code == 0, result.output
+    assert only_json(result)["done"] == 2
+    assert len(list((fused_folder(world) / "predictions").iterdir())) == 2
+    votes = np.load(world.result("votes"))
+    assert (votes.dtype, votes.shape) == (np.uint16, (1500, 3))
+    assert not world.result("probabilities").exists()
