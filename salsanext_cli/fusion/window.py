@@ -88,16 +88,16 @@ class FusionWindow:
 def fused_labels(tally: Tally, labels: TrainIds) -> TrainIds:
     """Return the labels of a scan's points (N,) by all scans that see their places.
 
-    A label changes only where at least one other scan sees the place.
+    A label changes only where at least one other scan sees the place; unlabelled points stay so.
     """
     fused = (tally.probabilities[:, 1:].argmax(axis=1) + 1).astype(np.uint8)
-    return np.where(tally.views > 1, fused, labels)
+    return np.where((tally.views > 1) & (labels > 0), fused, labels)
 
 
 def disagreement(tally: Tally, labels: TrainIds) -> Float:
     """Return which share of the votes is against the label of each point (N,); NaN without any."""
     share = 1 - np.take_along_axis(tally.probabilities, labels[:, None].astype(np.intp), 1)[:, 0]
-    return np.where(tally.views > 0, share, np.nan).astype(np.float32)
+    return np.where((tally.views > 0) & (labels > 0), share, np.nan).astype(np.float32)
 
 
 def fuse(
