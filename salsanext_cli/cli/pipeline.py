@@ -326,7 +326,7 @@ def export_ply(
             "--color",
             help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
             "error, epistemic, aleatoric, total, entropy, mutual_information, "
-            "least_confidence.",
+            "least_confidence, disagreement.",
         ),
     ] = "label",
     scale: Annotated[
@@ -343,6 +343,12 @@ def export_ply(
     form: Annotated[
         str, typer.Option("--format", help="ply, or las or laz with the classes of the ASPRS.")
     ] = "ply",
+    as_map: Annotated[
+        bool, typer.Option("--map", help="Write one cloud of each drive with labels of `fuse`.")
+    ] = False,
+    cube: Annotated[
+        float, typer.Option("--map-cube", help="Edge of the cubes of one point each, in metres.")
+    ] = 0.1,
     dataset: options.DataSetOfResults = None,
     selection: ScanSelection,
     label_space: options.LabelSpaceName = None,
@@ -364,6 +370,7 @@ def export_ply(
             scale=scale,
             max_error=max_error,
             form=form,
+            cube=cube if as_map else None,
             dataset=dataset,
             space=options.label_space(label_space),
             classes=options.label_space(classes),

@@ -75,9 +75,13 @@ def read_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses
     if present(calibration) and values and len(values[0]) == KITTI_NUMBERS:
         to_camera = _calibration(calibration)
         poses = np.linalg.inv(to_camera) @ poses @ to_camera
-    # Far from its origin, a frame of the world leaves no digits for cubes.
-    poses[:, :3, 3] -= poses[:1, :3, 3].copy()
     return poses
+
+
+def read_fused_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses:
+    """Read poses that `fuse` wrote, which has a line for each scan: no name is a line's number."""
+    scans, wanted = ([f"scan {name}" for name in names] for names in (scans, wanted))
+    return read_poses(path, scans, wanted)
 
 
 def _lines(path: Path) -> list[str]:
@@ -122,7 +126,7 @@ def _calibration(path: Path) -> Poses:
 
 def encode_poses(poses: Poses) -> bytes:
     """Return poses as KITTI writes them, one of 12 numbers per line."""
-    rows = (" ".join(f"{value:.9e}" for value in pose[:3].ravel()) for pose in poses)
+    rows = (" ".join(f"{value:.12e}" for value in pose[:3].ravel()) for pose in poses)
     return "".join(f"{row}\n" for row in rows).encode("ascii")
 
 

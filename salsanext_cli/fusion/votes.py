@@ -55,8 +55,7 @@ def view_of(
     `points`: (N, 3) float64 metres in the frame of the drive; `probabilities`: (N, C) float32;
     `voting`: (N,) whose points have a vote; `size`: edge of a cube in metres.
     """
-    cells = np.floor(points[voting] / size).astype(np.int64) + (1 << (KEY_BITS - 1))
-    keys = (cells[:, 0] << (2 * KEY_BITS)) | (cells[:, 1] << KEY_BITS) | cells[:, 2]
+    keys = keys_of(points[voting], size)
     order = np.argsort(keys, kind="stable")
     first = np.flatnonzero(np.diff(keys[order], prepend=-1))
     cube = np.repeat(np.arange(len(first)), np.diff(first, append=len(keys)))
@@ -66,6 +65,13 @@ def view_of(
     rows = np.flatnonzero(voting)[order]
     _mean_of_cubes(argument(probabilities, np.float32), rows, np.append(first, len(keys)), votes)
     return View(keys[order][first], votes, cube_of_point)
+
+
+def keys_of(points: npt.NDArray[np.float64], size: float) -> Keys:
+    """Return the key (N,) of the cube of a size in metres that each point (N, 3) is in."""
+    cells = np.floor(points / size).astype(np.int64) + (1 << (KEY_BITS - 1))
+    keys: Keys = (cells[:, 0] << (2 * KEY_BITS)) | (cells[:, 1] << KEY_BITS) | cells[:, 2]
+    return keys
 
 
 @compiled

@@ -77,7 +77,9 @@ class FusionWindow:
             try:
                 points, softmax, voting = self.drive.read(index)
                 pose = self.drive.poses[index]
-                placed = points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+                # Far from its origin, a frame of the world leaves no digits for cubes.
+                place = pose[:3, 3] - self.drive.poses[0, :3, 3]
+                placed = points.astype(np.float64) @ pose[:3, :3].T + place
                 views = [view_of(placed, softmax, voting, size) for size in CUBE_SIZES_M]
                 self.views[index] = views
             except SalsanextError as error:

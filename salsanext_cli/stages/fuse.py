@@ -20,6 +20,7 @@ from salsanext_cli.fusion.poses import (
     POSES,
     Poses,
     encode_poses,
+    read_fused_poses,
     read_poses,
     require_fitting,
     segments,
@@ -219,19 +220,18 @@ def _given(path: Path | None, files: Sequence[ScanFile], sensor: Sensor) -> Pose
 def _drive(
     name: str, files: Sequence[ScanFile], poses: Poses | None, output: OutputRun, sensor: Sensor
 ) -> DriveScans:
-    """Return a sequence with poses, computed and written if not given; say where it is cut."""
+    """Return a sequence with poses, computed if not given, and write them; say where it is cut."""
     stems = [file.stem for file in files]
-    computed = output.root / "sequences" / name / POSES
-    if (
-        poses is None
-        and present(computed)
-        and not (output.overwrite and not output.others([computed]))
-    ):
-        poses = read_poses(computed, stems, stems)
+    used = output.root / "sequences" / name / POSES
+    if poses is None and present(used) and not (output.overwrite and not output.others([used])):
+        poses = read_fused_poses(used, stems, stems)
     elif poses is None:
         log.log(NOTICE, "sequence %s: no %s, computing poses of its scans", name, POSES)
         poses = register(read_scan(file.path, sensor).points for file in files)
-        output.write(computed, encode_poses(poses))
+        output.write(used, encode_poses(poses))
+    else:
+        output.require_own([used])
+        output.write(used, encode_poses(poses))
     parts = np.bincount(segments(poses))
     if (parts == 1).all() and len(files) > 1:
         log.warning("sequence %s: its scans see no common places; labels stay", name)

@@ -8,6 +8,7 @@ from salsanext_cli.fusion.poses import (
     CAMERA,
     encode_poses,
     overlap,
+    read_fused_poses,
     read_poses,
     require_fitting,
     segments,
@@ -36,13 +37,15 @@ def test_kitti_is_read_as_written(tmp_path):
     poses = along(0, 1, 2.5)
     path = written(tmp_path, encode_poses(poses))
     np.testing.assert_allclose(read_poses(path, STEMS, STEMS), poses, atol=1e-8)
-    np.testing.assert_allclose(read_poses(path, STEMS, STEMS[1:])[1][0, 3], 1.5)
+    np.testing.assert_allclose(read_poses(path, STEMS, STEMS[1:])[1][0, 3], 2.5)
 
 
 def test_a_file_of_a_whole_drive_has_a_line_per_number(tmp_path):
     path = written(tmp_path, encode_poses(along(*range(10))))
     poses = read_poses(path, ["000002", "000007"], ["000002", "000007"])
-    np.testing.assert_allclose(poses[:, 0, 3], [0, 5])
+    np.testing.assert_allclose(poses[:, 0, 3], [2, 7])
+    with pytest.raises(FormatError, match="10 lines"):
+        read_fused_poses(path, ["000002", "000007"], ["000002", "000007"])
 
 
 def test_tum_is_read_as_kitti(tmp_path):
@@ -51,7 +54,6 @@ def test_tum_is_read_as_kitti(tmp_path):
     lines = ["# time x y z qx qy qz qw"]
     lines += [f"{n} {n + 3} 0 0 0 0 {np.sin(h)} {np.cos(h)}" for n, h in enumerate(half)]
     path = written(tmp_path, "\n".join(lines).encode())
-    poses[:, 0, 3] -= 3
     np.testing.assert_allclose(read_poses(path, STEMS, STEMS), poses, atol=1e-12)
 
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from importlib import resources
 from string import Template
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -60,6 +61,7 @@ def html_of(
     shown: Sequence[ShownScan],
     scales: Mapping[str, Scale],
     failures: Sequence[str] = (),
+    maps: Mapping[str, bytes] = MappingProxyType({}),
     *,
     served: Mapping[str, str] | None = None,
     token: str = "",
@@ -67,6 +69,7 @@ def html_of(
     """Return the page of a run; every text that comes from files or names is escaped.
 
     `shown`: scans whose points the page holds; `failures`: reasons why scans are left out;
+    `maps`: PNGs of drives by title;
     `served`: scans whose points it asks a server for, by name, with the reason to look at them,
     which may be empty; `token`: that of the server.
     """
@@ -101,6 +104,7 @@ def html_of(
         facts="".join(f"<dt>{_text(name)}</dt><dd>{_text(fact)}</dd>" for name, fact in facts),
         warnings=_listed("Warnings", '<ul class="warnings">', "</ul>", warnings),
         shares=_shares(class_points.sum(axis=0), compared, space, colours),
+        maps=_figures(maps),
         plots=comparison,
         plots_link='<a href="#plots">Comparison</a>' if comparison else "",
         data="".join(blocks),
@@ -199,13 +203,19 @@ def _comparison(compared: Comparison, space: LabelSpace) -> str:
     confusions = _confusions(compared.counts.confusion, space)
     parts = _rings(compared, space)
     parts += _listed("Largest confusions", '<ol class="confusions">', "</ol>", confusions)
-    figures = "".join(
-        f'<figure tabindex="0"><img alt="{_text(PICTURES[name])}" '
-        f'src="data:image/png;base64,{b64encode(png).decode("ascii")}"></figure>'
-        for name, png in uncertainty_pictures(compared.uncertainty, space).items()
-    )
-    parts += f'<div class="plots">{figures}</div>' * bool(figures)
+    pictures = uncertainty_pictures(compared.uncertainty, space)
+    parts += _figures({PICTURES[name]: png for name, png in pictures.items()})
     return f'<section id="plots"><h2>Comparison with labels</h2>{parts}</section>' * bool(parts)
+
+
+def _figures(pictures: Mapping[str, bytes]) -> str:
+    """Return PNGs, by what they show."""
+    figures = "".join(
+        f'<figure tabindex="0"><img alt="{_text(text)}" '
+        f'src="data:image/png;base64,{b64encode(png).decode("ascii")}"></figure>'
+        for text, png in pictures.items()
+    )
+    return f'<div class="plots">{figures}</div>' * bool(figures)
 
 
 def _rings(compared: Comparison, space: LabelSpace) -> str:
