@@ -111,6 +111,13 @@ def predict(
     from salsanext_cli.stages.predict import predict_range_images, predict_scans
 
     source = options.source(scans, dataset, topic)
+    if fuse:
+        from salsanext_cli.stages.fuse import FUSED, fuse_results, require_registration
+
+        if running.shard.count > 1:
+            remedy = f"run `salsanext fuse {out}` when all shares are predicted"
+            raise UsageError("--fuse", "only a share of the scans", "all of them", remedy)
+        require_registration(source)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}
     wanted |= {"votes": fuse and not probabilities}
     network = replace(network, classes=options.label_space(classes))
@@ -134,14 +141,12 @@ def predict(
             outcome = predict_range_images(
                 source, out, network=network, selection=selection, options=run
             )
-    if fuse:
-        from salsanext_cli.stages.fuse import fuse_results
-
+    if fuse and outcome.done + outcome.skipped:
         with over_scans("fuse", running, output.quiet) as run:
             fused = fuse_results(out, selection=selection, options=run)
         failures = (*outcome.failures, *fused.failures)
         outcome = replace(outcome, failures=tuple(dict.fromkeys(failures)))
-        output.say(f"fuse: {counted(fused.done, 'scan')} → {out}/fused")
+        output.say(f"fuse: {counted(fused.done, 'scan')} → {out / FUSED}")
     run_end.finish("predict", outcome, out, output, split=selection.split, strict=strict)
 
 

@@ -133,14 +133,15 @@ class RunSummary:
         self.rejected_points += scan.rejected_points
         self.ego_shares.append(scan.check.ego_share)
         for finding in scan.check.findings:
-            self._add(scan.file, finding)
+            self.add_finding(scan.file, finding)
         if scan.check.traits is not None:
             self.traits[scan.file] = scan.check.traits
         if scan.class_points:
             before = self.class_points or [0] * len(scan.class_points)
             self.class_points = [a + b for a, b in zip(before, scan.class_points, strict=True)]
 
-    def _add(self, file: ScanFile, finding: Finding) -> None:
+    def add_finding(self, file: ScanFile, finding: Finding) -> None:
+        """Add a reason to doubt a scan; say it at once if it is the first of its kind."""
         name = file.name
         if finding.code not in self.findings:
             words = f"{finding.found}; {finding.remedy}"
@@ -150,7 +151,7 @@ class RunSummary:
     def finished(self, *, selectable: bool = True) -> RunSummary:
         """Compare the scans with each other, at the end of the run; return itself."""
         for file, finding in mixed_sensors(self.traits, selectable=selectable).items():
-            self._add(file, finding)
+            self.add_finding(file, finding)
         return self
 
     @contextmanager

@@ -25,7 +25,9 @@ OWN_TABLES = {
     "picked.csv": b"rank,sequence,scan,",
 }
 """Tables that `eval`, `train` and `pick` write, and how their first line but a comment begins."""
-LABELLING_STAGES = ("predict", "knn-refine", "uncertainty", "fuse")
+FUSED_STAGES = ("predict", "knn-refine", "uncertainty")
+"""The stages whose labels are fused."""
+LABELLING_STAGES = (*FUSED_STAGES, "fuse")
 """The stages whose results later ones read."""
 UNCERTAINTY = (
     *("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information"),
