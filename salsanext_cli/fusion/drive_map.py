@@ -22,8 +22,9 @@ from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
-SAME_PLACE_M = 0.3
-"""Difference of the ranges up to which two scans see the same thing."""
+SAME_PLACE_M, GRAZING = 0.3, 0.1
+"""Difference of ranges up to which two scans see the same thing, and the share of the range that
+must come to it until one sees through: that much it differs within a pixel on flat ground."""
 MERGED_POINTS = 1 << 20
 """Points that wait at least until they are merged into a map."""
 
@@ -55,7 +56,6 @@ class SeenScan(NamedTuple):
     """A scan with its results."""
 
     columns: Columns  # Of its points with a label
-    movable: npt.NDArray[np.intp]  # (K,): those of what may move
     ranges: Float  # (H·W,) of its range image, NaN without a point
 
 
@@ -86,18 +86,21 @@ class MapTask:
             if isinstance(own, SalsanextError):
                 yield file, None, own
                 continue
-            places = np.stack([own.columns[axis][own.movable] for axis in "xyz"], axis=1)
-            kept = np.ones(len(own.columns["x"]), bool)
-            kept[own.movable] = self._standing(places, window, sensor)
+            columns = one_per_cube([own.columns], self.size, self.poses[0, :3, 3])
+            kept = self._standing(columns, window, sensor)
             window[index] = own
-            columns = {name: values[kept] for name, values in own.columns.items()}
-            yield file, one_per_cube([columns], self.size, self.poses[0, :3, 3]), None
+            yield file, {name: values[kept] for name, values in columns.items()}, None
 
     def _standing(
-        self, places: Poses, others: Mapping[int, SeenScan | SalsanextError], sensor: Sensor
+        self, columns: Columns, others: Mapping[int, SeenScan | SalsanextError], sensor: Sensor
     ) -> npt.NDArray[np.bool_]:
-        """Return in which places (M, 3) more scans see something than see through them."""
-        balance = np.zeros(len(places), np.int32)
+        """Return which points (N,) are of what stands still.
+
+        Of a class that may move, more scans see something in their place than see through it; of
+        others, whose labels may be wrong, at most twice as many see through it.
+        """
+        places = np.stack([columns[axis] for axis in "xyz"], axis=1)
+        there, through = np.zeros((2, len(places)), np.int32)
         for index, seen in others.items():
             if isinstance(seen, SeenScan):
                 pose = self.poses[index]
@@ -106,9 +109,11 @@ class MapTask:
                 image = project(scan, replace(sensor, out_of_view="drop"))
                 pixel = image.pixel_of_point
                 behind = np.where(pixel >= 0, seen.ranges[pixel], np.nan) - image.point_range
-                balance += np.abs(behind) <= SAME_PLACE_M
-                balance -= behind > SAME_PLACE_M
-        return balance > 0
+                there += np.abs(behind) <= SAME_PLACE_M
+                through += behind > SAME_PLACE_M + GRAZING * image.point_range
+        labels = self.space.to_train(columns["label"], strict=False)
+        movable = movable_classes(self.space)[labels]
+        return np.where(movable, through < there, through <= 2 * there)
 
     def _seen(self, index: int, sensor: Sensor) -> SeenScan | SalsanextError:
         file, pose = self.files[index], self.poses[index]
@@ -127,5 +132,4 @@ class MapTask:
         image = project(found.scan, sensor)
         ranges = np.where(image.point_of_pixel >= 0, image.channels[0], np.float32(np.nan))
         columns = {name: values[kept] for name, values in columns.items()}
-        movable = np.flatnonzero(movable_classes(self.space)[labels[kept]])
-        return SeenScan(columns, movable, ranges.ravel())
+        return SeenScan(columns, ranges.ravel())
