@@ -155,7 +155,7 @@ class ResultFolder(StageRecords):
 
     def _require_current(self) -> None:
         """Refuse fused labels if those that they were fused of were made anew since."""
-        fused = self.settings("fuse") or {}
+        fused: Mapping[str, Any] = self.settings("fuse") or {}
         single = StageRecords(self.root / fused.get("fused_of", ""))
         origins = single.origins(FUSED_STAGES)
         if fused.get("fused_of") and origins and origins != fused["origins"]:
