@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 
 def project(
-    scans: options.Scans = None,
+    context: typer.Context,
+    scans: options.SeveralScans = None,
     out: options.Out = Path("out"),
     *,
     dataset: options.DataSet = None,
@@ -38,9 +39,10 @@ def project(
     """
     from salsanext_cli.stages.project import project_scans
 
+    source, out = options.sources(context, scans, out, dataset, topic)
     with over_scans("project", running, output.quiet) as run:
         outcome = project_scans(
-            options.source(scans, dataset, topic),
+            source,
             out,
             sensor=network.named_sensor() or network.trained_sensor(),
             fit=network.fits_view,
@@ -54,7 +56,8 @@ def project(
 
 
 def predict(
-    scans: options.Scans = None,
+    context: typer.Context,
+    scans: options.SeveralScans = None,
     out: options.Out = Path("out"),
     *,
     pixel_labels: Annotated[
@@ -76,6 +79,14 @@ def predict(
         typer.Option(
             "--fuse",
             help="Then fuse the scans of each sequence, as `fuse` does, into OUT/fused.",
+        ),
+    ] = False,
+    objects: Annotated[
+        bool,
+        typer.Option(
+            "--objects",
+            help="Number the vehicles, people and riders in the upper 16 bits of the labels, and "
+            "write their boxes.",
         ),
     ] = False,
     reject: Annotated[
@@ -110,13 +121,13 @@ def predict(
     from salsanext_cli.results.layout import ERROR
     from salsanext_cli.stages.predict import predict_range_images, predict_scans
 
-    source = options.source(scans, dataset, topic)
+    source, out = options.sources(context, scans, out, dataset, topic)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}
-    wanted |= {"votes": fuse and not probabilities}
+    wanted |= {"votes": fuse and not probabilities, "objects": objects}
     network = replace(network, classes=options.label_space(classes))
     outcome: Outcome
     with over_scans("predict", running, output.quiet) as run:
-        if projected_sensor(source) is None:
+        if not isinstance(source, Path) or projected_sensor(source) is None:
             outcome = predict_scans(
                 source,
                 out,
@@ -130,7 +141,8 @@ def predict(
             )
         else:
             of_points = {"--probabilities": probabilities, "--error": error, "--fuse": fuse}
-            _require_no_scans(knn, batch, {**of_points, "--reject": reject is not None})
+            of_points |= {"--objects": objects, "--reject": reject is not None}
+            _require_no_scans(knn, batch, of_points)
             outcome = predict_range_images(
                 source, out, network=network, selection=selection, options=run
             )
@@ -219,7 +231,8 @@ def knn_refine(
 
 
 def uncertainty(
-    scans: options.Scans = None,
+    context: typer.Context,
+    scans: options.SeveralScans = None,
     out: options.Out = Path("out"),
     *,
     method: Annotated[
@@ -252,9 +265,10 @@ def uncertainty(
     from salsanext_cli.stages.uncertainty import uncertainty as stage
     from salsanext_cli.uncertainty.method import UncertaintyMethod
 
+    source, out = options.sources(context, scans, out, dataset, topic)
     with over_scans("uncertainty", running, output.quiet) as run:
         outcome = stage(
-            options.source(scans, dataset, topic),
+            source,
             out,
             network=replace(network, classes=options.label_space(classes)),
             knn=knn,
@@ -285,23 +299,38 @@ def evaluate(
     from rich.console import Group
     from rich.text import Text
 
-    from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
+    from salsanext_cli.report.tables import (
+        panoptic_table,
+        ring_table,
+        score_table,
+        uncertainty_tables,
+    )
     from salsanext_cli.results.result_folder import ResultFolder
-    from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
+    from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS, part_name
     from salsanext_cli.stages.evaluate import evaluate as stage
 
     out = results.folder()
     folder = ResultFolder(out, dataset)
     labels = options.label_space(label_space)
     files, space = folder.predicted(selection, labels, options.label_space(classes))
+    part = ""
+    if selection.sequences or selection.limit:
+        every, _ = folder.predicted(ScanSelection(selection.split), labels, space)
+        part = part_name(files, selection.limit) if len(files) < len(every) else ""
     with over_scans("eval", running, output.quiet) as run:
         settings = folder.provenance(selection)
         found = stage(
-            files, out, space, run, by_distance=by_distance, settings=settings, labels=labels
+            *(files, out, space, run),
+            by_distance=by_distance,
+            settings=settings,
+            labels=labels,
+            part=part,
         )
     shown = [score_table(found.scores, ON_TRAINING_SCANS * found.on_training_scans)]
     if by_distance:
         shown.append(ring_table(found.by_distance))
+    if found.panoptic:
+        shown.append(panoptic_table(found.panoptic))
     shown += uncertainty_tables(found.uncertainty)
     sentences = [Text(found.uncertainty.kept.sentence)] if found.uncertainty.kept else []
     if settings["reject"] is not None:
@@ -312,7 +341,7 @@ def evaluate(
     run_end.name_failures(found.failures)
     left_out = run_end.left_out(found.missing)
     written = "scores.txt, eval.json, eval_*.png"
-    output.say(f"eval: {counted(found.scans, 'scan')}{left_out} → {out}/{written}")
+    output.say(f"eval: {counted(found.scans, 'scan')}{left_out} → {found.folder}/{written}")
     run_end.leave(found.failures, found.missing)
 
 

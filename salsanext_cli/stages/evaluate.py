@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Evaluation of predictions against labels: scores, a report and plots."""
 
+import hashlib
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,9 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import LabelError, NoInputError, counted, escaped
 from salsanext_cli.files.json_files import encode_json
 from salsanext_cli.files.reading import present
+from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.labelling.label_records import require_truth
+from salsanext_cli.measures.panoptic import Segments
 from salsanext_cli.measures.scan_counts import (
     RING_NAMES,
     CountsApart,
@@ -36,6 +39,8 @@ from salsanext_cli.version import __version__
 
 FILES = ("scores.txt", *PICTURES, "eval.json")
 """Files that an evaluation may write into the output folder."""
+PARTS, MAX_NAME_CHARACTERS = "eval", 80
+"""Folder of the evaluations of some scans, and the longest name of one."""
 ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
 
 log = logging.getLogger(__name__)
@@ -61,6 +66,11 @@ class Evaluation:
     settings: dict[str, Any]  # Settings of the evaluation and of the predictions
     # Results for the probabilities and uncertainties, if there are any
     uncertainty: UncertaintyEvaluation
+    folder: Path  # Where it is written
+    by_sequence: dict[str, Scores]
+    by_scan: dict[str, dict[str, Any]]  # Some scores of each scan, by name
+    # Panoptic quality, if objects were predicted and the labels have instances
+    panoptic: dict[str, Any] | None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
@@ -77,6 +87,9 @@ class Evaluation:
             "unknown_ids": self.unknown_ids,
             "scores": self.scores.to_dict(),
             "by_distance": {name: ring.to_dict() for name, ring in self.by_distance.items()},
+            "by_sequence": {name: each.to_dict() for name, each in self.by_sequence.items()},
+            "by_scan": self.by_scan,
+            **({"panoptic": self.panoptic} if self.panoptic else {}),
             "classes": list(self.space.names),
             "confusion": self.confusion.matrix.tolist(),
             **self.uncertainty.to_dict(self.space),
@@ -92,6 +105,7 @@ def evaluate(
     by_distance: bool = False,
     settings: Mapping[str, Any] | None = None,
     labels: LabelSpace | None = None,
+    part: str = "",
 ) -> Evaluation:
     """Compare the predictions in an output folder with the labels of the scans.
 
@@ -101,21 +115,24 @@ def evaluate(
 
     `space`: classes to compare, as `ResultFolder.predicted` returns them; `by_distance`: score
     rings of distance too, for which the scans are read; `settings`: settings of the selection and
-    of the predictions, for the record; `labels`: as `space_of_labels` takes it.
+    of the predictions, for the record; `labels`: as `space_of_labels` takes it; `part`: name of a
+    part of the scans, which goes into ``eval/PART`` and leaves the evaluation of all as it is.
     """
+    folder = out / PARTS / part if part else out
     results = ResultFolder(out)
     labels, merging = space_of_labels(scans, space, labels), results.merging_into(space)
     own = {"by_distance": by_distance, "label_space": space.to_dict()}
     if labels.learning_map != space.learning_map:
         own["label_space_of_labels"] = labels.to_dict()
     settings = dict(as_json({**(settings or {}), **own}))
-    own_files = [out / name for name in FILES]
+    own_files = [folder / name for name in FILES]
     OwnedFolder(out).require_own(own_files)
     _require_labels(scans)
     apart = CountsApart.none(space, by_distance)
     count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
     count = partial(count, by_distance=by_distance, sensor=results.sensor())
-    count = partial(count, trained_on=results.trained_on())
+    objects = _has_objects(results)
+    count = partial(count, trained_on=results.trained_on(), objects=objects)
     outcome = run_over_scans(count, scans, options, on_result=apart.add)
     counts = apart.scored()
     if not counts.scans:
@@ -137,6 +154,10 @@ def evaluate(
         failures=outcome.failures,
         settings=settings,
         uncertainty=evaluate_uncertainty(counts, space),
+        folder=folder,
+        by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
+        by_scan=dict(sorted(counts.by_scan.items())),
+        panoptic=_panoptic(counts.segments, space),
     )
     for text in counts.label_warnings(space):
         log.warning("%s", text)
@@ -144,8 +165,30 @@ def evaluate(
     evaluation.missing.log_error(compared, "predictions")
     files = _files(evaluation)
     absent = [path for path in own_files if path.name not in files]
-    OwnedFolder(out).replace({out / name: content for name, content in files.items()}, absent)
+    OwnedFolder(out).replace({folder / name: content for name, content in files.items()}, absent)
     return evaluation
+
+
+def _has_objects(results: ResultFolder) -> bool:
+    """Say whether predictions may have instances: those of other programs may."""
+    settings = results.settings_of("predictions")
+    return settings is None or bool(settings.get("objects"))
+
+
+def _panoptic(segments: Segments | None, space: LabelSpace) -> dict[str, Any] | None:
+    if segments is None or not segments.instances:
+        return None
+    return segments.to_dict(space, movable_classes(space))
+
+
+def part_name(scans: Sequence[ScanFile], limit: int | None) -> str:
+    """Name a part of the scans by its sequences and limit: ``08``, ``08-10-first-5``."""
+    name = "-".join(
+        [*sorted({scan.sequence for scan in scans}), *([f"first-{limit}"] * bool(limit))]
+    )
+    if len(name) <= MAX_NAME_CHARACTERS:
+        return name
+    return f"{name[:MAX_NAME_CHARACTERS]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
 def _require_labels(scans: Sequence[ScanFile]) -> None:
