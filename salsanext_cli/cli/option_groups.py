@@ -30,7 +30,7 @@ class Shown(dict[str, dict[str, Any]]):
 VALUES = {
     "sensor": "salsanext_cli.sensors.sensor:presets",
     "recipe": "salsanext_cli.training.recipe:presets",
-    "colour": "salsanext_cli.results.layout:COLOURINGS",
+    "colour": "salsanext_cli.results.layout:COLOURS",
     "classes": "salsanext_cli.classes.label_space:BUILT_IN",
     "label_space": "salsanext_cli.classes.label_space:BUILT_IN",
 }
@@ -80,11 +80,10 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
 
     for parameter in parameters:
         kind, *marks = get_args(parameter.annotation) or (None,)
-        for shown in marks[:1]:
-            if kind is bool:
-                shown.metavar = ""  # A flag takes no value.
-            if parameter.name in VALUES:
-                shown.autocompletion = _completion(VALUES[parameter.name])
+        if kind is bool:
+            marks[0].metavar = ""  # A flag takes no value.
+        if parameter.name in VALUES:
+            marks[0].autocompletion = _completion(VALUES[parameter.name])
 
     @functools.wraps(command)
     def run(**given: Any) -> None:

@@ -299,14 +299,9 @@ def evaluate(
     from rich.console import Group
     from rich.text import Text
 
-    from salsanext_cli.report.tables import (
-        panoptic_table,
-        ring_table,
-        score_table,
-        uncertainty_tables,
-    )
+    from salsanext_cli.report.tables import ring_table, score_table, uncertainty_tables
     from salsanext_cli.results.result_folder import ResultFolder
-    from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS, part_name
+    from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS, part_of
     from salsanext_cli.stages.evaluate import evaluate as stage
 
     out = results.folder()
@@ -316,23 +311,19 @@ def evaluate(
     part = ""
     if selection.sequences or selection.limit:
         every, _ = folder.predicted(ScanSelection(selection.split), labels, space)
-        part = part_name(files, selection.limit) if len(files) < len(every) else ""
+        part = part_of(files, every, selection.limit)
     with over_scans("eval", running, output.quiet) as run:
         settings = folder.provenance(selection)
-        found = stage(
-            *(files, out, space, run),
-            by_distance=by_distance,
-            settings=settings,
-            labels=labels,
-            part=part,
-        )
+        labels_of = {"settings": settings, "labels": labels, "part": part}
+        found = stage(files, out, space, run, by_distance=by_distance, **labels_of)
     shown = [score_table(found.scores, ON_TRAINING_SCANS * found.on_training_scans)]
     if by_distance:
         shown.append(ring_table(found.by_distance))
-    if found.panoptic:
-        shown.append(panoptic_table(found.panoptic))
     shown += uncertainty_tables(found.uncertainty)
     sentences = [Text(found.uncertainty.kept.sentence)] if found.uncertainty.kept else []
+    if present := (found.panoptic or {}).get("things_present"):
+        quality = ", ".join(f"{name.upper()} {100 * share:.1f}" for name, share in present.items())
+        sentences.append(Text(f"Objects, mean of the classes present, in %: {quality}."))
     if settings["reject"] is not None:
         above = f"predict --reject {settings['reject']:g}"
         missed = f"Points left unlabelled by {above} are missed ones, without uncertainty."

@@ -9,7 +9,7 @@ number, every column holds a mixture.
 
 import gzip
 import re
-from io import SEEK_END, BufferedIOBase, BytesIO
+from io import BufferedIOBase, BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -64,10 +64,9 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
     """Read all float32 of a file of rows of so many, if it may be one; also return its size."""
     with reading(path) as opened:
         file: BufferedIOBase = opened
-        if path.name.lower().endswith(GZIP_SUFFIX):
-            file = _decompressed(opened, path)
-        size = file.seek(0, SEEK_END)
-        file.seek(0)
+        size = size_of(opened)
+        if size and path.name.lower().endswith(GZIP_SUFFIX):
+            file, size = _decompressed(opened, path)
         if size == 0:
             raise FormatError(path, "is empty", _expected(width), "copy it again, or remove it")
         if suffix := other_suffix(file.read(TEXT_BYTES)):
@@ -81,14 +80,14 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
     return values, size
 
 
-def _decompressed(file: BufferedIOBase, path: Path) -> BytesIO:
-    """Return the content of a gzip file, of `MAX_DECOMPRESSED_BYTES` at most."""
+def _decompressed(file: BufferedIOBase, path: Path) -> tuple[BytesIO, int]:
+    """Return content and size of a gzip file, of `MAX_DECOMPRESSED_BYTES` at most."""
     with refusing_damage(path, "a .bin file, compressed by gzip", "copy it again"):
         content = gzip.GzipFile(fileobj=file).read(MAX_DECOMPRESSED_BYTES + 1)
     if len(content) > MAX_DECOMPRESSED_BYTES:
         found = f"more than {MAX_DECOMPRESSED_BYTES >> 20} MiB when decompressed"
         raise FormatError(path, found, "one scan", "decompress it, or split it into scans")
-    return BytesIO(content)
+    return BytesIO(content), len(content)
 
 
 def _expected(width: int) -> str:

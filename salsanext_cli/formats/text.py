@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Scans as text: a point in each line, its values separated by commas, semicolons or blanks."""
 
-import csv
 import io
 import re
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,16 +58,6 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
             raise FormatError(path, f"decimal commas: {number}", expected, remedy) from error
         raise FormatError(path, shortened(str(error)), EXPECTED) from error
     return dict(zip(used, table.T, strict=True))
-
-
-def encode_table(names: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
-    """Return the content of a `.csv` file; floats have three decimals."""
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(names)
-    for row in rows:
-        writer.writerow([f"{v:.3f}" if isinstance(v, float) else v for v in row])
-    return file.getvalue().encode()
 
 
 def _layout(content: bytes, has_names: bool) -> Layout:

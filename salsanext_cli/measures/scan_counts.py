@@ -30,8 +30,8 @@ from salsanext_cli.measures.histograms import (
     softmax_errors,
     uncertainty_histogram,
 )
-from salsanext_cli.measures.panoptic import Segments
-from salsanext_cli.measures.scores import Confusion, Mask, scores
+from salsanext_cli.measures.panoptic import count_segments
+from salsanext_cli.measures.scores import Confusion, Mask, Ratios, scores
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
@@ -44,6 +44,7 @@ OF_SOFTMAX = {"confidence": lack_of_confidence, "softmax_entropy": softmax_entro
 """Uncertainties that come from the probabilities."""
 EVALUATED_KINDS = (*OF_SOFTMAX, *UNCERTAINTY)
 """Every kind of uncertainty, in the order in which they are reported."""
+SCORES_OF_SCAN = ("points", "accuracy", "iou_mean_present")
 CLASS, RING = "class", "ring"
 OF_ERROR = ("error", "calibration")
 """Key of the histogram of the error as a probability."""
@@ -75,7 +76,7 @@ class ScanCounts:
     histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)
     by_sequence: dict[str, Confusion] = field(default_factory=dict)
     by_scan: dict[str, dict[str, Any]] = field(default_factory=dict)  # Some scores, by name
-    segments: Segments | None = None  # Where objects were predicted
+    segments: Ratios | None = None  # As `count_segments` returns, where objects were predicted
 
     @classmethod
     def none(cls, space: LabelSpace, by_distance: bool) -> ScanCounts:
@@ -99,8 +100,8 @@ class ScanCounts:
             known = self.by_sequence.get(name)
             self.by_sequence[name] = known + confusion if known else confusion
         if other.segments is not None:
-            self.segments = self.segments or Segments.none(len(self.confusion.matrix))
-            self.segments += other.segments
+            known_segments = 0 if self.segments is None else self.segments
+            self.segments = known_segments + other.segments
         for key, histogram in other.histograms.items():
             if self.histograms.setdefault(key, histogram) is not histogram:
                 self.histograms[key] += histogram
@@ -192,10 +193,11 @@ def count_scan(
     counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
     counts.confusion.update(truth, predicted)
     counts.by_sequence[scan.sequence] = counts.confusion
-    counts.by_scan[scan.name] = scores(counts.confusion, space).summary()
+    of_scan = scores(counts.confusion, space).to_dict()
+    counts.by_scan[scan.name] = {key: of_scan[key] for key in SCORES_OF_SCAN}
     if objects:
         instances = (truth, raw_truth), (predicted, raw_predicted)
-        counts.segments = Segments.of_scan(*instances, space.scored)
+        counts.segments = count_segments(*instances, space.scored)
     scored = space.scored[truth]
     true_class, wrong = truth[scored], (predicted != truth)[scored]
     groups: dict[str, tuple[npt.NDArray[Any], int]] = {CLASS: (true_class, space.class_count)}

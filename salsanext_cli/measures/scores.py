@@ -107,12 +107,6 @@ class Scores:
         numbers |= {f"iou_{c.name}": c.iou_official for c in self.classes}
         return yaml.safe_dump(numbers, default_flow_style=False, allow_unicode=True)
 
-    def summary(self) -> dict[str, Any]:
-        """Return the numbers that tell scans apart, as plain data."""
-        return {
-            key: plain(getattr(self, key)) for key in ("points", "accuracy", "iou_mean_present")
-        }
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
         return dict(plain(asdict(self)))

@@ -279,21 +279,6 @@ def _classes(total: Survey, space: LabelSpace) -> Table:
     return table
 
 
-def panoptic_table(found: Mapping[str, Any]) -> Table:
-    """Return a table of the panoptic quality of each class of objects in it, and the means."""
-    counts = ("matches", "misses", "false_alarms")
-    headers = ("PQ %", "SQ %", "RQ %", *(name.replace("_", " ") for name in counts))
-    table = number_table("class", *headers, title="Panoptic quality")
-    for each in (each for each in found["classes"] if any(each[name] for name in counts)):
-        shares = (f"{100 * each[key]:.1f}" for key in ("pq", "sq", "rq"))
-        table.add_row(escape(each["name"]), *shares, *(f"{each[name]:,}" for name in counts))
-    table.add_section()
-    for name in ("things_present", "all"):
-        shares = (percent(found[name][key]) for key in ("pq", "sq", "rq"))
-        table.add_row(f"mean of {name.replace('_', ' ')}", *shares, "", "", "")
-    return table
-
-
 def imported_table(scans: Sequence[Mapping[str, Any]]) -> Table:
     """Return a table with the numbers of points of each imported scan, and of all."""
     table = number_table("scan", *IMPORTED, no_wrap=True)

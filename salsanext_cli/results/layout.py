@@ -40,6 +40,8 @@ DISAGREEMENT = "uncertainty/disagreement"
 """Folder of the share of a place's views that is against the label, which `fuse` writes."""
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values that point clouds may be coloured by."""
+COLOURS = (*COLOURINGS, "uncertainty")
+"""Words for them: the last is the kind of uncertainty that there is."""
 SUFFIX_OF_FOLDER = {
     "range": ".npy",
     "pixels": ".npy",

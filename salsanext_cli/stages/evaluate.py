@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Evaluation of predictions against labels: scores, a report and plots."""
 
-import hashlib
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from salsanext_cli.files.json_files import encode_json
 from salsanext_cli.files.reading import present
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.labelling.label_records import require_truth
-from salsanext_cli.measures.panoptic import Segments
+from salsanext_cli.measures.panoptic import panoptic_quality
 from salsanext_cli.measures.scan_counts import (
     RING_NAMES,
     CountsApart,
@@ -39,8 +38,6 @@ from salsanext_cli.version import __version__
 
 FILES = ("scores.txt", *PICTURES, "eval.json")
 """Files that an evaluation may write into the output folder."""
-PARTS, MAX_NAME_CHARACTERS = "eval", 80
-"""Folder of the evaluations of some scans, and the longest name of one."""
 ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
 
 log = logging.getLogger(__name__)
@@ -118,7 +115,7 @@ def evaluate(
     of the predictions, for the record; `labels`: as `space_of_labels` takes it; `part`: name of a
     part of the scans, which goes into ``eval/PART`` and leaves the evaluation of all as it is.
     """
-    folder = out / PARTS / part if part else out
+    folder = out / "eval" / part if part else out
     results = ResultFolder(out)
     labels, merging = space_of_labels(scans, space, labels), results.merging_into(space)
     own = {"by_distance": by_distance, "label_space": space.to_dict()}
@@ -131,12 +128,17 @@ def evaluate(
     apart = CountsApart.none(space, by_distance)
     count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
     count = partial(count, by_distance=by_distance, sensor=results.sensor())
-    objects = _has_objects(results)
+    recorded = results.settings_of("predictions")
+    # Those of other programs may have instances.
+    objects = recorded is None or bool(recorded.get("objects"))
     count = partial(count, trained_on=results.trained_on(), objects=objects)
     outcome = run_over_scans(count, scans, options, on_result=apart.add)
     counts = apart.scored()
     if not counts.scans:
         raise _no_input(counts, out, outcome.failures)
+    panoptic = None
+    if counts.segments is not None and counts.segments[:, -1].any():
+        panoptic = panoptic_quality(counts.segments, space, movable_classes(space))
     rings = zip(RING_NAMES, counts.rings, strict=by_distance)
     evaluation = Evaluation(
         space=space,
@@ -157,7 +159,7 @@ def evaluate(
         folder=folder,
         by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
         by_scan=dict(sorted(counts.by_scan.items())),
-        panoptic=_panoptic(counts.segments, space),
+        panoptic=panoptic,
     )
     for text in counts.label_warnings(space):
         log.warning("%s", text)
@@ -169,26 +171,10 @@ def evaluate(
     return evaluation
 
 
-def _has_objects(results: ResultFolder) -> bool:
-    """Say whether predictions may have instances: those of other programs may."""
-    settings = results.settings_of("predictions")
-    return settings is None or bool(settings.get("objects"))
-
-
-def _panoptic(segments: Segments | None, space: LabelSpace) -> dict[str, Any] | None:
-    if segments is None or not segments.instances:
-        return None
-    return segments.to_dict(space, movable_classes(space))
-
-
-def part_name(scans: Sequence[ScanFile], limit: int | None) -> str:
-    """Name a part of the scans by its sequences and limit: ``08``, ``08-10-first-5``."""
-    name = "-".join(
-        [*sorted({scan.sequence for scan in scans}), *([f"first-{limit}"] * bool(limit))]
-    )
-    if len(name) <= MAX_NAME_CHARACTERS:
-        return name
-    return f"{name[:MAX_NAME_CHARACTERS]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+def part_of(scans: Sequence[ScanFile], every: Sequence[ScanFile], limit: int | None) -> str:
+    """Name some of all scans by sequences and limit, as in ``08-10-first-5``; all are no part."""
+    name = "-".join(sorted({scan.sequence for scan in scans})) + f"-first-{limit}" * bool(limit)
+    return name if len(scans) < len(every) else ""
 
 
 def _require_labels(scans: Sequence[ScanFile]) -> None:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Stage `predict`: scans to labels in memory, or range images on disk to pixel labels."""
 
+import csv
+import io
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -26,10 +28,9 @@ from salsanext_cli.fitting.label_scan import (
 )
 from salsanext_cli.fitting.scan_checks import check_image
 from salsanext_cli.fitting.scan_fit import fit_network, fitted_view, network_of_run
-from salsanext_cli.formats.text import encode_table
 from salsanext_cli.fusion.top_classes import top_classes
 from salsanext_cli.fusion.window import movable_classes
-from salsanext_cli.geometry.objects import Box, find_objects, fit_boxes
+from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
@@ -39,7 +40,7 @@ from salsanext_cli.results.layout import ERROR, LEAST_CONFIDENCE, ScanFile, with
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.uncertainty.error_features import error_model, label_error
+from salsanext_cli.uncertainty.error_features import error_model, knows_error, label_error
 
 IN_MEMORY = ScanFile("scan", "points", Path("points"))
 """Name of the points in warnings and errors."""
@@ -85,15 +86,18 @@ class LabelWriter:
         return ScanSummary.of_scan(scan, space, int(rejected.sum()))
 
 
-def object_table(scan: LabelledScan, objects: npt.NDArray[np.uint16], space: LabelSpace) -> bytes:
+def object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> bytes:
     """Return a table with class, number of points and box of each object, in its order."""
-    numbers, first, points = np.unique(objects, return_index=True, return_counts=True)
-    found = numbers > 0
-    names = [space.names[label] for label in scan.labels[first[found]]]
-    boxes = fit_boxes(scan.scan.points, objects)
-    rows = zip(numbers[found].tolist(), names, points[found].tolist(), boxes, strict=True)
-    header = ("object", "class", "points", *Box._fields)
-    return encode_table(header, ((number, name, count, *box) for number, name, count, box in rows))
+    numbers, first, sizes = np.unique(objects, return_index=True, return_counts=True)
+    boxes = iter(fit_boxes(scan.scan.points, objects))
+    file = io.StringIO()
+    table = csv.writer(file, lineterminator="\n")
+    table.writerow(("object", "class", "points", *BOX))
+    for number, point, size in zip(numbers, first, sizes, strict=True):
+        if number:
+            box = [f"{value:.3f}" for value in next(boxes)]
+            table.writerow((number, space.names[scan.labels[point]], size, *box))
+    return file.getvalue().encode()
 
 
 def most_probable(probabilities: Float) -> TrainIds:
@@ -211,11 +215,11 @@ def predict_range_images(
 
 
 class PointLabels(NamedTuple):
-    """Result for the points of a scan."""
+    """Result of `label`."""
 
-    labels: TrainIds  # (N,) uint8: train ids, 0 for points without a measurement
-    probabilities: Float  # (N, C) float32: of the point's pixel; without one, of class 0 alone
-    error: Float | None  # (N,) float32: probability that a label is wrong, if the weights know it
+    labels: TrainIds
+    probabilities: Float
+    error: Float | None
 
 
 def label(
@@ -242,10 +246,9 @@ def label(
     labels : (N,) uint8
         Train ids of the label space of the weights, ``sn.label_space()`` for the default ones.
     probabilities : (N, C) float32
-        Of the pixel of each point; the labels are refined by the neighbours and may be others.
+        Of the pixel of each point, of class 0 alone without one; labels are refined besides.
     error : (N,) float32 or None
-        Probability that each label is wrong, NaN for points without a measurement; None if the
-        weights do not know it.
+        Probability that each label is wrong, NaN without a pixel; None if the weights lack it.
 
     Raises
     ------
@@ -263,11 +266,12 @@ def label(
     projected = project_for(network, IN_MEMORY, scan)
     softmax = network.probabilities(projected.image, IN_MEMORY.path)
     done = labelled(projected, softmax, network, KnnParameters())
-    summary = ScanSummary.of_scan(done, network.space)
-    RunSummary(network.sensor).add(summary)
+    RunSummary(network.sensor).add(ScanSummary.of_scan(done, network.space))
     none = np.eye(1, network.space.class_count)
     of_points = points_from_pixels(softmax, done.image.pixel_of_point, none)
-    return PointLabels(done.labels, of_points, _error(network, done))
+    known = knows_error(network)
+    error = label_error(network, done.image, softmax, done.labels) if known else None
+    return PointLabels(done.labels, of_points, error)
 
 
 def _scan(points: npt.ArrayLike, intensity: npt.ArrayLike | None) -> Scan:
@@ -284,9 +288,3 @@ def _scan(points: npt.ArrayLike, intensity: npt.ArrayLike | None) -> Scan:
     # What float32 cannot hold is infinite: no measurement.
     with np.errstate(over="ignore", invalid="ignore"):
         return Scan(coordinates.astype(np.float32), values.astype(np.float32))
-
-
-def _error(network: Network, scan: LabelledScan) -> Float | None:
-    if network.card.error is None or network.merging is not None:
-        return None
-    return label_error(network, scan.image, scan.softmax, scan.labels)
