@@ -31,13 +31,10 @@ running_option = partial(typer.Option, rich_help_panel="Running")
 Scans = Annotated[
     Path | None, typer.Argument(metavar="SCANS", help=SCANS_HELP, show_default="the data set")
 ]
+SEVERAL_HELP = f"{SCANS_HELP} Several may be given, before OUT."
 SeveralScans = Annotated[
     Path | None,
-    typer.Argument(
-        metavar="SCANS...",
-        help=f"{SCANS_HELP} Several may be given, before OUT.",
-        show_default="the data set",
-    ),
+    typer.Argument(metavar="SCANS...", help=SEVERAL_HELP, show_default="the data set"),
 ]
 RequiredScans = Annotated[Path, typer.Argument(metavar="SCANS", help=SCANS_HELP)]
 LabelledDataSet = Annotated[
@@ -160,7 +157,8 @@ def sources(
     context: typer.Context, scans: Path | None, out: Path, dataset: Path | None, topic: str | None
 ) -> tuple[Path | list[Path], Path]:
     """Return where to look for scans, and OUT, which is the last word where several are given."""
-    *several, out = [*filter(None, [scans]), out, *map(Path, context.args)]
+    words = [*([scans] if scans else []), out, *map(Path, context.args)]
+    several, out = words[:-1], words[-1]
     if out.is_file():
         remedy = "give it last: salsanext predict a.bin b.bin out/"
         raise UsageError("OUT", f"{out} is a file", "a folder for the results", remedy)

@@ -314,8 +314,13 @@ def evaluate(
         part = part_of(files, every, selection.limit)
     with over_scans("eval", running, output.quiet) as run:
         settings = folder.provenance(selection)
-        labels_of = {"settings": settings, "labels": labels, "part": part}
-        found = stage(files, out, space, run, by_distance=by_distance, **labels_of)
+        found = stage(
+            *(files, out, space, run),
+            by_distance=by_distance,
+            settings=settings,
+            labels=labels,
+            part=part,
+        )
     shown = [score_table(found.scores, ON_TRAINING_SCANS * found.on_training_scans)]
     if by_distance:
         shown.append(ring_table(found.by_distance))

@@ -25,11 +25,11 @@ NEAR_M, FAR_M = np.float32(0.4), np.float32(1.5)
 """Distances below which points are connected at any angle, and above which at none."""
 SAME_M, MIN_POINTS = np.float32(1.0), 10
 """Largest difference in range to the pixel whose object a point joins; fewest points of one."""
-ANGLES_RAD = np.radians(np.arange(90.0))
+ANGLES_RAD = np.radians(np.arange(0.0, 90.0, 1.5))
 """Directions of the sides of a box that are tried."""
 BOX = ("x", "y", "z", "length", "width", "height", "yaw")
 """Numbers of a box: centre and sizes in metres; the angle of its longer side from x in radians."""
-NEAREST_M, MAX_FITTED = 0.05, 200
+NEAREST_M, MAX_FITTED = np.float32(0.05), 128
 """Distance below which points are equally close to a side; points of an object that are fitted."""
 
 
@@ -63,13 +63,16 @@ def root(parent: Int, pixel: int) -> int:
 
 
 @compiled
-def connected(a: Float, b: Float) -> bool:
-    """Say whether two points (range, x, y, z, …) are of one surface."""
-    near, far = (a, b) if a[0] <= b[0] else (b, a)
-    dx, dy, dz = far[1] - near[1], far[2] - near[2], far[3] - near[3]
+def connected(image: Float, v: int, u: int, row: int, column: int) -> bool:
+    """Say whether the points of two pixels of a range image (5, H, W) are of one surface."""
+    if image[0, v, u] > image[0, row, column]:
+        v, u, row, column = row, column, v, u
+    x, y, z = image[1, row, column], image[2, row, column], image[3, row, column]
+    dx, dy, dz = x - image[1, v, u], y - image[2, v, u], z - image[3, v, u]
     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-    along = (far[1] * dx + far[2] * dy + far[3] * dz) / far[0]
-    return distance <= NEAR_M or (distance <= FAR_M and along < LARGEST_COSINE * distance)
+    along = (x * dx + y * dy + z * dz) / image[0, row, column]
+    apart: bool = distance > NEAR_M and (distance > FAR_M or along >= LARGEST_COSINE * distance)
+    return not apart
 
 
 @compiled
@@ -85,7 +88,7 @@ def components(image: Float, labels: TrainIds) -> Int:
                 column = (u + step) % width if step <= COLUMNS else u
                 if row >= height or labels[row, column] != labels[v, u]:
                     continue
-                if connected(image[:, v, u], image[:, row, column]):
+                if connected(image, v, u, row, column):
                     a, b = root(parent, v * width + u), root(parent, row * width + column)
                     parent[max(a, b)] = min(a, b)
     for pixel in range(height * width):

@@ -193,8 +193,8 @@ def count_scan(
     counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
     counts.confusion.update(truth, predicted)
     counts.by_sequence[scan.sequence] = counts.confusion
-    of_scan = scores(counts.confusion, space).to_dict()
-    counts.by_scan[scan.name] = {key: of_scan[key] for key in SCORES_OF_SCAN}
+    own = scores(counts.confusion, space).to_dict()
+    counts.by_scan[scan.name] = {key: own[key] for key in SCORES_OF_SCAN}
     if objects:
         instances = (truth, raw_truth), (predicted, raw_predicted)
         counts.segments = count_segments(*instances, space.scored)

@@ -88,15 +88,14 @@ class LabelWriter:
 
 def object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> bytes:
     """Return a table with class, number of points and box of each object, in its order."""
-    numbers, first, sizes = np.unique(objects, return_index=True, return_counts=True)
-    boxes = iter(fit_boxes(scan.scan.points, objects))
-    file = io.StringIO()
+    file, sizes = io.StringIO(), np.bincount(objects)
+    of_object = np.zeros(len(sizes), np.uint8)
+    of_object[objects] = scan.labels
     table = csv.writer(file, lineterminator="\n")
     table.writerow(("object", "class", "points", *BOX))
-    for number, point, size in zip(numbers, first, sizes, strict=True):
-        if number:
-            box = [f"{value:.3f}" for value in next(boxes)]
-            table.writerow((number, space.names[scan.labels[point]], size, *box))
+    for number, box in enumerate(fit_boxes(scan.scan.points, objects), 1):
+        name, numbers = space.names[of_object[number]], [f"{value:.3f}" for value in box]
+        table.writerow((number, name, sizes[number], *numbers))
     return file.getvalue().encode()
 
 
@@ -252,12 +251,8 @@ def label(
 
     Raises
     ------
-    UsageError
-        If the arrays are of another form.
-    FormatError
-        If the points cannot be metres around a sensor.
-    WeightsError
-        If the weights cannot be used.
+    SalsanextError
+        If the arrays cannot be points in metres around a sensor, or the weights cannot be used.
     """
     scan = _scan(points, intensity)
     network = weights

@@ -251,7 +251,7 @@ def test_more_epochs_go_on_as_if_they_had_been_asked_for_at_first(dataset, tmp_p
 @pytest.mark.parametrize("changes", [{}, {"schedule": "decay", "whole_epochs": 1}])
 def test_more_epochs_are_refused_where_the_first_ones_would_be_others(dataset, tmp_path, changes):
     plan = TINY.with_changes(epochs=1, **changes)
-    stop_at(dataset, tmp_path / "run", 1, recipe=plan)
+    go(dataset, tmp_path / "run", recipe=plan)
     with pytest.raises(OutputError, match=r"recipe\.epochs was 1 and is 2"):
         go(dataset, tmp_path / "run", recipe=plan.with_changes(epochs=2), progress=no_step)
 
