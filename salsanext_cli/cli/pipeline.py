@@ -125,12 +125,10 @@ def predict(
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}
     wanted |= {"votes": fuse and not probabilities, "objects": objects}
     network = replace(network, classes=options.label_space(classes))
-    outcome: Outcome
     with over_scans("predict", running, output.quiet) as run:
         if not isinstance(source, Path) or projected_sensor(source) is None:
-            outcome = predict_scans(
-                source,
-                out,
+            outcome: Outcome = predict_scans(
+                *(source, out),
                 network=network,
                 knn=knn,
                 extras=tuple(name for name in wanted if wanted[name]),
@@ -151,8 +149,8 @@ def predict(
 
         with over_scans("fuse", running, output.quiet) as run:
             fused = fuse_results(out, selection=selection, options=run)
-        failures = (*outcome.failures, *fused.failures)
-        outcome = replace(outcome, failures=tuple(dict.fromkeys(failures)))
+        failures = dict.fromkeys((*outcome.failures, *fused.failures))
+        outcome = replace(outcome, failures=tuple(failures))
         output.say(f"fuse: {counted(fused.done, 'scan')} → {out}/fused")
     run_end.finish("predict", outcome, out, output, split=selection.split, strict=strict)
 
@@ -308,36 +306,29 @@ def evaluate(
     folder = ResultFolder(out, dataset)
     labels = options.label_space(label_space)
     files, space = folder.predicted(selection, labels, options.label_space(classes))
-    part = ""
-    if selection.sequences or selection.limit:
-        every, _ = folder.predicted(ScanSelection(selection.split), labels, space)
-        part = part_of(files, every, selection.limit)
+    part = part_of(folder, files, selection)
     with over_scans("eval", running, output.quiet) as run:
         settings = folder.provenance(selection)
         found = stage(
-            *(files, out, space, run),
+            *(files, out, space, run, part),
             by_distance=by_distance,
             settings=settings,
             labels=labels,
-            part=part,
         )
     shown = [score_table(found.scores, ON_TRAINING_SCANS * found.on_training_scans)]
     if by_distance:
         shown.append(ring_table(found.by_distance))
     shown += uncertainty_tables(found.uncertainty)
     sentences = [Text(found.uncertainty.kept.sentence)] if found.uncertainty.kept else []
-    if present := (found.panoptic or {}).get("things_present"):
-        quality = ", ".join(f"{name.upper()} {100 * share:.1f}" for name, share in present.items())
-        sentences.append(Text(f"Objects, mean of the classes present, in %: {quality}."))
+    sentences += [Text(found.object_sentence)] if found.panoptic else []
     if settings["reject"] is not None:
-        above = f"predict --reject {settings['reject']:g}"
-        missed = f"Points left unlabelled by {above} are missed ones, without uncertainty."
-        sentences.append(Text(missed))
+        above = f"Points left unlabelled by predict --reject {settings['reject']:g}"
+        sentences.append(Text(f"{above} are missed ones, without uncertainty."))
     output.result(found.to_dict(), Group(*shown, *sentences))
     run_end.name_failures(found.failures)
     left_out = run_end.left_out(found.missing)
-    written = "scores.txt, eval.json, eval_*.png"
-    output.say(f"eval: {counted(found.scans, 'scan')}{left_out} → {found.folder}/{written}")
+    done = f"eval: {counted(found.scans, 'scan')}{left_out} → {found.folder}"
+    output.say(f"{done}/scores.txt, eval.json, eval_*.png")
     run_end.leave(found.failures, found.missing)
 
 

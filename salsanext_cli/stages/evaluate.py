@@ -27,6 +27,7 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
 )
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.plots import PICTURES, evaluation_pictures
 from salsanext_cli.results.layout import ScanFile
@@ -69,6 +70,13 @@ class Evaluation:
     # Panoptic quality, if objects were predicted and the labels have instances
     panoptic: dict[str, Any] | None
 
+    @property
+    def object_sentence(self) -> str:
+        """Panoptic quality of the objects in words."""
+        means = (self.panoptic or {}).get("things_present", {}).items()
+        qualities = ", ".join(f"{name.upper()} {100 * share:.1f} %" for name, share in means)
+        return f"Objects, mean of the classes present: {qualities}."
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
         return {
@@ -98,11 +106,11 @@ def evaluate(
     out: Path,
     space: LabelSpace,
     options: RunOptions = RunOptions(),
+    part: str = "",
     *,
     by_distance: bool = False,
     settings: Mapping[str, Any] | None = None,
     labels: LabelSpace | None = None,
-    part: str = "",
 ) -> Evaluation:
     """Compare the predictions in an output folder with the labels of the scans.
 
@@ -171,10 +179,14 @@ def evaluate(
     return evaluation
 
 
-def part_of(scans: Sequence[ScanFile], every: Sequence[ScanFile], limit: int | None) -> str:
-    """Name some of all scans by sequences and limit, as in ``08-10-first-5``; all are no part."""
+def part_of(folder: ResultFolder, scans: Sequence[ScanFile], selection: ScanSelection) -> str:
+    """Name a part of the scans with results, as in ``08-10-first-5``; all are no part."""
+    limit, every = selection.limit, folder.scans()
+    if selection.split:
+        every, _ = folder.predicted(ScanSelection(selection.split))
     name = "-".join(sorted({scan.sequence for scan in scans})) + f"-first-{limit}" * bool(limit)
-    return name if len(scans) < len(every) else ""
+    chosen = bool(selection.sequences or limit) and len(scans) < len(every)
+    return name if chosen else ""
 
 
 def _require_labels(scans: Sequence[ScanFile]) -> None:

@@ -10,9 +10,11 @@ from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
 from scans import files_below
 
 from salsanext_cli.errors import LabelError, NoInputError, OutputError
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate, part_of
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -223,12 +225,14 @@ def test_a_part_leaves_the_evaluation_of_all(world):
     world.evaluate()
     before = {name: (world.out / name).read_bytes() for name in ("scores.txt", "eval.json")}
     scans = find_scans(world.dataset)
-    part = part_of(scans[:1], scans, None)
+    folder = ResultFolder(world.out, world.dataset)
+    part = part_of(folder, scans[:1], ScanSelection(sequences=("08",)))
     evaluation = evaluate(scans[:1], world.out, SPACE, part=part)
     assert evaluation.folder == world.out / "eval/08"
     assert json.loads((world.out / "eval/08/eval.json").read_text())["scores"]["accuracy"] == 1
     assert {name: (world.out / name).read_bytes() for name in before} == before
-    assert (part_of(scans, scans, None), part_of(scans[:1], scans, 1)) == ("", "08-first-1")
+    assert part_of(folder, scans, ScanSelection(sequences=("08", "09"))) == ""
+    assert part_of(folder, scans[:1], ScanSelection(limit=1)) == "08-first-1"
     (world.out / "eval/08/scores.txt").write_text("mine")
     with pytest.raises(OutputError, match=r"scores\.txt · was changed"):
         evaluate(scans[:1], world.out, SPACE, part=part)
