@@ -326,8 +326,7 @@ def evaluate(
         sentences.append(Text(f"{above} are missed ones, without uncertainty."))
     output.result(found.to_dict(), Group(*shown, *sentences))
     run_end.name_failures(found.failures)
-    left_out = run_end.left_out(found.missing)
-    done = f"eval: {counted(found.scans, 'scan')}{left_out} → {found.folder}"
+    done = f"eval: {counted(found.scans, 'scan')}{run_end.left_out(found.missing)} → {found.folder}"
     output.say(f"{done}/scores.txt, eval.json, eval_*.png")
     run_end.leave(found.failures, found.missing)
 
