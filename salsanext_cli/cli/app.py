@@ -3,6 +3,7 @@
 
 import sys
 from collections.abc import Callable
+from inspect import signature
 from io import TextIOWrapper
 from typing import Annotated, Any
 
@@ -118,7 +119,9 @@ for commands in COMMANDS.values():
         if isinstance(command, typer.Typer):
             app.add_typer(command, name=name)
         else:
-            app.command(name)(guarded(expanded(command)))
+            # The further ones of several sources are no parameters.
+            several = {"allow_extra_args": "context" in signature(command).parameters}
+            app.command(name, context_settings=several)(guarded(expanded(command)))
 
 
 def main() -> None:

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import first_few
 from salsanext_cli.files.reading import present
+from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.fitting.scan_checks import (
     MIN_POINTS,
     UNCHECKED,
@@ -82,6 +83,15 @@ class ScanSummary:
         findings = (*check.findings, *_label_findings(points, confidence, space))
         check = replace(check, findings=findings)
         return cls(file, check, tuple(points.tolist()), rejected_points)
+
+    @classmethod
+    def of_scan(
+        cls, scan: LabelledScan, space: LabelSpace, rejected_points: int = 0
+    ) -> ScanSummary:
+        """Summarise a labelled scan; doubt labels of a low probability."""
+        confidence = scan.softmax.max(axis=0)[scan.image.channels[0] > 0]
+        mean = float(confidence.mean()) if len(confidence) else 1.0
+        return cls.of_labels(scan.file, scan.labels, space, scan.check, rejected_points, mean)
 
 
 def _label_findings(

@@ -52,6 +52,7 @@ from salsanext_cli.fusion.window import (
 )
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import FusionReach, ScanSelection
+from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.worker import Attempt, AttemptFunction
 from salsanext_cli.records import Float
@@ -242,8 +243,11 @@ def _natural_order(file: ScanFile) -> tuple[Any, ...]:
     return file.sequence, [int(word) if word.isdecimal() else word for word in words], file.stem
 
 
-def require_registration(source: Path) -> None:
-    """Require the package that computes poses, if a sequence of scans has none."""
+def require_fusable(source: Path | Sequence[Path], out: Path, shard: Shard) -> None:
+    """Refuse to predict and fuse a share, or without the package for poses that scans lack."""
+    if shard.count > 1:
+        remedy = f"run `salsanext fuse {out}` when all shares are predicted"
+        raise UsageError("--fuse", "only a share of the scans", "all of them", remedy)
     for _, files in groupby(scans_of(source), lambda file: file.sequence):
         if _beside([*files]) is None:
             import_extra("small_gicp", "fuse")

@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Annotated
 
 import pytest
+import typer
 from command_line import every_command, only_json, parsed
 from scans import SMALL, labels_below, write_weights
+from typer.testing import CliRunner
 
 from salsanext_cli.cli import options
+from salsanext_cli.cli.app import app
 from salsanext_cli.cli.option_groups import Default, Only, Shown, Without, expanded
 from salsanext_cli.engines.settings import NetworkSettings, weights_file
 from salsanext_cli.errors import UsageError
@@ -132,3 +135,26 @@ def test_what_training_measured_is_not_taken_for_the_scans(network):
     named = network(columns="x,y,z,i").named_sensor()
     assert named == replace(SMALL, columns=("x", "y", "z", "i"))
     assert network().named_sensor() is None
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "begun", "completed"),
+    [
+        ("predict", "sensor", "os1", ["os1-64", "os1-128"]),
+        ("predict", "classes", "co", ["coarse"]),
+        ("train", "recipe", "pa", ["paper", "paper-v1"]),
+        ("export-ply", "colour", "un", ["uncertainty"]),
+        ("eval", "label_space", "s", ["semantic-kitti"]),
+    ],
+)
+def test_values_are_completed(command, option, begun, completed):
+    group = typer.main.get_command(app)
+    context = group.make_context("salsanext", [command], resilient_parsing=True)
+    (parameter,) = (p for p in group.commands[command].params if p.name == option)
+    found = [item.value for item in parameter.shell_complete(context, begun)]
+    assert found == completed
+
+
+def test_flags_have_no_type_in_the_help():
+    text = CliRunner().invoke(app, ["predict", "--help"], env={"COLUMNS": "100"}).output
+    assert not [line for line in text.splitlines() if "<bool>" in line and "--help" not in line]
