@@ -32,6 +32,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "convert": own_data.convert,
         "pick": own_data.pick,
         "import-labels": own_data.import_labels,
+        "filter": drives.filter_command,
         "synth": own_data.synth,
         "submit": own_data.submit,
     },

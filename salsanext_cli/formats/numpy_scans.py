@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import Columns, unnamed_columns
+from salsanext_cli.formats.columns import Columns, Mask, kept_rows, unnamed_columns
 from salsanext_cli.formats.npy import load_array
 
 EXPECTED = "a table (N, columns), or columns x, y, z, of numbers"
@@ -25,21 +26,24 @@ MAX_RATIO = 100
 
 def npy_columns(path: Path, names: tuple[str, ...]) -> Columns:
     """Read a `.npy` file: (N, C) numbers of the names or the usual ones, or (N,) named records."""
+    return _columns(_array(path), names, path)
+
+
+def kept_of_npy(path: Path, keep: Mask) -> bytes:
+    """Return a `.npy` file with the points only that stay, (N,) bool."""
+    with io.BytesIO() as buffer:
+        np.save(buffer, kept_rows(_array(path), keep, path))
+        return buffer.getvalue()
+
+
+def _array(path: Path) -> npt.NDArray[Any]:
     with reading(path) as file:
-        array = load_array(file, size_of(file), path, EXPECTED)
-    return _columns(array, names, path)
+        return load_array(file, size_of(file), path, EXPECTED)
 
 
 def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
     """Read a `.npz` file: columns x, y, z …, or a table as of `npy_columns` and further columns."""
-    arrays = {}
-    with reading(path) as file, refusing_damage(path, EXPECTED), zipfile.ZipFile(file) as archive:
-        if sum(member.file_size for member in archive.infolist()) > MAX_RATIO * size_of(file):
-            raise ValueError("not a whole .npz file: it promises more than it can hold")
-        for name in archive.namelist():
-            content = archive.read(name)
-            array = load_array(io.BytesIO(content), len(content), path, EXPECTED)
-            arrays[name.removesuffix(".npy")] = array
+    arrays = _arrays(path)[0]
     single = {name: values.ravel() for name, values in arrays.items() if _is_column(values)}
     if not {"x", "y", "z"} <= {name.lower() for name in single}:
         single |= _columns(_table(arrays, path), names, path)
@@ -48,6 +52,30 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
         found = f"columns of {counts[0]} and of {counts[-1]} points"
         raise FormatError(path, found, "one length")
     return single
+
+
+def kept_of_npz(path: Path, keep: Mask) -> bytes:
+    """Return a `.npz` file with the points only that stay, (N,) bool; what has N rows is theirs."""
+    arrays, compressed = _arrays(path)
+    count = max((len(a) for a in arrays.values() if a.shape[:1] == keep.shape), default=0)
+    kept_rows(np.empty(count), keep, path)
+    kept = {name: a[keep] if a.shape[:1] == keep.shape else a for name, a in arrays.items()}
+    with io.BytesIO() as buffer:
+        (np.savez_compressed if compressed else np.savez)(buffer, **kept)
+        return buffer.getvalue()
+
+
+def _arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], bool]:
+    """Read an archive; also say whether it is compressed."""
+    arrays = {}
+    with reading(path) as file, refusing_damage(path, EXPECTED), zipfile.ZipFile(file) as archive:
+        if sum(member.file_size for member in archive.infolist()) > MAX_RATIO * size_of(file):
+            raise ValueError("not a whole .npz file: it promises more than it can hold")
+        for name in archive.namelist():
+            content = archive.read(name)
+            array = load_array(io.BytesIO(content), len(content), path, EXPECTED)
+            arrays[name.removesuffix(".npy")] = array
+        return arrays, any(member.compress_type for member in archive.infolist())
 
 
 def _is_column(values: npt.NDArray[Any]) -> bool:

@@ -8,16 +8,19 @@ with uninitialised values where ascii files are short or DATA is in upper case.
 
 import io
 import math
+import re
 from io import BufferedReader
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+from salsanext_cli.errors import FormatError
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import Columns, rows_as_rings
+from salsanext_cli.formats.columns import Columns, Mask, kept_lines, kept_rows, rows_as_rings
 
 TYPES = {
     **{f"F{size}": f"<f{size}" for size in (4, 8)},
@@ -74,6 +77,24 @@ def pcd_columns(path: Path) -> Columns:
     return {**rings, **columns}
 
 
+def kept_of_pcd(path: Path, keep: Mask) -> bytes:
+    """Return a PCD file with the points only that stay, (N,) bool, in one row; none compressed."""
+    with reading(path) as file, refusing_damage(path, "a whole PCD file"):
+        header = _read_header(file)
+        size = file.tell()
+        if header.kind == "ascii":
+            body = kept_lines(file.read(), keep, path)
+        else:
+            read = _packed if header.kind == "binary" else _unpacked
+            body = kept_rows(read(file, path, header), keep, path).tobytes()
+        file.seek(0)
+        head = file.read(size)
+    count = int(keep.sum())
+    head = re.sub(rb"(?m)^(\s*(?:WIDTH|POINTS))\s+\d+", rb"\1 %d" % count, head)
+    head = re.sub(rb"(?m)^(\s*HEIGHT)\s+\d+", rb"\1 1", head)
+    return re.sub(rb"(?mi)^(\s*DATA\s+binary)_compressed", rb"\1", head) + body
+
+
 def _read_ascii(file: BufferedReader, header: Header) -> Columns:
     shapes = [header.point[name].shape for name in header.point.names or ()]
     first = np.cumsum([0, *map(math.prod, shapes)])
@@ -92,11 +113,27 @@ def _read_ascii(file: BufferedReader, header: Header) -> Columns:
 
 
 def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:
+    points = _packed(file, path, header)
+    return {name: points[name] for name in header.scalars}
+
+
+def _packed(file: BufferedReader, path: Path, header: Header) -> npt.NDArray[Any]:
     promised = header.point_count * header.point.itemsize
     if (held := size_of(file) - file.tell()) < promised:
         raise ValueError(f"{held} bytes of data, not {promised}")
-    points = read_values(file, path, header.point, header.point_count)
-    return {name: points[name] for name in header.scalars}
+    return read_values(file, path, header.point, header.point_count)
+
+
+def _unpacked(file: BufferedReader, path: Path, header: Header) -> npt.NDArray[Any]:
+    columns = _read_compressed(file, header)
+    points = np.zeros(header.point_count, header.point)
+    for name in header.scalars:
+        if name not in columns or columns[name].dtype != header.point[name]:
+            remedy = "write it as binary, by pcl_convert_pcd_ascii_binary for example"
+            found = f"compressed values of {name}, which open3d does not keep as they are"
+            raise FormatError(path, found, "binary or ascii", remedy)
+        points[name] = columns[name]
+    return points
 
 
 def _read_compressed(file: BufferedReader, header: Header) -> Columns:

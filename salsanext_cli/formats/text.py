@@ -11,7 +11,13 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.reading import reading
-from salsanext_cli.formats.columns import INTENSITY_NAMES, Columns, columns_of_width
+from salsanext_cli.formats.columns import (
+    INTENSITY_NAMES,
+    Columns,
+    Mask,
+    columns_of_width,
+    kept_lines,
+)
 from salsanext_cli.formats.kitti import CONTROL, TEXT_BYTES
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
@@ -58,6 +64,22 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
             raise FormatError(path, f"decimal commas: {number}", expected, remedy) from error
         raise FormatError(path, shortened(str(error)), EXPECTED) from error
     return dict(zip(used, table.T, strict=True))
+
+
+def kept_of_text(path: Path, names: tuple[str, ...], keep: Mask) -> bytes:
+    """Return a text with the points only that stay, (N,) bool, below its header."""
+    with reading(path) as file:
+        content = file.read()
+    mark = len(content) - len(content.removeprefix(BYTE_ORDER_MARK))
+    try:
+        layout = _layout(content[mark:], has_names=bool(names))
+    except ValueError as error:
+        raise FormatError(path, shortened(str(error)), EXPECTED) from error
+    head, body = content[: mark + layout.start], content[mark + layout.start :]
+    if layout.count is not None:
+        count = rb"\g<1>%d" % keep.sum()
+        head = re.sub(rb"(?m)^(\s*)\d+(?=\s*$)", count, head, count=1)
+    return head + kept_lines(body, keep, path)
 
 
 def _layout(content: bytes, has_names: bool) -> Layout:
