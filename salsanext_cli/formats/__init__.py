@@ -4,14 +4,14 @@
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.columns import Mask, scan_of
-from salsanext_cli.formats.kitti import kept_of_bin, read_bin
-from salsanext_cli.formats.las import kept_of_las, read_las
-from salsanext_cli.formats.numpy_scans import kept_of_npy, kept_of_npz, npy_columns, npz_columns
-from salsanext_cli.formats.pcd import kept_of_pcd, pcd_columns
-from salsanext_cli.formats.ply import kept_of_ply, ply_columns
+from salsanext_cli.formats.columns import scan_of
+from salsanext_cli.formats.kitti import read_bin
+from salsanext_cli.formats.las import read_las
+from salsanext_cli.formats.numpy_scans import npy_columns, npz_columns
+from salsanext_cli.formats.pcd import pcd_columns
+from salsanext_cli.formats.ply import ply_columns
 from salsanext_cli.formats.recordings import recorded_columns, recording_of
-from salsanext_cli.formats.text import kept_of_text, text_columns
+from salsanext_cli.formats.text import text_columns
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -70,19 +70,3 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
         case _:
             raise FormatError(path, "not a known scan format", f"a {', '.join(SCAN_SUFFIXES)} file")
     return scan_of(columns, path, scale)
-
-
-def kept_points(path: Path, keep: Mask, names: tuple[str, ...] = ()) -> bytes:
-    """Return the content of a scan file with the points only that stay, (N,) bool, as they are.
-
-    `names`: of the columns of files that do not name them. Compressed PCD becomes binary.
-    """
-    match scan_suffix(path.name):
-        case ".bin" | ".pcd.bin":
-            return kept_of_bin(path, names, keep)
-        case ".xyz" | ".csv" | ".txt":
-            return kept_of_text(path, names, keep)
-        case suffix:
-            by_suffix = {".pcd": kept_of_pcd, ".ply": kept_of_ply, ".las": kept_of_las}
-            by_suffix |= {".laz": kept_of_las, ".npy": kept_of_npy, ".npz": kept_of_npz}
-            return by_suffix[suffix](path, keep)

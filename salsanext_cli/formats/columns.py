@@ -2,18 +2,16 @@
 """Scans from named columns, with the names and types of several programs."""
 
 from collections.abc import Mapping
-from itertools import compress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, LabelError, counted, shortened
+from salsanext_cli.errors import FormatError, counted, shortened
 from salsanext_cli.records import Float, Int, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import MAX_BEAMS, UNUSED_COLUMN
 
-Mask = npt.NDArray[np.bool_]
 Columns = Mapping[str, npt.NDArray[Any]]
 """Values by name, each (N,)."""
 
@@ -50,21 +48,6 @@ def coordinates(columns: Columns, path: Path) -> Float:
     # float64 beyond float32 becomes infinity, and a NaN may signal; neither is a measurement.
     with np.errstate(over="ignore", invalid="ignore"):
         return np.column_stack([by_axis[axis].astype(np.float32) for axis in "xyz"])
-
-
-def kept_rows(rows: npt.NDArray[Any], keep: Mask, path: Path) -> npt.NDArray[Any]:
-    """Return the rows (N, …) of the points of a file that stay, by a mask of its labels."""
-    if len(rows) != len(keep):
-        expected = f"{len(keep):,}, as it has labels"
-        raise LabelError(path, counted(len(rows), "point"), expected, "predict again")
-    return rows[keep]
-
-
-def kept_lines(text: bytes, keep: Mask, path: Path) -> bytes:
-    """Return the lines of the points of a text that stay; empty ones are none."""
-    lines = [line for line in text.splitlines(keepends=True) if line.strip()]
-    kept_rows(np.empty(len(lines)), keep, path)
-    return b"".join(compress(lines, keep.tolist()))
 
 
 def listed(columns: Columns) -> str:

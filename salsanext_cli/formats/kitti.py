@@ -17,7 +17,7 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, size_of
-from salsanext_cli.formats.columns import Mask, kept_rows, ring_of, scan_of, unnamed_columns
+from salsanext_cli.formats.columns import ring_of, scan_of, unnamed_columns
 from salsanext_cli.records import Float, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
@@ -53,18 +53,6 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
         found = "numbers that are no coordinates in metres, or no float32"
         raise FormatError(path, found, f"{width} float32 per point", ANEW)
     return scan
-
-
-def kept_of_bin(path: Path, columns: tuple[str, ...], keep: Mask) -> bytes:
-    """Return a `.bin` file with the points only that stay, (N,) bool."""
-    has_ring = path.name.lower().endswith(".pcd.bin")
-    width = 4 * (len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS))
-    with reading(path) as file:
-        size = size_of(file)
-        if size % width:
-            raise FormatError(path, f"{size} bytes", _expected(width // 4), "it is cut off")
-        table = read_values(file, path, f"V{width}", size // width)
-    return kept_rows(table, keep, path).tobytes()
 
 
 def _read_floats(path: Path, width: int) -> tuple[Float, int]:

@@ -15,7 +15,7 @@ from salsanext_cli.classes.label_space import MOVING, LabelSpace, RawIds
 from salsanext_cli.errors import MissingDependency, OutputError
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import MAX_DISTANCE_M, Columns, Mask, kept_rows, scan_of
+from salsanext_cli.formats.columns import MAX_DISTANCE_M, Columns, scan_of
 from salsanext_cli.records import Scan
 
 PLACES = struct.Struct("<96xII")
@@ -44,27 +44,14 @@ def read_las(path: Path) -> Scan:
 
 def las_columns(path: Path) -> Columns:
     """Read all dimensions of a LAS or LAZ file with one value per point, x, y, z in metres."""
-    points = _read(path)[1]
+    points = read_points(path)[1]
     names = {*points.point_format.dimension_names} - {"X", "Y", "Z"}
     columns = {name: np.asarray(points[name]) for name in ("x", "y", "z", *names)}
     return {name: values for name, values in columns.items() if values.ndim == 1}
 
 
-def kept_of_las(path: Path, keep: Mask) -> bytes:
-    """Return a LAS or LAZ file with the points only that stay, (N,) bool."""
-    header, points = _read(path, further_records=True)
-    kept_rows(points.array, keep, path)
-    compressed = header.are_points_compressed
-    laspy = import_laspy(path, compressed=compressed)
-    with io.BytesIO() as buffer:
-        backend = laspy.LazBackend.Lazrs if compressed else None
-        cloud = laspy.LasData(header, points[keep])
-        cloud.write(buffer, do_compress=compressed, laz_backend=backend)
-        return buffer.getvalue()
-
-
-def _read(path: Path, *, further_records: bool = False) -> tuple[Any, Any]:
-    """Return the header of a file and its points, as laspy reads them."""
+def read_points(path: Path, *, further_records: bool = False) -> tuple[Any, Any]:
+    """Return the header of a LAS or LAZ file and its points, as laspy reads them."""
     with reading(path) as file, refusing_damage(path, "a whole .las or .laz file"):
         laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
         size = size_of(file)

@@ -7,12 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import Columns, Mask, kept_rows, unnamed_columns
+from salsanext_cli.formats.columns import Columns, unnamed_columns
 from salsanext_cli.formats.npy import load_array
 
 EXPECTED = "a table (N, columns), or columns x, y, z, of numbers"
@@ -26,24 +25,18 @@ MAX_RATIO = 100
 
 def npy_columns(path: Path, names: tuple[str, ...]) -> Columns:
     """Read a `.npy` file: (N, C) numbers of the names or the usual ones, or (N,) named records."""
-    return _columns(_array(path), names, path)
+    return _columns(npy_table(path), names, path)
 
 
-def kept_of_npy(path: Path, keep: Mask) -> bytes:
-    """Return a `.npy` file with the points only that stay, (N,) bool."""
-    with io.BytesIO() as buffer:
-        np.save(buffer, kept_rows(_array(path), keep, path))
-        return buffer.getvalue()
-
-
-def _array(path: Path) -> npt.NDArray[Any]:
+def npy_table(path: Path) -> npt.NDArray[Any]:
+    """Read the array of a `.npy` file."""
     with reading(path) as file:
         return load_array(file, size_of(file), path, EXPECTED)
 
 
 def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
     """Read a `.npz` file: columns x, y, z …, or a table as of `npy_columns` and further columns."""
-    arrays = _arrays(path)[0]
+    arrays = npz_arrays(path)[0]
     single = {name: values.ravel() for name, values in arrays.items() if _is_column(values)}
     if not {"x", "y", "z"} <= {name.lower() for name in single}:
         single |= _columns(_table(arrays, path), names, path)
@@ -54,19 +47,8 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
     return single
 
 
-def kept_of_npz(path: Path, keep: Mask) -> bytes:
-    """Return a `.npz` file with the points only that stay, (N,) bool; what has N rows is theirs."""
-    arrays, compressed = _arrays(path)
-    count = max((len(a) for a in arrays.values() if a.shape[:1] == keep.shape), default=0)
-    kept_rows(np.empty(count), keep, path)
-    kept = {name: a[keep] if a.shape[:1] == keep.shape else a for name, a in arrays.items()}
-    with io.BytesIO() as buffer:
-        (np.savez_compressed if compressed else np.savez)(buffer, **kept)
-        return buffer.getvalue()
-
-
-def _arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], bool]:
-    """Read an archive; also say whether it is compressed."""
+def npz_arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], bool]:
+    """Read the arrays of a `.npz` file by name; also say whether they are compressed."""
     arrays = {}
     with reading(path) as file, refusing_damage(path, EXPECTED), zipfile.ZipFile(file) as archive:
         if sum(member.file_size for member in archive.infolist()) > MAX_RATIO * size_of(file):

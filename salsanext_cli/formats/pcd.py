@@ -8,19 +8,16 @@ with uninitialised values where ascii files are short or DATA is in upper case.
 
 import io
 import math
-import re
-from io import BufferedReader
+from io import BufferedIOBase, BufferedReader
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import Columns, Mask, kept_lines, kept_rows, rows_as_rings
+from salsanext_cli.formats.columns import Columns, rows_as_rings
 
 TYPES = {
     **{f"F{size}": f"<f{size}" for size in (4, 8)},
@@ -62,37 +59,19 @@ class Header(NamedTuple):
 def pcd_columns(path: Path) -> Columns:
     """Read the fields of a PCD file with one value per point, and the rows of an organised one."""
     with reading(path) as file, refusing_damage(path, "a whole PCD file"):
-        header = _read_header(file)
+        header = read_header(file)
         match header.kind:
             case "ascii":
                 columns = _read_ascii(file, header)
             case "binary":
                 columns = _read_binary(file, path, header)
             case "binary_compressed":
-                columns = _read_compressed(file, header)
+                columns = read_compressed(file, header)
             case _:
                 raise ValueError(f"PCD data of kind {header.kind}, not ascii or binary")
     # Without columns, points take no room, however many there are.
     rings = rows_as_rings(header.point_count, header.height) if columns else {}
     return {**rings, **columns}
-
-
-def kept_of_pcd(path: Path, keep: Mask) -> bytes:
-    """Return a PCD file with the points only that stay, (N,) bool, in one row; none compressed."""
-    with reading(path) as file, refusing_damage(path, "a whole PCD file"):
-        header = _read_header(file)
-        size = file.tell()
-        if header.kind == "ascii":
-            body = kept_lines(file.read(), keep, path)
-        else:
-            read = _packed if header.kind == "binary" else _unpacked
-            body = kept_rows(read(file, path, header), keep, path).tobytes()
-        file.seek(0)
-        head = file.read(size)
-    count = int(keep.sum())
-    head = re.sub(rb"(?m)^(\s*(?:WIDTH|POINTS))\s+\d+", rb"\1 %d" % count, head)
-    head = re.sub(rb"(?m)^(\s*HEIGHT)\s+\d+", rb"\1 1", head)
-    return re.sub(rb"(?mi)^(\s*DATA\s+binary)_compressed", rb"\1", head) + body
 
 
 def _read_ascii(file: BufferedReader, header: Header) -> Columns:
@@ -113,30 +92,15 @@ def _read_ascii(file: BufferedReader, header: Header) -> Columns:
 
 
 def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:
-    points = _packed(file, path, header)
-    return {name: points[name] for name in header.scalars}
-
-
-def _packed(file: BufferedReader, path: Path, header: Header) -> npt.NDArray[Any]:
     promised = header.point_count * header.point.itemsize
     if (held := size_of(file) - file.tell()) < promised:
         raise ValueError(f"{held} bytes of data, not {promised}")
-    return read_values(file, path, header.point, header.point_count)
+    points = read_values(file, path, header.point, header.point_count)
+    return {name: points[name] for name in header.scalars}
 
 
-def _unpacked(file: BufferedReader, path: Path, header: Header) -> npt.NDArray[Any]:
-    columns = _read_compressed(file, header)
-    points = np.zeros(header.point_count, header.point)
-    for name in header.scalars:
-        if name not in columns or columns[name].dtype != header.point[name]:
-            remedy = "write it as binary, by pcl_convert_pcd_ascii_binary for example"
-            found = f"compressed values of {name}, which open3d does not keep as they are"
-            raise FormatError(path, found, "binary or ascii", remedy)
-        points[name] = columns[name]
-    return points
-
-
-def _read_compressed(file: BufferedReader, header: Header) -> Columns:
+def read_compressed(file: BufferedIOBase, header: Header) -> Columns:
+    """Unpack compressed columns with open3d, which leaves out or converts some."""
     if header.scalars != [*(header.point.names or ())]:
         raise ValueError("compressed PCD data with fields of several values")
     sizes = np.frombuffer(file.read(8), "<u4")
@@ -162,7 +126,7 @@ def _read_compressed(file: BufferedReader, header: Header) -> Columns:
     return columns | dict(zip("xyz", cloud.point.positions.numpy().T, strict=True))
 
 
-def _read_header(file: BufferedReader) -> Header:
+def read_header(file: BufferedIOBase) -> Header:
     """Read up to the line DATA; an unusable header raises `ValueError`."""
     entries = _entries(file)
     try:
@@ -184,7 +148,7 @@ def _read_header(file: BufferedReader) -> Header:
         raise ValueError(f"an unusable PCD header: {error}") from error
 
 
-def _entries(file: BufferedReader) -> dict[str, list[str]]:
+def _entries(file: BufferedIOBase) -> dict[str, list[str]]:
     """Return the words after each keyword."""
     entries: dict[str, list[str]] = {}
     while "DATA" not in entries:

@@ -14,42 +14,24 @@ import numpy.typing as npt
 from salsanext_cli.errors import FormatError, MissingDependency
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import reading, refusing_damage
-from salsanext_cli.formats.columns import Columns, Mask, kept_lines, kept_rows
+from salsanext_cli.formats.columns import Columns
 
 MAX_HEADER_BYTES = 1 << 20
 COUNT = re.compile(rb"(?:^|[\r\n])\s*element\s+\S+\s+(\S+)")
 """Number of elements of a kind, in a line of a header."""
-VERTICES = re.compile(rb"((?:^|[\r\n])\s*element\s+vertex\s+)\d+")
-END = re.compile(rb"end_header(?:\r\n|\r|\n)")
 
 
 def ply_columns(path: Path) -> Columns:
     """Read the properties of the vertices of a PLY file."""
-    vertices = _read(path)[1]["vertex"].data
+    with reading(path) as file:
+        data = read_ply(path, file.read())
+    vertices = data["vertex"].data
     return {name: vertices[name] for name in vertices.dtype.names or ()}
 
 
-def kept_of_ply(path: Path, keep: Mask) -> bytes:
-    """Return a PLY file with the points only that stay, (N,) bool."""
-    content, data = _read(path)
-    vertices, end = data["vertex"], END.search(content)
-    others = [each.name for each in data if each is not vertices and each.count]
-    if others or vertices.data.dtype.hasobject or end is None:
-        found = f"also holds {', '.join(others)}" if others else "holds lists"
-        raise FormatError(path, found, "points only", "save it without, in CloudCompare")
-    head, body = content[: end.end()], content[end.end() :]
-    head = VERTICES.sub(rb"\g<1>%d" % keep.sum(), head, count=1)
-    if data.text:
-        return head + kept_lines(body, keep, path)
-    table = np.frombuffer(body, f"V{vertices.data.itemsize}", len(vertices.data))
-    return head + kept_rows(table, keep, path).tobytes()
-
-
-def _read(path: Path) -> tuple[bytes, Any]:
-    """Return the content of a PLY file, and what plyfile finds in it."""
+def read_ply(path: Path, content: bytes) -> Any:
+    """Return what plyfile finds in the content of a file with vertices."""
     plyfile = _plyfile()
-    with reading(path) as file:
-        content = file.read()
     with refusing_damage(path, "a whole .ply file"), warnings.catch_warnings():
         # plyfile warns of empty lines before it refuses them.
         warnings.simplefilter("ignore")
@@ -57,7 +39,7 @@ def _read(path: Path) -> tuple[bytes, Any]:
         data = plyfile.PlyData.read(io.BytesIO(content))
     if "vertex" not in data:
         raise FormatError(path, "no vertices", "a PLY file with an element vertex")
-    return content, data
+    return data
 
 
 def _require_room(content: bytes) -> None:

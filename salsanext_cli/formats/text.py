@@ -11,13 +11,7 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.reading import reading
-from salsanext_cli.formats.columns import (
-    INTENSITY_NAMES,
-    Columns,
-    Mask,
-    columns_of_width,
-    kept_lines,
-)
+from salsanext_cli.formats.columns import INTENSITY_NAMES, Columns, columns_of_width
 from salsanext_cli.formats.kitti import CONTROL, TEXT_BYTES
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
@@ -47,7 +41,7 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
     if CONTROL.search(content[:TEXT_BYTES]):
         raise FormatError(path, "not text", "a point in each line, in ASCII or UTF-8")
     try:
-        layout = _layout(content, has_names=bool(names))
+        layout = layout_of(content, has_names=bool(names))
         names = layout.names or columns_of_width(layout.width, names, path)
         used = {name: i for i, name in enumerate(names) if name in USED}
         if len(used) < sum(name in USED for name in names):
@@ -66,23 +60,7 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
     return dict(zip(used, table.T, strict=True))
 
 
-def kept_of_text(path: Path, names: tuple[str, ...], keep: Mask) -> bytes:
-    """Return a text with the points only that stay, (N,) bool, below its header."""
-    with reading(path) as file:
-        content = file.read()
-    mark = len(content) - len(content.removeprefix(BYTE_ORDER_MARK))
-    try:
-        layout = _layout(content[mark:], has_names=bool(names))
-    except ValueError as error:
-        raise FormatError(path, shortened(str(error)), EXPECTED) from error
-    head, body = content[: mark + layout.start], content[mark + layout.start :]
-    if layout.count is not None:
-        count = rb"\g<1>%d" % keep.sum()
-        head = re.sub(rb"(?m)^(\s*)\d+(?=\s*$)", count, head, count=1)
-    return head + kept_lines(body, keep, path)
-
-
-def _layout(content: bytes, has_names: bool) -> Layout:
+def layout_of(content: bytes, has_names: bool) -> Layout:
     """Find the first point; the line before it without any number is a header.
 
     A number alone is that of the points, and lines after it may be any text.

@@ -15,6 +15,7 @@ does not see it. `Scores.accuracy` is the plain share of labelled points that ar
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
@@ -107,9 +108,48 @@ class Scores:
         numbers |= {f"iou_{c.name}": c.iou_official for c in self.classes}
         return yaml.safe_dump(numbers, default_flow_style=False, allow_unicode=True)
 
+    def held(self) -> set[int]:
+        """Return the train ids of the classes that the truth holds."""
+        return {c.train_id for c in self.classes if c.points}
+
+    def iou_mean_of(self, classes: Collection[int]) -> float:
+        """Return the mean IoU of some classes by train id; NaN without any."""
+        return _mean(np.array([c.iou for c in self.classes if c.train_id in classes]))
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
         return dict(plain(asdict(self)))
+
+
+def held_by_all(rings: Collection[Scores]) -> set[int]:
+    """Return the train ids of the classes that the truth holds in every set of points with any."""
+    held = [ring.held() for ring in rings if ring.points]
+    return set.intersection(*held) if held else set()
+
+
+def ring_rows(rings: Mapping[str, Scores]) -> list[tuple[str, Scores, float, list[str]]]:
+    """Return name, scores, mean IoU of the same classes, and names of absent ones of each ring."""
+    same, some = held_by_all(rings.values()), set().union(*(r.held() for r in rings.values()))
+    return [
+        (
+            name,
+            ring,
+            ring.iou_mean_of(same) if ring.points else math.nan,
+            [c.name for c in ring.classes if c.train_id in some and not c.points],
+        )
+        for name, ring in rings.items()
+    ]
+
+
+def class_sums(matrix: Counts) -> Counts:
+    """Return points (3, C) that are right, of each class, and predicted as it, of counts (C, C)."""
+    return np.stack([np.diagonal(matrix), matrix.sum(axis=1), matrix.sum(axis=0)])
+
+
+def ious(sums: Counts) -> Ratios:
+    """Return the IoU (…, C) of class sums (…, 3, C); NaN of a class without points."""
+    hits, truths, predictions = np.moveaxis(sums, -2, 0)
+    return ratio(hits, truths + predictions - hits)
 
 
 def scores(confusion: Confusion, space: LabelSpace) -> Scores:
@@ -117,9 +157,8 @@ def scores(confusion: Confusion, space: LabelSpace) -> Scores:
     scored = space.scored
     matrix = confusion.counted(scored)
     points = int(matrix.sum())
-    hits, truths, predictions = np.diagonal(matrix), matrix.sum(axis=1), matrix.sum(axis=0)
-    union = truths + predictions - hits
-    iou, iou_official = ratio(hits, union), hits / (union + EPSILON)
+    hits, truths, predictions = sums = class_sums(matrix)
+    iou, iou_official = ious(sums), hits / (truths + predictions - hits + EPSILON)
     precision, recall = ratio(hits, predictions), ratio(hits, truths)
     return Scores(
         accuracy=float(hits.sum() / points) if points else math.nan,

@@ -14,10 +14,9 @@ from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import OutputError, UsageError, counted, first_few
 from salsanext_cli.files.reading import filled, present
-from salsanext_cli.formats import kept_points
-from salsanext_cli.formats.columns import Mask
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.recordings import recording_of
+from salsanext_cli.formats.subsets import Mask, kept_points
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
