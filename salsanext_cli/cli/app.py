@@ -25,6 +25,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "fuse": drives.fuse,
         "uncertainty": pipeline.uncertainty,
         "eval": pipeline.evaluate,
+        "compare": drives.compare,
         "export-ply": pipeline.export_ply,
     },
     "Your own data": {

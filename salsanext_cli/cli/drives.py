@@ -9,7 +9,7 @@ import typer
 from salsanext_cli.cli import console, options, run_end
 from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.option_groups import Without
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.options import FusionReach, ScanSelection
 from salsanext_cli.parallel.options import RunOptions
 
@@ -112,3 +112,44 @@ def filter_command(
             options=run,
         )
     run_end.finish("filter", outcome, to, output)
+
+
+def compare(
+    before: Annotated[Path, typer.Argument(metavar="OUT_A", help="Results of the first run.")],
+    after: Annotated[Path, typer.Argument(metavar="OUT_B", help="Results of the second run.")],
+    *,
+    by_distance: options.ByDistance = False,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    running: options.Reading,
+    output: console.Output,
+) -> None:
+    """Compare two runs on the same scans: what changed, and whether it is better.
+
+    Scans that the weights of a run were trained on are left out of the scores.
+
+    Example: salsanext compare out/ tuned/
+    """
+    from salsanext_cli.report.comparison import comparison_tables
+    from salsanext_cli.stages.compare import FILES
+    from salsanext_cli.stages.compare import compare as stage
+
+    with over_scans("compare", running, output.quiet) as run:
+        found, failures = stage(
+            *(before, after),
+            by_distance=by_distance,
+            dataset=dataset,
+            space=options.label_space(label_space),
+            classes=options.label_space(classes),
+            selection=selection,
+            options=run,
+        )
+    failed = [failure.to_dict() for failure in failures]
+    output.result(
+        {"stage": "compare", **found.to_dict(), "failures": failed}, comparison_tables(found)
+    )
+    run_end.name_failures(failures)
+    output.say(f"compare: {counted(len(found.pairs), 'scan')} → {after}/{', '.join(FILES)}")
+    run_end.leave(failures)
