@@ -110,7 +110,8 @@ def _by_library(path: Path, suffix: str, keep: Mask) -> bytes:
             of_points = [name for name, array in arrays.items() if array.shape[:1] == keep.shape]
             _kept(keep[: len(keep) * bool(of_points)], keep, path)
             arrays |= {name: arrays[name][keep] for name in of_points}
-            (np.savez_compressed if compressed else np.savez)(buffer, **arrays)
+            save: Any = np.savez_compressed if compressed else np.savez
+            save(buffer, **arrays)
         else:
             header, points = las.read_points(path, further_records=True)
             _kept(points.array, keep, path)

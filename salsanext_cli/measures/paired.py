@@ -120,7 +120,8 @@ class RunComparison:
     @cached_property
     def turned(self) -> Counts:
         """Points (C, C) of all scans by label of the first run and of the second."""
-        return np.sum([pair.turned for pair in self.pairs], axis=0)
+        turned: Counts = np.sum([pair.turned for pair in self.pairs], axis=0)
+        return turned
 
     def turns(self) -> list[tuple[str, str, int, float]]:
         """Return which classes turned into which, most points first, and the share that did."""

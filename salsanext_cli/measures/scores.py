@@ -15,7 +15,7 @@ does not see it. `Scores.accuracy` is the plain share of labelled points that ar
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
@@ -108,37 +108,26 @@ class Scores:
         numbers |= {f"iou_{c.name}": c.iou_official for c in self.classes}
         return yaml.safe_dump(numbers, default_flow_style=False, allow_unicode=True)
 
-    def held(self) -> set[int]:
-        """Return the train ids of the classes that the truth holds."""
-        return {c.train_id for c in self.classes if c.points}
-
-    def iou_mean_of(self, classes: Collection[int]) -> float:
-        """Return the mean IoU of some classes by train id; NaN without any."""
-        return _mean(np.array([c.iou for c in self.classes if c.train_id in classes]))
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
         return dict(plain(asdict(self)))
 
 
-def held_by_all(rings: Collection[Scores]) -> set[int]:
-    """Return the train ids of the classes that the truth holds in every set of points with any."""
-    held = [ring.held() for ring in rings if ring.points]
-    return set.intersection(*held) if held else set()
-
-
 def ring_rows(rings: Mapping[str, Scores]) -> list[tuple[str, Scores, float, list[str]]]:
-    """Return name, scores, mean IoU of the same classes, and names of absent ones of each ring."""
-    same, some = held_by_all(rings.values()), set().union(*(r.held() for r in rings.values()))
-    return [
-        (
-            name,
-            ring,
-            ring.iou_mean_of(same) if ring.points else math.nan,
-            [c.name for c in ring.classes if c.train_id in some and not c.points],
-        )
+    """Return name, scores, mean IoU of the same classes, and absent classes of each ring.
+
+    The same ones are those that the truth holds in every ring with points; absent ones are in other
+    rings only.
+    """
+    held = {name: {c.name for c in ring.classes if c.points} for name, ring in rings.items()}
+    every = set[str]().union(*held.values())
+    same = every.intersection(*filter(None, held.values()))
+    means = (
+        _mean(np.array([c.iou for c in ring.classes if c.name in same & held[name]]))
         for name, ring in rings.items()
-    ]
+    )
+    absent = (sorted(every - names) for names in held.values())
+    return list(zip(rings, rings.values(), means, absent, strict=True))
 
 
 def class_sums(matrix: Counts) -> Counts:

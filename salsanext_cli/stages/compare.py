@@ -9,7 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import LabelError, NoInputError, UsageError, counted, escaped, first_few
+from salsanext_cli.errors import (
+    LabelError,
+    NoInputError,
+    SalsanextError,
+    UsageError,
+    counted,
+    escaped,
+    first_few,
+)
 from salsanext_cli.files.json_files import encode_json
 from salsanext_cli.files.reading import present
 from salsanext_cli.formats.kitti import read_labels
@@ -117,13 +125,16 @@ def compare(
     for total, run in zip(totals, runs, strict=True):
         for text in total.label_warnings(compared):
             log.warning("%s: %s", run.root, text)
-    found = RunComparison(compared, sorted(pairs, key=lambda pair: pair.file))
+    result = RunComparison(compared, sorted(pairs, key=lambda pair: pair.file))
     pictures = []
-    for pair in found.most_changed()[:SHOWN]:
-        results = (run.read(pair.file, sensor, compared, (labels, compared)) for run in runs)
-        pictures.append(change_picture(pair, *results, compared, sensor))
-    content = {"stage": "compare", "before": str(before), "after": str(after), **found.to_dict()}
-    content |= {"alone": alone, "weights": [run.weights("predictions") for run in runs]}
-    files = encode_json(escaped(content)), comparison_page(found, f"{before} → {after}", pictures)
+    for pair in result.most_changed()[:SHOWN]:
+        try:
+            old, new = (run.read(pair.file, sensor, compared, (labels, compared)) for run in runs)
+            pictures.append(change_picture(pair, old, new, compared, sensor))
+        except SalsanextError as error:
+            log.warning("not shown: %s", error)
+    content = {"stage": "compare", "before": str(before), "after": str(after), "alone": alone}
+    content |= {"weights": [run.weights("predictions") for run in runs], **result.to_dict()}
+    files = encode_json(escaped(content)), comparison_page(result, f"{before} → {after}", pictures)
     OwnedFolder(after).replace(dict(zip((after / name for name in FILES), files, strict=True)))
-    return found, outcome.failures
+    return result, outcome.failures

@@ -42,9 +42,8 @@ def named_classes(names: Collection[str], space: LabelSpace) -> Mask:
     known |= dict(zip(space.names, np.eye(space.class_count, dtype=bool), strict=True))
     if unknown := [name for name in names if name not in known]:
         raise UsageError(f"class {unknown[0]}", "no such class", f"one of {', '.join(known)}")
-    return (
-        np.any([known[name] for name in names], axis=0) if names else known[space.names[0]] & False
-    )
+    none = np.zeros(space.class_count, bool)
+    return np.any([none, *(known[name] for name in names)], axis=0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, escaped, printable
 from salsanext_cli.measures.scan_counts import RING_NAMES
-from salsanext_cli.measures.scores import Confusion, Counts, held_by_all, ring_rows, scores
+from salsanext_cli.measures.scores import Confusion, Counts, ring_rows, scores
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
 from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
 from salsanext_cli.report.page.run_results import (
@@ -210,12 +210,11 @@ def _comparison(compared: Comparison, space: LabelSpace) -> str:
 
 def _rings(compared: Comparison, space: LabelSpace) -> str:
     """Return a table of the scores of the rings of distance; none if they were not counted."""
-    found = [scores(ring, space) for ring in compared.counts.rings]
-    same = f"mean IoU % of the same {len(held_by_all(found))}"
-    names = ("distance", same, "accuracy %", "points", "absent classes")
+    rings = (scores(ring, space) for ring in compared.counts.rings)
+    found = dict(zip(RING_NAMES, rings, strict=bool(compared.counts.rings)))
+    names = ("distance", "mean IoU % of the same classes", "accuracy %", "points", "absent classes")
     lines = []
-    rings = dict(zip(RING_NAMES, found, strict=bool(found)))
-    for name, ring, mean, absent in ring_rows(rings):
+    for name, ring, mean, absent in ring_rows(found):
         if ring.points:
             shares = (percent(mean), percent(ring.accuracy))
             cells = (name, *shares, f"{ring.points:,}", ", ".join(absent))
