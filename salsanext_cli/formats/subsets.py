@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Files of scans with some of their points: their headers, then the points as they are."""
 
+import copy
 import io
 import re
+from collections.abc import Callable
+from functools import partial
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -22,42 +25,46 @@ COMPRESSED_PCD = re.compile(rb"(?mi)^(\s*DATA\s+binary)_compressed")
 END_OF_PLY = re.compile(rb"end_header(?:\r\n|\r|\n)")
 
 
-def kept_points(path: Path, keep: Mask, names: tuple[str, ...] = ()) -> bytes:
-    """Return the content of a scan file with the points only that stay, (N,) bool.
+def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Callable[[Mask], bytes]:
+    """Read a scan file; return what gives its content with the points only that stay, (N,) bool.
 
     Header, order and values stay; an organised PCD cloud becomes one row, a compressed one binary.
     `names`: of the columns of files that do not name them.
     """
     suffix = scan_suffix(path.name)
-    if suffix in (".las", ".laz", ".npy", ".npz"):
-        return _by_library(path, suffix, keep)
+    if suffix in (".las", ".laz"):
+        return partial(_las_subset, path, *las.read_points(path, further_records=True))
+    if suffix == ".npy":
+        return partial(_npy_subset, path, numpy_scans.npy_table(path))
+    if suffix == ".npz":
+        return partial(_npz_subset, path, *numpy_scans.npz_arrays(path))
+    number, width = NUMBERS, 0
     with reading(path) as file, refusing_damage(path, f"a whole {suffix} file"):
-        content = file.read()
-        count, head, number, width = int(keep.sum()), b"", NUMBERS, 0
+        head, body = b"", file.read()
         match suffix:
             case ".pcd":
-                head, body, width = _pcd_parts(content, path)
+                head, body, width = _pcd_parts(body, path)
             case ".ply":
-                head, body, width = _ply_parts(content, path)
+                head, body, width = _ply_parts(body, path)
             case ".bin" | ".pcd.bin":
                 usual = kitti.COLUMNS_WITH_RING if suffix == ".pcd.bin" else kitti.COLUMNS
-                body, width = content, 4 * (len(names) or usual)
+                width = 4 * (len(names) or usual)
             case _:
-                mark = len(content) - len(content.removeprefix(text.BYTE_ORDER_MARK))
-                layout = text.layout_of(content[mark:], has_names=bool(names))
-                head, body = content[: mark + layout.start], content[mark + layout.start :]
+                mark = len(body) - len(body.removeprefix(text.BYTE_ORDER_MARK))
+                layout = text.layout_of(body[mark:], has_names=bool(names))
+                head, body = body[: mark + layout.start], body[mark + layout.start :]
                 number = NUMBER_ALONE if layout.count is not None else NUMBERS
-    head = ROWS_OF_PCD.sub(rb"\g<1>1", number.sub(rb"\g<1>%d" % count, head))
-    if width:
-        return (
-            head
-            + _kept(
-                np.frombuffer(body[: len(body) // width * width], f"V{width}"), keep, path
-            ).tobytes()
-        )
-    lines = [line for line in body.splitlines(keepends=True) if line.strip()]
-    _kept(np.empty(len(lines)), keep, path)
-    return head + b"".join(compress(lines, keep.tolist()))
+    lines = [] if width else [line for line in body.splitlines(keepends=True) if line.strip()]
+    whole = len(body) // width * width if width else 0
+    rows = np.frombuffer(body[:whole], f"V{width}") if width else np.empty(len(lines))
+    head = ROWS_OF_PCD.sub(rb"\g<1>1", head)
+
+    def subset(keep: Mask) -> bytes:
+        kept = _kept(rows, keep, path)
+        points = kept.tobytes() if width else b"".join(compress(lines, keep.tolist()))
+        return number.sub(rb"\g<1>%d" % len(kept), head) + points
+
+    return subset
 
 
 def _kept(rows: npt.NDArray[Any], keep: Mask, path: Path) -> npt.NDArray[Any]:
@@ -100,24 +107,30 @@ def _ply_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
     return content[: end.end()], body[: width * vertices.count] if width else body, width
 
 
-def _by_library(path: Path, suffix: str, keep: Mask) -> bytes:
-    """Return the content of a LAS, LAZ or numpy file; what has N rows in an archive is points'."""
+def _npy_subset(path: Path, table: npt.NDArray[Any], keep: Mask) -> bytes:
     with io.BytesIO() as buffer:
-        if suffix == ".npy":
-            np.save(buffer, _kept(numpy_scans.npy_table(path), keep, path))
-        elif suffix == ".npz":
-            arrays, compressed = numpy_scans.npz_arrays(path)
-            of_points = [name for name, array in arrays.items() if array.shape[:1] == keep.shape]
-            _kept(keep[: len(keep) * bool(of_points)], keep, path)
-            arrays |= {name: arrays[name][keep] for name in of_points}
-            save: Any = np.savez_compressed if compressed else np.savez
-            save(buffer, **arrays)
-        else:
-            header, points = las.read_points(path, further_records=True)
-            _kept(points.array, keep, path)
-            compressed = header.are_points_compressed
-            laspy = las.import_laspy(path, compressed=compressed)
-            backend = laspy.LazBackend.Lazrs if compressed else None
-            cloud = laspy.LasData(header, points[keep])
-            cloud.write(buffer, do_compress=compressed, laz_backend=backend)
+        np.save(buffer, _kept(table, keep, path))
+        return buffer.getvalue()
+
+
+def _npz_subset(
+    path: Path, arrays: dict[str, npt.NDArray[Any]], compressed: bool, keep: Mask
+) -> bytes:
+    """Return an archive in which all arrays of N rows are of the points that stay."""
+    of_points = {name: each[keep] for name, each in arrays.items() if each.shape[:1] == keep.shape}
+    _kept(keep[: len(keep) * bool(of_points)], keep, path)
+    save: Any = np.savez_compressed if compressed else np.savez
+    with io.BytesIO() as buffer:
+        save(buffer, **arrays | of_points)
+        return buffer.getvalue()
+
+
+def _las_subset(path: Path, header: Any, points: Any, keep: Mask) -> bytes:
+    _kept(points.array, keep, path)
+    compressed = header.are_points_compressed
+    laspy = las.import_laspy(path, compressed=compressed)
+    backend = laspy.LazBackend.Lazrs if compressed else None
+    with io.BytesIO() as buffer:
+        cloud = laspy.LasData(copy.deepcopy(header), points[keep])
+        cloud.write(buffer, do_compress=compressed, laz_backend=backend)
         return buffer.getvalue()

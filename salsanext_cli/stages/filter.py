@@ -2,7 +2,7 @@
 """Stage `filter`: scans in their own format, without the points of some classes."""
 
 import logging
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from salsanext_cli.errors import OutputError, UsageError, counted, first_few
 from salsanext_cli.files.reading import filled, present
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.recordings import recording_of
-from salsanext_cli.formats.subsets import Mask, kept_points
+from salsanext_cli.formats.subsets import Mask, subsets_of
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -42,8 +42,10 @@ def named_classes(names: Collection[str], space: LabelSpace) -> Mask:
     known |= dict(zip(space.names, np.eye(space.class_count, dtype=bool), strict=True))
     if unknown := [name for name in names if name not in known]:
         raise UsageError(f"class {unknown[0]}", "no such class", f"one of {', '.join(known)}")
-    none = np.zeros(space.class_count, bool)
-    return np.any([none, *(known[name] for name in names)], axis=0)
+    meant = np.zeros(space.class_count, bool)
+    for name in names:
+        meant |= known[name]
+    return meant
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,12 +99,16 @@ class PointFilter:
     def write(self, file: ScanFile) -> tuple[str, int, int]:
         """Write the parts of a scan; return its name, and how many points it has and keeps."""
         parts, count = self.parts(file)
+        absent = (self.path(file, part) for part in self.folders if part not in parts)
+        if stale := [path for path in absent if present(path)]:
+            self.owned.remove_own(stale)
+        encode: Callable[[Mask], bytes] = encode_array
+        if parts and not self.indices:
+            encode = subsets_of(file.path, self.columns)
         for part, mask in parts.items():
             if (path := self.path(file, part)) in self.kept:
                 raise not_own(path)
-            columns = self.columns
-            content = encode_array(mask) if self.indices else kept_points(file.path, mask, columns)
-            self.owned.write(path, content)
+            self.owned.write(path, encode(mask))
         return file.name, count, sum(int(mask.sum()) for mask in parts.values())
 
 

@@ -80,6 +80,15 @@ def test_a_file_for_each_class(apply, tmp_path):
     assert left(tmp_path, folder="person") == [2]
 
 
+def test_what_a_scan_has_no_more_is_removed(apply, world, tmp_path):
+    apply(split=True)
+    path = output_path(world.out, "08", "predictions", "000001")
+    write_labels(path, np.array([CAR] * 4, np.uint32))
+    apply(split=True, options=RunOptions(overwrite=True))
+    assert not (tmp_path / "to/sequences/08/road/000001.bin").exists()
+    assert left(tmp_path, "000001", "car") == [0, 1, 2, 3]
+
+
 def test_masks_in_the_place_of_scans(apply, tmp_path):
     apply(indices=True, keep=["car"])
     masks = [np.load(tmp_path / f"to/sequences/08/masks/00000{i}.npy") for i in (0, 1)]

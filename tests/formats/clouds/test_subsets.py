@@ -13,7 +13,12 @@ from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, LabelError
 from salsanext_cli.formats import SCAN_SUFFIXES, scan_suffix
 from salsanext_cli.formats.las import encode_las
-from salsanext_cli.formats.subsets import kept_points
+from salsanext_cli.formats.subsets import subsets_of
+
+
+def kept_points(path, keep):
+    return subsets_of(path)(keep)
+
 
 SCAN = make_scan(60)
 KEEP = np.random.default_rng(0).random(60) < 0.5
