@@ -18,7 +18,16 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.options import KnnParameters, ScanSelection
 
-SHARDED = {"filter", "project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"}
+SHARDED = {
+    "filter",
+    "fuse",
+    "project",
+    "predict",
+    "knn-refine",
+    "uncertainty",
+    "picture",
+    "export-ply",
+}
 
 
 def test_a_group_is_expanded_filled_and_handed_over():
