@@ -26,6 +26,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "fuse": drives.fuse,
         "uncertainty": pipeline.uncertainty,
         "eval": pipeline.evaluate,
+        "compare": drives.compare,
         "export-ply": pipeline.export_ply,
     },
     "Your own data": {
@@ -33,6 +34,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "convert": own_data.convert,
         "pick": own_data.pick,
         "import-labels": own_data.import_labels,
+        "filter": drives.filter_command,
         "synth": own_data.synth,
         "submit": own_data.submit,
     },

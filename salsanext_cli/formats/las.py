@@ -44,6 +44,14 @@ def read_las(path: Path) -> Scan:
 
 def las_columns(path: Path) -> Columns:
     """Read all dimensions of a LAS or LAZ file with one value per point, x, y, z in metres."""
+    points = read_points(path)[1]
+    names = {*points.point_format.dimension_names} - {"X", "Y", "Z"}
+    columns = {name: np.asarray(points[name]) for name in ("x", "y", "z", *names)}
+    return {name: values for name, values in columns.items() if values.ndim == 1}
+
+
+def read_points(path: Path, *, further_records: bool = False) -> tuple[Any, Any]:
+    """Return the header of a LAS or LAZ file and its points, as laspy reads them."""
     with reading(path) as file, refusing_damage(path, "a whole .las or .laz file"):
         laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
         size = size_of(file)
@@ -53,7 +61,9 @@ def las_columns(path: Path) -> Columns:
             raise ValueError("its header promises more than it holds")
         file.seek(0)
         backend = laspy.LazBackend.Lazrs
-        with laspy.open(file, closefd=False, read_evlrs=False, laz_backend=backend) as reader:
+        with laspy.open(
+            file, closefd=False, read_evlrs=further_records, laz_backend=backend
+        ) as reader:
             header = reader.header
             room = size // header.point_format.size
             if header.are_points_compressed:
@@ -64,9 +74,7 @@ def las_columns(path: Path) -> Columns:
             points = reader.read_points(header.point_count)
         if len(points) != header.point_count:
             raise ValueError("it lacks points")
-        names = {*header.point_format.dimension_names} - {"X", "Y", "Z"}
-        columns = {name: np.asarray(points[name]) for name in ("x", "y", "z", *names)}
-    return {name: values for name, values in columns.items() if values.ndim == 1}
+    return header, points
 
 
 def encode_las(

@@ -95,6 +95,8 @@ class Outcome:
     summary: RunSummary | None = None  # Of the scans that were worked on
     # Number of their points that were written as unlabelled for their error, if that was asked
     rejected_points: int | None = None
+    # Number of their points, and of those among them that a stage kept that leaves some out
+    kept_points: tuple[int, int] | None = None
 
 
 def run_over_scans(

@@ -22,7 +22,7 @@ from salsanext_cli.measures.scan_counts import (
     ScanCounts,
     count_scan,
 )
-from salsanext_cli.measures.scores import Confusion, Scores, scores
+from salsanext_cli.measures.scores import Confusion, Scores, plain, ring_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
@@ -91,7 +91,10 @@ class Evaluation:
             "failures": [failure.to_dict() for failure in self.failures],
             "unknown_ids": self.unknown_ids,
             "scores": self.scores.to_dict(),
-            "by_distance": {name: ring.to_dict() for name, ring in self.by_distance.items()},
+            "by_distance": {
+                name: ring.to_dict() | {"iou_mean_same": plain(mean), "absent": absent}
+                for name, ring, mean, absent in ring_rows(self.by_distance)
+            },
             "by_sequence": {name: each.to_dict() for name, each in self.by_sequence.items()},
             "by_scan": self.by_scan,
             **({"panoptic": self.panoptic} if self.panoptic else {}),

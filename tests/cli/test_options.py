@@ -21,7 +21,16 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.options import KnnParameters, ScanSelection
 
-SHARDED = {"project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"}
+SHARDED = {
+    "filter",
+    "fuse",
+    "project",
+    "predict",
+    "knn-refine",
+    "uncertainty",
+    "picture",
+    "export-ply",
+}
 
 
 def test_a_group_is_expanded_filled_and_handed_over():
@@ -67,7 +76,7 @@ def test_results_over_all_scans_cannot_be_sharded():
     }
     assert {name for name in flags if "--shard" in flags[name]} == SHARDED
     backends = {name for name in flags if "--backend" in flags[name]}
-    assert backends == SHARDED | {"eval", "inspect", "convert", "pick", "report", "view"}
+    assert backends == SHARDED | {"compare", "eval", "inspect", "convert", "pick", "report", "view"}
 
 
 @pytest.fixture

@@ -172,7 +172,9 @@ def test_files_are_complete_and_replace_earlier_ones(world):
     assert report["scans"] == 2
     assert report["label_space"] == SPACE.name
     assert report["scores"]["points"] == 2
-    assert report["by_distance"]["0–10 m"]["points"] == 2
+    ring = report["by_distance"]["0–10 m"]
+    assert (ring["points"], ring["iou_mean_same"], ring["absent"]) == (2, 0.5, [])
+    assert report["by_distance"]["over 50 m"]["absent"] == ["car"]
     assert np.sum(report["confusion"]) == 2
     assert report["classes"] == list(SPACE.names)
 

@@ -18,7 +18,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, escaped, printable
 from salsanext_cli.measures.scan_counts import RING_NAMES
-from salsanext_cli.measures.scores import Confusion, Counts, scores
+from salsanext_cli.measures.scores import Confusion, Counts, ring_rows, scores
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
 from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
 from salsanext_cli.report.page.run_results import (
@@ -220,12 +220,14 @@ def _figures(pictures: Mapping[str, bytes]) -> str:
 
 def _rings(compared: Comparison, space: LabelSpace) -> str:
     """Return a table of the scores of the rings of distance; none if they were not counted."""
-    names = ("distance", "mean IoU %", "accuracy %", "points")
+    rings = (scores(ring, space) for ring in compared.counts.rings)
+    found = dict(zip(RING_NAMES, rings, strict=bool(compared.counts.rings)))
+    names = ("distance", "mean IoU % of the same classes", "accuracy %", "points", "absent classes")
     lines = []
-    for name, ring in zip(RING_NAMES, compared.counts.rings, strict=bool(compared.counts.rings)):
-        if (found := scores(ring, space)).points:
-            shares = (percent(found.iou_mean_present), percent(found.accuracy))
-            cells = (name, *shares, f"{found.points:,}")
+    for name, ring, mean, absent in ring_rows(found):
+        if ring.points:
+            shares = (percent(mean), percent(ring.accuracy))
+            cells = (name, *shares, f"{ring.points:,}", ", ".join(absent))
             lines.append("".join(f"<td>{_text(cell)}</td>" for cell in cells))
     heading = "".join(f"<th>{name}</th>" for name in names)
     table = "".join(f"<tr>{line}</tr>" for line in (heading, *lines))
