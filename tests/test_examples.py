@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The examples run, and do what they say."""
 
+import json
 import re
 import runpy
 import tomllib
@@ -8,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -161,6 +163,20 @@ def test_few_labels(tmp_path, weights, capsys):
     # The last quarter of the drive takes no part.
     assert picked <= {"000000", "000001", "000002"}
     assert lines["before"] != lines["after"]
+
+
+def test_label_array(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    write_bin(Path("000000.bin"), make_scan())
+    notebook = json.loads((EXAMPLES / "label_array.ipynb").read_text("utf-8"))
+    cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert not any(cell.get("outputs") for cell in notebook["cells"])
+    names: dict[str, Any] = {}
+    for number, body in enumerate(cells):
+        exec(compile(body, f"cell {number}", "exec"), names)
+    assert sum(int(line.split()[0]) for line in capsys.readouterr().out.splitlines()) == 1500
+    assert names["figure"].axes[0].collections[0].get_offsets().shape == (1500, 2)
 
 
 @pytest.mark.parametrize("name", NAMES)

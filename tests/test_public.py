@@ -122,6 +122,50 @@ def test_python_labels_as_the_command_line_does(other_sensor, tmp_path):
     assert differing
 
 
+def test_label_labels_as_the_command_line_does(other_sensor, tmp_path, caplog):
+    options = ["--weights", "weights.safetensors", "--device", "cpu", "--quiet", "--probabilities"]
+    (first, *_) = sorted(other_sensor.iterdir())
+    typed = CliRunner().invoke(app, ["predict", str(first), "out", *options])
+    assert typed.exit_code == 0, typed.output
+    (expected,) = labels_below(tmp_path / "out").values()
+    (softmax,) = (tmp_path / "out").glob("sequences/*/probabilities/*.npy")
+
+    scan = sn.read_scan(first)
+    fitted = sn.fit_network(sn.load_network("weights.safetensors", "cpu"), [scan])
+    for weights in ("weights.safetensors", fitted):
+        labels, probabilities, error = sn.label(scan.points, scan.intensity, weights)
+        assert sn.label_space().to_raw(labels).astype("<u4").tobytes() == expected
+        np.testing.assert_array_equal(probabilities.astype(np.float16), np.load(softmax))
+        assert error is None
+    lists = sn.label(scan.points.tolist(), scan.intensity.astype(int).tolist(), fitted)
+    np.testing.assert_array_equal(lists.labels, labels)
+    caplog.set_level("WARNING", "salsanext_cli")
+    sn.label(scan.points, weights=fitted)
+    assert "no intensity" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("points", "intensity", "message"),
+    [
+        (np.zeros((9, 4)), None, r"an array \(9, 4\) of float64 · expected numbers \(N, 3\)"),
+        (np.zeros((9, 3)), np.zeros(8), r"intensity · an array \(8,\) .* expected numbers \(9,\)"),
+        ([["a", "b", "c"]], None, "points · an array"),
+        (np.zeros((200, 3)), None, "none of its 200 points is a measurement"),
+        (np.full((200, 3), 1e300), None, "none of its 200 points is a measurement"),
+        (np.full((200, 3), 5e3), None, "a median range of 8.66e.03 m"),
+    ],
+)
+def test_label_refuses_what_are_no_points(points, intensity, message, weights):
+    with pytest.raises(sn.SalsanextError, match=message):
+        sn.label(points, intensity, sn.load_network(weights, "cpu"))
+
+
+def test_label_of_no_points_says_so(weights, caplog):
+    found = sn.label(np.zeros((0, 3)), None, sn.load_network(weights, "cpu"))
+    assert (found.labels.shape, found.probabilities.shape) == ((0,), (0, 20))
+    assert "too few to check" in caplog.text
+
+
 def test_a_fit_may_leave_view_or_intensity(other_sensor):
     plain = sn.load_network("weights.safetensors", device="cpu")
     fitted = sn.fit_network(plain, other_sensor)

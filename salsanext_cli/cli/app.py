@@ -3,6 +3,7 @@
 
 import sys
 from collections.abc import Callable
+from inspect import signature
 from io import TextIOWrapper
 from typing import Annotated, Any
 
@@ -25,6 +26,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "fuse": drives.fuse,
         "uncertainty": pipeline.uncertainty,
         "eval": pipeline.evaluate,
+        "compare": drives.compare,
         "export-ply": pipeline.export_ply,
     },
     "Your own data": {
@@ -32,6 +34,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "convert": own_data.convert,
         "pick": own_data.pick,
         "import-labels": own_data.import_labels,
+        "filter": drives.filter_command,
         "synth": own_data.synth,
         "submit": own_data.submit,
     },
@@ -118,7 +121,9 @@ for commands in COMMANDS.values():
         if isinstance(command, typer.Typer):
             app.add_typer(command, name=name)
         else:
-            app.command(name)(guarded(expanded(command)))
+            # The further ones of several sources are no parameters.
+            several = {"allow_extra_args": "context" in signature(command).parameters}
+            app.command(name, context_settings=several)(guarded(expanded(command)))
 
 
 def main() -> None:

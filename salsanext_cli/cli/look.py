@@ -28,7 +28,7 @@ def picture(
             "--color",
             help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
             "error, epistemic, aleatoric, total, entropy, mutual_information, "
-            "least_confidence; may be given several times.",
+            "least_confidence, disagreement; may be given several times.",
             show_default="everything known",
         ),
     ] = None,

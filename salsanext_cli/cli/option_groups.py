@@ -3,6 +3,7 @@
 
 import dataclasses
 import functools
+import importlib
 import inspect
 from collections.abc import Callable
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
@@ -24,6 +25,26 @@ class Default(dict[str, Any]):
 
 class Shown(dict[str, dict[str, Any]]):
     """Fields with another help: ``Annotated[ScanSelection, Shown(limit={"help": "…"})]``."""
+
+
+VALUES = {
+    "sensor": "salsanext_cli.sensors.sensor:presets",
+    "recipe": "salsanext_cli.training.recipe:presets",
+    "colour": "salsanext_cli.results.layout:COLOURS",
+    "classes": "salsanext_cli.classes.label_space:BUILT_IN",
+    "label_space": "salsanext_cli.classes.label_space:BUILT_IN",
+}
+"""Home of the values that shells complete, by option: names, or a function that returns them."""
+
+
+def _completion(home: str) -> Callable[[str], list[str]]:
+    def complete(incomplete: str) -> list[str]:
+        module, name = home.split(":")
+        values = getattr(importlib.import_module(module), name)
+        names = values() if callable(values) else values
+        return [each for each in names if each.startswith(incomplete)]
+
+    return complete
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,6 +77,13 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
             parameters += groups[name].offered.values()
         else:
             parameters.append(parameter.replace(annotation=hint, kind=parameter.KEYWORD_ONLY))
+
+    for parameter in parameters:
+        kind, *marks = get_args(parameter.annotation) or (None,)
+        if kind is bool:
+            marks[0].metavar = ""  # A flag takes no value.
+        if parameter.name in VALUES:
+            marks[0].autocompletion = _completion(VALUES[parameter.name])
 
     @functools.wraps(command)
     def run(**given: Any) -> None:

@@ -31,6 +31,11 @@ running_option = partial(typer.Option, rich_help_panel="Running")
 Scans = Annotated[
     Path | None, typer.Argument(metavar="SCANS", help=SCANS_HELP, show_default="the data set")
 ]
+SEVERAL_HELP = f"{SCANS_HELP} Several may be given, before OUT."
+SeveralScans = Annotated[
+    Path | None,
+    typer.Argument(metavar="SCANS...", help=SEVERAL_HELP, show_default="the data set"),
+]
 RequiredScans = Annotated[Path, typer.Argument(metavar="SCANS", help=SCANS_HELP)]
 LabelledDataSet = Annotated[
     Path,
@@ -146,6 +151,25 @@ def label_space(name: str | None) -> "LabelSpace | None":
 def source(scans: Path | None, dataset: Path | None, topic: str | None) -> Path:
     """Return where to look for scans: SCANS, else the data set, else here; a topic if named."""
     return in_topic(scans or dataset or Path(), topic)
+
+
+def sources(
+    context: typer.Context, scans: Path | None, out: Path, dataset: Path | None, topic: str | None
+) -> tuple[Path | list[Path], Path]:
+    """Return where to look for scans, and OUT, which is the last word where several are given."""
+    words = [*([scans] if scans else []), out, *map(Path, context.args)]
+    several, out = words[:-1], words[-1]
+    if out.is_file():
+        remedy = "give it last: salsanext predict a.bin b.bin out/"
+        raise UsageError("OUT", f"{out} is a file", "a folder for the results", remedy)
+    if len(several) < 2:
+        return source(scans, dataset, topic), out
+    from salsanext_cli.results.layout import require_none_hidden
+
+    if topic is not None:
+        raise UsageError("--topic", f"{len(several)} sources", "one recording")
+    require_none_hidden(out)
+    return several, out
 
 
 def in_topic(source: Path, topic: str | None) -> Path:

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 
 def project(
-    scans: options.Scans = None,
+    context: typer.Context,
+    scans: options.SeveralScans = None,
     out: options.Out = Path("out"),
     *,
     dataset: options.DataSet = None,
@@ -38,9 +39,10 @@ def project(
     """
     from salsanext_cli.stages.project import project_scans
 
+    source, out = options.sources(context, scans, out, dataset, topic)
     with over_scans("project", running, output.quiet) as run:
         outcome = project_scans(
-            options.source(scans, dataset, topic),
+            source,
             out,
             sensor=network.named_sensor() or network.trained_sensor(),
             fit=network.fits_view,
@@ -54,7 +56,8 @@ def project(
 
 
 def predict(
-    scans: options.Scans = None,
+    context: typer.Context,
+    scans: options.SeveralScans = None,
     out: options.Out = Path("out"),
     *,
     pixel_labels: Annotated[
@@ -76,6 +79,14 @@ def predict(
         typer.Option(
             "--fuse",
             help="Then fuse the scans of each sequence, as `fuse` does, into OUT/fused.",
+        ),
+    ] = False,
+    objects: Annotated[
+        bool,
+        typer.Option(
+            "--objects",
+            help="Number the vehicles, people and riders in the upper 16 bits of the labels, and "
+            "write their boxes.",
         ),
     ] = False,
     reject: Annotated[
@@ -111,16 +122,18 @@ def predict(
     from salsanext_cli.results.layout import ERROR
     from salsanext_cli.stages.predict import predict_range_images, predict_scans
 
-    source = options.source(scans, dataset, topic)
+    source, out = options.sources(context, scans, out, dataset, topic)
+    if fuse:
+        from salsanext_cli.stages.fuse import require_fusable
+
+        require_fusable(source, out, running.shard)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}
-    wanted |= {"votes": fuse and not probabilities}
+    wanted |= {"votes": fuse and not probabilities, "objects": objects}
     network = replace(network, classes=options.label_space(classes))
-    outcome: Outcome
     with over_scans("predict", running, output.quiet) as run:
-        if projected_sensor(source) is None:
-            outcome = predict_scans(
-                source,
-                out,
+        if not isinstance(source, Path) or projected_sensor(source) is None:
+            outcome: Outcome = predict_scans(
+                *(source, out),
                 network=network,
                 knn=knn,
                 extras=tuple(name for name in wanted if wanted[name]),
@@ -131,19 +144,31 @@ def predict(
             )
         else:
             of_points = {"--probabilities": probabilities, "--error": error, "--fuse": fuse}
-            _require_no_scans(knn, batch, {**of_points, "--reject": reject is not None})
+            of_points |= {"--objects": objects, "--reject": reject is not None}
+            _require_no_scans(knn, batch, of_points)
             outcome = predict_range_images(
                 source, out, network=network, selection=selection, options=run
             )
-    if fuse:
-        from salsanext_cli.stages.fuse import fuse_results
-
-        with over_scans("fuse", running, output.quiet) as run:
-            fused = fuse_results(out, selection=selection, options=run)
-        failures = (*outcome.failures, *fused.failures)
-        outcome = replace(outcome, failures=tuple(dict.fromkeys(failures)))
-        output.say(f"fuse: {counted(fused.done, 'scan')} → {out}/fused")
+    if fuse and outcome.done + outcome.skipped:
+        outcome = _then_fused(outcome, out, selection, running, output)
     run_end.finish("predict", outcome, out, output, split=selection.split, strict=strict)
+
+
+def _then_fused(
+    outcome: "Outcome",
+    out: Path,
+    selection: ScanSelection,
+    running: RunOptions,
+    output: console.Output,
+) -> "Outcome":
+    """Fuse what was predicted; return the outcome of both."""
+    from salsanext_cli.stages.fuse import FUSED, fuse_results
+
+    with over_scans("fuse", running, output.quiet) as run:
+        fused = fuse_results(out, selection=selection, options=run)
+    output.say(f"fuse: {counted(fused.done, 'scan')} → {out / FUSED}")
+    failures = dict.fromkeys((*outcome.failures, *fused.failures))
+    return replace(outcome, failures=tuple(failures))
 
 
 def _require_no_scans(knn: KnnParameters, batch: str, of_points: dict[str, bool]) -> None:
@@ -220,7 +245,8 @@ def knn_refine(
 
 
 def uncertainty(
-    scans: options.Scans = None,
+    context: typer.Context,
+    scans: options.SeveralScans = None,
     out: options.Out = Path("out"),
     *,
     method: Annotated[
@@ -253,9 +279,10 @@ def uncertainty(
     from salsanext_cli.stages.uncertainty import uncertainty as stage
     from salsanext_cli.uncertainty.method import UncertaintyMethod
 
+    source, out = options.sources(context, scans, out, dataset, topic)
     with over_scans("uncertainty", running, output.quiet) as run:
         outcome = stage(
-            options.source(scans, dataset, topic),
+            source,
             out,
             network=replace(network, classes=options.label_space(classes)),
             knn=knn,
@@ -288,23 +315,28 @@ def evaluate(
 
     from salsanext_cli.report.tables import kept_table, ring_table, score_table, uncertainty_tables
     from salsanext_cli.results.result_folder import ResultFolder
-    from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
+    from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS, part_of
     from salsanext_cli.stages.evaluate import evaluate as stage
 
     out = results.folder()
     folder = ResultFolder(out, dataset)
     labels = options.label_space(label_space)
     files, space = folder.predicted(selection, labels, options.label_space(classes))
+    part = part_of(folder, files, selection)
     with over_scans("eval", running, output.quiet) as run:
         settings = folder.provenance(selection)
         found = stage(
-            files, out, space, run, by_distance=by_distance, settings=settings, labels=labels
+            *(files, out, space, run, part),
+            by_distance=by_distance,
+            settings=settings,
+            labels=labels,
         )
     shown = [score_table(found.scores, ON_TRAINING_SCANS * found.on_training_scans)]
     if by_distance:
         shown.append(ring_table(found.by_distance))
     shown += uncertainty_tables(found.uncertainty)
     sentences: list[Any] = [Text(found.uncertainty.kept.sentence)] if found.uncertainty.kept else []
+    sentences += [Text(found.object_sentence)] if found.panoptic else []
     if kept := found.kept:
         above = f"predict --reject {settings['reject']:g}"
         missed = f"Points left unlabelled by {above} are missed ones in the scores."
@@ -312,9 +344,8 @@ def evaluate(
         sentences += [kept_table(kept.classes), Text("\n".join([missed, *kept.sentences]))]
     output.result(found.to_dict(), Group(*shown, *sentences))
     run_end.name_failures(found.failures)
-    left_out = run_end.left_out(found.missing)
-    written = "scores.txt, eval.json, eval_*.png"
-    output.say(f"eval: {counted(found.scans, 'scan')}{left_out} → {out}/{written}")
+    done = f"eval: {counted(found.scans, 'scan')}{run_end.left_out(found.missing)} → {found.folder}"
+    output.say(f"{done}/scores.txt, eval.json, eval_*.png")
     run_end.leave(found.failures, found.missing)
 
 
@@ -328,7 +359,7 @@ def export_ply(
             "--color",
             help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
             "error, epistemic, aleatoric, total, entropy, mutual_information, "
-            "least_confidence.",
+            "least_confidence, disagreement.",
         ),
     ] = "label",
     scale: Annotated[
@@ -345,6 +376,12 @@ def export_ply(
     form: Annotated[
         str, typer.Option("--format", help="ply, or las or laz with the classes of the ASPRS.")
     ] = "ply",
+    as_map: Annotated[
+        bool, typer.Option("--map", help="Write one cloud of each drive with labels of `fuse`.")
+    ] = False,
+    cube: Annotated[
+        float, typer.Option("--map-cube", help="Edge of the cubes of one point each, in metres.")
+    ] = 0.1,
     dataset: options.DataSetOfResults = None,
     selection: ScanSelection,
     label_space: options.LabelSpaceName = None,
@@ -366,6 +403,7 @@ def export_ply(
             scale=scale,
             max_error=max_error,
             form=form,
+            cube=cube if as_map else None,
             dataset=dataset,
             space=options.label_space(label_space),
             classes=options.label_space(classes),

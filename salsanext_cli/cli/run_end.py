@@ -50,6 +50,9 @@ def finish(
     if (rejected := outcome.rejected_points) is not None:
         before = f", besides {counted(outcome.skipped, 'scan')} before" if outcome.skipped else ""
         output.say(f"{counted(rejected, 'point')} unlabelled for their error{before}")
+    if outcome.kept_points and outcome.done:
+        points, kept = outcome.kept_points
+        output.say(f"{kept:,} of {counted(points, 'point')} stay")
     for line in _lines(outcome.summary, following):
         output.say(line)
     doubted = strict and outcome.summary is not None and bool(outcome.summary.findings)
@@ -70,6 +73,8 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
         found |= missing.to_dict()
     if outcome.rejected_points is not None:
         found["rejected_points"] = outcome.rejected_points
+    if outcome.kept_points:
+        found["points"], found["kept_points"] = outcome.kept_points
     if summary := outcome.summary:
         from salsanext_cli.engines.settings import recorded_view
 

@@ -15,9 +15,11 @@ from salsanext_cli.formats.text import text_columns
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import Sensor
 
-CLOUD_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".xyz")
+CLOUD_SUFFIXES = (
+    *(".pcd.bin.gz", ".bin.gz", ".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".xyz"),
+)
 """Suffixes of files that are scans wherever they lie; longer ones first: they decide the stem."""
-TABLE_SUFFIXES = (".npy", ".npz", ".csv", ".txt")
+TABLE_SUFFIXES = (".npy", ".npz", ".csv", ".txt", ".asc", ".pts")
 """Suffixes of files that often are something else, in the order in which a folder is searched."""
 SCAN_SUFFIXES = (*CLOUD_SUFFIXES, *TABLE_SUFFIXES)
 """Suffixes of scans, upper or lower case."""
@@ -51,7 +53,7 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     scale = 1.0 if sensor is None else sensor.intensity_scale
     names = () if sensor is None else sensor.columns
     match scan_suffix(path.name):
-        case ".bin" | ".pcd.bin":
+        case ".bin" | ".pcd.bin" | ".bin.gz" | ".pcd.bin.gz":
             return read_bin(path, names, scale)
         case ".las" | ".laz":
             return read_las(path)
@@ -63,7 +65,7 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
             columns = npy_columns(path, names)
         case ".npz":
             columns = npz_columns(path, names)
-        case ".xyz" | ".csv" | ".txt":
+        case ".xyz" | ".csv" | ".txt" | ".asc" | ".pts":
             columns = text_columns(path, names)
         case _ if recording_of(path) not in (None, path):
             columns = recorded_columns(path)

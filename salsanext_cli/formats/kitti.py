@@ -7,7 +7,9 @@ columns of a table is largest for the right number of columns and its multiples;
 number, every column holds a mixture.
 """
 
+import gzip
 import re
+from io import BufferedIOBase, BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.atomic import write_bytes
-from salsanext_cli.files.reading import read_values, reading, size_of
+from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import ring_of, scan_of, unnamed_columns
 from salsanext_cli.records import Float, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import UNUSED_COLUMN
@@ -25,6 +27,9 @@ COLUMNS = 4
 """x, y, z in metres, remission."""
 COLUMNS_WITH_RING = 5
 """x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes."""
+GZIP_SUFFIX = ".gz"
+MAX_DECOMPRESSED_BYTES = 1 << 28
+"""Sixteen million points; a file of some hundred kilobytes could fill the memory otherwise."""
 ANEW = "write it anew as float32 x, y, z, intensity"
 MAX_CLASS = 0xFFFF
 """Largest label of four bytes without an instance."""
@@ -32,7 +37,7 @@ MAX_CLASS = 0xFFFF
 
 def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring, or of `columns`."""
-    has_ring = path.name.lower().endswith(".pcd.bin")
+    has_ring = path.name.lower().removesuffix(GZIP_SUFFIX).endswith(".pcd.bin")
     width = len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS)
     values, size = _read_floats(path, width)
     if count := evident_count(values, width):
@@ -57,8 +62,11 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
 
 def _read_floats(path: Path, width: int) -> tuple[Float, int]:
     """Read all float32 of a file of rows of so many, if it may be one; also return its size."""
-    with reading(path) as file:
-        size = size_of(file)
+    with reading(path) as opened:
+        file: BufferedIOBase = opened
+        size = size_of(opened)
+        if size and path.name.lower().endswith(GZIP_SUFFIX):
+            file, size = _decompressed(opened, path)
         if size == 0:
             raise FormatError(path, "is empty", _expected(width), "copy it again, or remove it")
         if suffix := other_suffix(file.read(TEXT_BYTES)):
@@ -70,6 +78,16 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
     if are_float64(values):
         raise FormatError(path, "holds float64", f"{width} float32 per point", ANEW)
     return values, size
+
+
+def _decompressed(file: BufferedIOBase, path: Path) -> tuple[BytesIO, int]:
+    """Return content and size of a gzip file, of `MAX_DECOMPRESSED_BYTES` at most."""
+    with refusing_damage(path, "a .bin file, compressed by gzip", "copy it again"):
+        content = gzip.GzipFile(fileobj=file).read(MAX_DECOMPRESSED_BYTES + 1)
+    if len(content) > MAX_DECOMPRESSED_BYTES:
+        found = f"more than {MAX_DECOMPRESSED_BYTES >> 20} MiB when decompressed"
+        raise FormatError(path, found, "one scan", "decompress it, or split it into scans")
+    return BytesIO(content), len(content)
 
 
 def _expected(width: int) -> str:
@@ -163,7 +181,7 @@ MAGIC = {
     b"LASF": ".las",
     b"\x93NUMPY": ".npy",
     b"PK\x03\x04": ".npz",
-    b"\x1f\x8b": ".gz",
+    b"\x1f\x8b": ".bin.gz",
 }
 """Suffixes of other formats by the bytes that their files begin with."""
 TEXT_SUFFIX = ".csv"

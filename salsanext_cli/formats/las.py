@@ -44,6 +44,14 @@ def read_las(path: Path) -> Scan:
 
 def las_columns(path: Path) -> Columns:
     """Read all dimensions of a LAS or LAZ file with one value per point, x, y, z in metres."""
+    points = read_points(path)[1]
+    names = {*points.point_format.dimension_names} - {"X", "Y", "Z"}
+    columns = {name: np.asarray(points[name]) for name in ("x", "y", "z", *names)}
+    return {name: values for name, values in columns.items() if values.ndim == 1}
+
+
+def read_points(path: Path, *, further_records: bool = False) -> tuple[Any, Any]:
+    """Return the header of a LAS or LAZ file and its points, as laspy reads them."""
     with reading(path) as file, refusing_damage(path, "a whole .las or .laz file"):
         laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
         size = size_of(file)
@@ -53,7 +61,9 @@ def las_columns(path: Path) -> Columns:
             raise ValueError("its header promises more than it holds")
         file.seek(0)
         backend = laspy.LazBackend.Lazrs
-        with laspy.open(file, closefd=False, read_evlrs=False, laz_backend=backend) as reader:
+        with laspy.open(
+            file, closefd=False, read_evlrs=further_records, laz_backend=backend
+        ) as reader:
             header = reader.header
             room = size // header.point_format.size
             if header.are_points_compressed:
@@ -64,9 +74,7 @@ def las_columns(path: Path) -> Columns:
             points = reader.read_points(header.point_count)
         if len(points) != header.point_count:
             raise ValueError("it lacks points")
-        names = {*header.point_format.dimension_names} - {"X", "Y", "Z"}
-        columns = {name: np.asarray(points[name]) for name in ("x", "y", "z", *names)}
-    return {name: values for name, values in columns.items() if values.ndim == 1}
+    return header, points
 
 
 def encode_las(
@@ -79,15 +87,19 @@ def encode_las(
 
     `columns` (N,): x, y, z in metres; red, green, blue uint8; intensity, nominally 0…1; the others
     become extra dimensions of their name and type. Points that are not finite are written at the
-    origin and marked as withheld. `classification` (N,): classes of the ASPRS.
+    origin and marked as withheld. `classification` (N,): classes of the ASPRS. Points in float64
+    are of a map, which may be anywhere: the header gets an offset in their middle.
     """
     compressed = path.suffix == COMPRESSED_SUFFIX
     laspy = import_laspy(path, compressed=compressed)
     points = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
     finite = np.isfinite(points).all(axis=1)
     points[~finite] = 0
+    is_map = columns["x"].dtype == np.float64 and len(points) > 0
+    offset = np.rint((points.min(axis=0) + points.max(axis=0)) / 2) if is_map else np.zeros(3)
+    points -= offset
     farthest = float(np.abs(points).max(initial=0))
-    if farthest > MAX_DISTANCE_M:
+    if farthest > MAX_DISTANCE_M and not is_map:
         found = f"a point at {farthest:g} m"
         expected = f"points up to {MAX_DISTANCE_M:g} m, so that the others are not rounded"
         raise OutputError(path, found, expected, "export with --format ply")
@@ -97,6 +109,7 @@ def encode_las(
     header.generating_software = "salsanext"
     # The finest power of two at which the farthest point fits into 32 bits.
     header.scales = np.full(3, 2.0 ** (np.frexp(farthest)[1] - 31))
+    header.offsets = offset
     header.vlrs.append(laspy.VLR("LASF_Spec", 3, "salsanext", "\n".join(comments).encode()))
     header.add_extra_dims([laspy.ExtraBytesParams(n, v.dtype) for n, v in extra.items()])
     cloud = laspy.LasData(header, laspy.ScaleAwarePointRecord.zeros(len(points), header=header))

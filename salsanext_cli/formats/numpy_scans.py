@@ -25,21 +25,18 @@ MAX_RATIO = 100
 
 def npy_columns(path: Path, names: tuple[str, ...]) -> Columns:
     """Read a `.npy` file: (N, C) numbers of the names or the usual ones, or (N,) named records."""
+    return _columns(npy_table(path), names, path)
+
+
+def npy_table(path: Path) -> npt.NDArray[Any]:
+    """Read the array of a `.npy` file."""
     with reading(path) as file:
-        array = load_array(file, size_of(file), path, EXPECTED)
-    return _columns(array, names, path)
+        return load_array(file, size_of(file), path, EXPECTED)
 
 
 def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
     """Read a `.npz` file: columns x, y, z …, or a table as of `npy_columns` and further columns."""
-    arrays = {}
-    with reading(path) as file, refusing_damage(path, EXPECTED), zipfile.ZipFile(file) as archive:
-        if sum(member.file_size for member in archive.infolist()) > MAX_RATIO * size_of(file):
-            raise ValueError("not a whole .npz file: it promises more than it can hold")
-        for name in archive.namelist():
-            content = archive.read(name)
-            array = load_array(io.BytesIO(content), len(content), path, EXPECTED)
-            arrays[name.removesuffix(".npy")] = array
+    arrays = npz_arrays(path)[0]
     single = {name: values.ravel() for name, values in arrays.items() if _is_column(values)}
     if not {"x", "y", "z"} <= {name.lower() for name in single}:
         single |= _columns(_table(arrays, path), names, path)
@@ -48,6 +45,19 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
         found = f"columns of {counts[0]} and of {counts[-1]} points"
         raise FormatError(path, found, "one length")
     return single
+
+
+def npz_arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], bool]:
+    """Read the arrays of a `.npz` file by name; also say whether they are compressed."""
+    arrays = {}
+    with reading(path) as file, refusing_damage(path, EXPECTED), zipfile.ZipFile(file) as archive:
+        if sum(member.file_size for member in archive.infolist()) > MAX_RATIO * size_of(file):
+            raise ValueError("not a whole .npz file: it promises more than it can hold")
+        for name in archive.namelist():
+            content = archive.read(name)
+            array = load_array(io.BytesIO(content), len(content), path, EXPECTED)
+            arrays[name.removesuffix(".npy")] = array
+        return arrays, any(member.compress_type for member in archive.infolist())
 
 
 def _is_column(values: npt.NDArray[Any]) -> bool:

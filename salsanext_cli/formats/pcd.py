@@ -8,7 +8,7 @@ with uninitialised values where ascii files are short or DATA is in upper case.
 
 import io
 import math
-from io import BufferedReader
+from io import BufferedIOBase, BufferedReader
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any, NamedTuple
@@ -59,14 +59,14 @@ class Header(NamedTuple):
 def pcd_columns(path: Path) -> Columns:
     """Read the fields of a PCD file with one value per point, and the rows of an organised one."""
     with reading(path) as file, refusing_damage(path, "a whole PCD file"):
-        header = _read_header(file)
+        header = read_header(file)
         match header.kind:
             case "ascii":
                 columns = _read_ascii(file, header)
             case "binary":
                 columns = _read_binary(file, path, header)
             case "binary_compressed":
-                columns = _read_compressed(file, header)
+                columns = read_compressed(file, header)
             case _:
                 raise ValueError(f"PCD data of kind {header.kind}, not ascii or binary")
     # Without columns, points take no room, however many there are.
@@ -99,7 +99,8 @@ def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:
     return {name: points[name] for name in header.scalars}
 
 
-def _read_compressed(file: BufferedReader, header: Header) -> Columns:
+def read_compressed(file: BufferedIOBase, header: Header) -> Columns:
+    """Unpack compressed columns with open3d, which leaves out or converts some."""
     if header.scalars != [*(header.point.names or ())]:
         raise ValueError("compressed PCD data with fields of several values")
     sizes = np.frombuffer(file.read(8), "<u4")
@@ -125,7 +126,7 @@ def _read_compressed(file: BufferedReader, header: Header) -> Columns:
     return columns | dict(zip("xyz", cloud.point.positions.numpy().T, strict=True))
 
 
-def _read_header(file: BufferedReader) -> Header:
+def read_header(file: BufferedIOBase) -> Header:
     """Read up to the line DATA; an unusable header raises `ValueError`."""
     entries = _entries(file)
     try:
@@ -147,7 +148,7 @@ def _read_header(file: BufferedReader) -> Header:
         raise ValueError(f"an unusable PCD header: {error}") from error
 
 
-def _entries(file: BufferedReader) -> dict[str, list[str]]:
+def _entries(file: BufferedIOBase) -> dict[str, list[str]]:
     """Return the words after each keyword."""
     entries: dict[str, list[str]] = {}
     while "DATA" not in entries:

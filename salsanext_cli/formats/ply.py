@@ -23,9 +23,15 @@ COUNT = re.compile(rb"(?:^|[\r\n])\s*element\s+\S+\s+(\S+)")
 
 def ply_columns(path: Path) -> Columns:
     """Read the properties of the vertices of a PLY file."""
-    plyfile = _plyfile()
     with reading(path) as file:
-        content = file.read()
+        data = read_ply(path, file.read())
+    vertices = data["vertex"].data
+    return {name: vertices[name] for name in vertices.dtype.names or ()}
+
+
+def read_ply(path: Path, content: bytes) -> Any:
+    """Return what plyfile finds in the content of a file with vertices."""
+    plyfile = _plyfile()
     with refusing_damage(path, "a whole .ply file"), warnings.catch_warnings():
         # plyfile warns of empty lines before it refuses them.
         warnings.simplefilter("ignore")
@@ -33,8 +39,7 @@ def ply_columns(path: Path) -> Columns:
         data = plyfile.PlyData.read(io.BytesIO(content))
     if "vertex" not in data:
         raise FormatError(path, "no vertices", "a PLY file with an element vertex")
-    vertices = data["vertex"].data
-    return {name: vertices[name] for name in vertices.dtype.names or ()}
+    return data
 
 
 def _require_room(content: bytes) -> None:

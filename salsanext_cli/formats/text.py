@@ -41,7 +41,7 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
     if CONTROL.search(content[:TEXT_BYTES]):
         raise FormatError(path, "not text", "a point in each line, in ASCII or UTF-8")
     try:
-        layout = _layout(content, has_names=bool(names))
+        layout = layout_of(content, has_names=bool(names))
         names = layout.names or columns_of_width(layout.width, names, path)
         used = {name: i for i, name in enumerate(names) if name in USED}
         if len(used) < sum(name in USED for name in names):
@@ -60,7 +60,7 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
     return dict(zip(used, table.T, strict=True))
 
 
-def _layout(content: bytes, has_names: bool) -> Layout:
+def layout_of(content: bytes, has_names: bool) -> Layout:
     """Find the first point; the line before it without any number is a header.
 
     A number alone is that of the points, and lines after it may be any text.

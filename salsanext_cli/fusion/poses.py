@@ -22,15 +22,15 @@ MAX_SHEAR = 1e-2
 MAX_STEP_M = 50.0
 """Distance of consecutive scans from which on they share no places."""
 GAP_STEPS, MIN_GAP_M = 4.0, 10.0
-"""A gap in a drive is a step of so many usual ones, and at least so long."""
+"""A gap in a drive is a step of so many long ones, and at least so long."""
 CHECKED_PAIRS = 8
 NEAR_M, FAR_M, ABOVE_GROUND_M = 3.0, 30.0, 0.5
 """Points that tell whether two scans lie on each other: near, and not of the ground."""
 OVERLAP_CUBE_M = 0.5
 MIN_OVERLAP = 0.35
 """Least share of such points on each other: 0.64 or more of real drives, 0.32 without poses."""
-MIN_TOLD_STEP_M = 0.3
-"""Of shorter steps, scans lie on each other without poses."""
+MARGIN = 0.1
+"""Least gain in overlap of another reading of poses that is said to be the right one."""
 CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 """From x forward, y left, z up to the camera's x right, y down, z forward."""
 
@@ -75,9 +75,13 @@ def read_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses
     if present(calibration) and values and len(values[0]) == KITTI_NUMBERS:
         to_camera = _calibration(calibration)
         poses = np.linalg.inv(to_camera) @ poses @ to_camera
-    # Far from its origin, a frame of the world leaves no digits for cubes.
-    poses[:, :3, 3] -= poses[:1, :3, 3].copy()
     return poses
+
+
+def read_fused_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses:
+    """Read poses that `fuse` wrote, which has a line for each scan: no name is a line's number."""
+    scans, wanted = ([f"scan {name}" for name in names] for names in (scans, wanted))
+    return read_poses(path, scans, wanted)
 
 
 def _lines(path: Path) -> list[str]:
@@ -122,14 +126,15 @@ def _calibration(path: Path) -> Poses:
 
 def encode_poses(poses: Poses) -> bytes:
     """Return poses as KITTI writes them, one of 12 numbers per line."""
-    rows = (" ".join(f"{value:.9e}" for value in pose[:3].ravel()) for pose in poses)
+    rows = (" ".join(f"{value:.12e}" for value in pose[:3].ravel()) for pose in poses)
     return "".join(f"{row}\n" for row in rows).encode("ascii")
 
 
 def segments(poses: Poses) -> npt.NDArray[np.int64]:
     """Return the part of a drive (N,) that each scan is of; a step out of sight ends one."""
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    usual = float(np.median(steps)) if len(steps) else 0.0
+    # A drive may stand most of the time.
+    usual = float(np.percentile(steps, 90)) if len(steps) else 0.0
     gaps = (steps > MAX_STEP_M) | ((steps > MIN_GAP_M) & (steps > GAP_STEPS * usual))
     return np.concatenate([[0], np.cumsum(gaps)])
 
@@ -169,8 +174,9 @@ def require_fitting(
 
     `read`: returns the points (N, 3) of a scan by its number.
     """
-    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    pairs = np.flatnonzero((np.diff(parts) == 0) & (steps > MIN_TOLD_STEP_M))
+    pairs = np.flatnonzero(np.diff(parts) == 0)
+    # Poses in another unit may put all scans apart.
+    pairs = pairs if len(pairs) else np.arange(len(poses) - 1)
     if not len(pairs):
         return
     chosen = np.unique(pairs[np.linspace(0, len(pairs) - 1, CHECKED_PAIRS).astype(int)])
@@ -178,6 +184,8 @@ def require_fitting(
         "": poses,
         "are from the world to the scans": np.linalg.inv(poses),
         "are of the camera": np.linalg.inv(CAMERA) @ poses @ CAMERA,
+        "are in centimetres": _scaled(poses, 0.01),
+        "are in millimetres": _scaled(poses, 0.001),
         "fit worse than none": np.tile(np.eye(4), (len(poses), 1, 1)),
     }
     shares = dict.fromkeys(readings, 0.0)
@@ -187,10 +195,19 @@ def require_fitting(
             step = np.linalg.inv(each[first + 1]) @ each[first]
             shares[name] += overlap(points, others, step) / len(chosen)
     best = max(shares, key=lambda name: shares[name])
-    if best == "are of the camera":
-        remedy = f"put the {CALIBRATION} of the drive beside it, or leave the poses out"
-        raise FormatError(path, "poses of the camera, by how the scans overlap", remedy=remedy)
-    if best or shares[best] < MIN_OVERLAP:
+    if shares[best] < shares[""] + MARGIN:
+        best = ""
+    is_apart = (np.diff(parts) > 0).all() and not best
+    if (best and shares[best] >= MIN_OVERLAP) or (shares[""] < MIN_OVERLAP and not is_apart):
         found = f"poses that {best or 'do not fit the scans'}: {shares['']:.0%} of the points meet"
         expected = "poses from each scan to the world, in metres"
-        raise FormatError(path, found, expected, "leave the poses out to have them computed")
+        remedy = "leave the poses out to have them computed"
+        if best == "are of the camera":
+            remedy = f"put the {CALIBRATION} of the drive beside them, or {remedy}"
+        raise FormatError(path, found, expected, remedy)
+
+
+def _scaled(poses: Poses, factor: float) -> Poses:
+    scaled = poses.copy()
+    scaled[:, :3, 3] *= factor
+    return scaled

@@ -55,8 +55,7 @@ def view_of(
     `points`: (N, 3) float64 metres in the frame of the drive; `probabilities`: (N, C) float32;
     `voting`: (N,) whose points have a vote; `size`: edge of a cube in metres.
     """
-    cells = np.floor(points[voting] / size).astype(np.int64) + (1 << (KEY_BITS - 1))
-    keys = (cells[:, 0] << (2 * KEY_BITS)) | (cells[:, 1] << KEY_BITS) | cells[:, 2]
+    keys = keys_of(points[voting], size)
     order = np.argsort(keys, kind="stable")
     first = np.flatnonzero(np.diff(keys[order], prepend=-1))
     cube = np.repeat(np.arange(len(first)), np.diff(first, append=len(keys)))
@@ -66,6 +65,13 @@ def view_of(
     rows = np.flatnonzero(voting)[order]
     _mean_of_cubes(argument(probabilities, np.float32), rows, np.append(first, len(keys)), votes)
     return View(keys[order][first], votes, cube_of_point)
+
+
+def keys_of(points: npt.NDArray[np.float64], size: float) -> Keys:
+    """Return the key (N,) of the cube of a size in metres that each point (N, 3) is in."""
+    cells = np.floor(points / size).astype(np.int64) + (1 << (KEY_BITS - 1))
+    keys: Keys = (cells[:, 0] << (2 * KEY_BITS)) | (cells[:, 1] << KEY_BITS) | cells[:, 2]
+    return keys
 
 
 @compiled
@@ -86,17 +92,21 @@ def _mean_of_cubes(probabilities: Float, rows: Keys, borders: Keys, votes: Votes
 def tally(own: View, others: Iterable[tuple[View, npt.NDArray[np.uint8]]]) -> Tally:
     """Add up the votes of a scan and of others for the places of its points.
 
+    Of each class it is the mean over the scans whose votes for it count, so that scans that have no
+    say about it are not against it; then the classes are scaled to add up to 1.
+
     `others`: views of the same cubes, and (C,) whether the votes of each for a class count.
     """
     total = own.votes.astype(np.uint32)
+    counts = np.ones(total.shape, np.uint16)
     seen = np.ones(len(own.keys), np.uint16)
     for view, counted in others:
-        work = partial(_add_slice, own.keys, view, counted, total, seen)
+        work = partial(_add_slice, own.keys, view, counted, total, counts, seen)
         parallel_for_slices(work, len(own.keys))
-    sums = np.maximum(total.sum(axis=1, dtype=np.float32, keepdims=True), 1)
+    means = total / counts
     # The last row is of points without a vote, whose cube is -1.
     shares = np.zeros((len(total) + 1, total.shape[1]), np.float32)
-    np.divide(total, sums, out=shares[:-1], dtype=np.float32)
+    shares[:-1] = means / np.maximum(means.sum(axis=1, keepdims=True), 1)
     views = np.append(seen, np.uint16(0))
     return Tally(shares[own.cube_of_point], views[own.cube_of_point])
 
@@ -106,10 +116,11 @@ def _add_slice(
     view: View,
     counted: npt.NDArray[np.uint8],
     total: npt.NDArray[np.uint32],
+    counts: npt.NDArray[np.uint16],
     seen: npt.NDArray[np.uint16],
     part: slice,
 ) -> None:
-    _add(own[part], view.keys, view.votes, counted, total[part], seen[part])
+    _add(own[part], view.keys, view.votes, counted, total[part], counts[part], seen[part])
 
 
 @compiled
@@ -119,6 +130,7 @@ def _add(
     votes: Votes,
     counted: npt.NDArray[np.uint8],
     total: npt.NDArray[np.uint32],
+    counts: npt.NDArray[np.uint16],
     seen: npt.NDArray[np.uint16],
 ) -> None:
     """Add the votes of another scan in the cubes that both see; both keys ascend."""
@@ -134,3 +146,4 @@ def _add(
             seen[here] += 1
             for c in range(total.shape[1]):
                 total[here, c] += votes[there, c] * counted[c]
+                counts[here, c] += counted[c]

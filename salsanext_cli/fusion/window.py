@@ -77,7 +77,9 @@ class FusionWindow:
             try:
                 points, softmax, voting = self.drive.read(index)
                 pose = self.drive.poses[index]
-                placed = points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+                # Far from its origin, a frame of the world leaves no digits for cubes.
+                place = pose[:3, 3] - self.drive.poses[0, :3, 3]
+                placed = points.astype(np.float64) @ pose[:3, :3].T + place
                 views = [view_of(placed, softmax, voting, size) for size in CUBE_SIZES_M]
                 self.views[index] = views
             except SalsanextError as error:
@@ -88,16 +90,16 @@ class FusionWindow:
 def fused_labels(tally: Tally, labels: TrainIds) -> TrainIds:
     """Return the labels of a scan's points (N,) by all scans that see their places.
 
-    A label changes only where at least one other scan sees the place.
+    A label changes only where at least one other scan sees the place; unlabelled points stay so.
     """
     fused = (tally.probabilities[:, 1:].argmax(axis=1) + 1).astype(np.uint8)
-    return np.where(tally.views > 1, fused, labels)
+    return np.where((tally.views > 1) & (labels > 0), fused, labels)
 
 
 def disagreement(tally: Tally, labels: TrainIds) -> Float:
     """Return which share of the votes is against the label of each point (N,); NaN without any."""
     share = 1 - np.take_along_axis(tally.probabilities, labels[:, None].astype(np.intp), 1)[:, 0]
-    return np.where(tally.views > 0, share, np.nan).astype(np.float32)
+    return np.where((tally.views > 0) & (labels > 0), share, np.nan).astype(np.float32)
 
 
 def fuse(

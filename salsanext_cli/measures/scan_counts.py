@@ -30,7 +30,8 @@ from salsanext_cli.measures.histograms import (
     softmax_errors,
     uncertainty_histogram,
 )
-from salsanext_cli.measures.scores import Confusion, Mask
+from salsanext_cli.measures.panoptic import count_segments
+from salsanext_cli.measures.scores import Confusion, Mask, Ratios, scores
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
@@ -43,6 +44,7 @@ OF_SOFTMAX = {"confidence": lack_of_confidence, "softmax_entropy": softmax_entro
 """Uncertainties that come from the probabilities."""
 EVALUATED_KINDS = (*OF_SOFTMAX, *UNCERTAINTY)
 """Every kind of uncertainty, in the order in which they are reported."""
+SCORES_OF_SCAN = ("points", "accuracy", "iou_mean_present")
 CLASS, RING = "class", "ring"
 OF_ERROR = ("error", "calibration")
 """Key of the histogram of the error as a probability."""
@@ -74,6 +76,9 @@ class ScanCounts:
     # Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `RING`, or
     # `CLASS`, which is the most probable class for the confidence, else the true one
     histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)
+    by_sequence: dict[str, Confusion] = field(default_factory=dict)
+    by_scan: dict[str, dict[str, Any]] = field(default_factory=dict)  # Some scores, by name
+    segments: Ratios | None = None  # As `count_segments` returns, where objects were predicted
 
     @classmethod
     def none(cls, space: LabelSpace, by_distance: bool) -> ScanCounts:
@@ -93,6 +98,13 @@ class ScanCounts:
         self.files += other.files
         self.kept |= other.kept
         self.calibration_errors += other.calibration_errors
+        self.by_scan |= other.by_scan
+        for name, confusion in other.by_sequence.items():
+            known = self.by_sequence.get(name)
+            self.by_sequence[name] = known + confusion if known else confusion
+        if other.segments is not None:
+            known_segments = 0 if self.segments is None else self.segments
+            self.segments = known_segments + other.segments
         for key, histogram in other.histograms.items():
             if self.histograms.setdefault(key, histogram) is not histogram:
                 self.histograms[key] += histogram
@@ -153,6 +165,7 @@ def count_scan(
     labels: LabelSpace | None = None,
     merging: ClassMerging | None = None,
     trained_on: Collection[str] = (),
+    objects: bool = False,
 ) -> ScanCounts:
     """Count one scan; one without predictions counts as missing.
 
@@ -163,7 +176,8 @@ def count_scan(
     `space`: classes that are compared, and meaning of the raw ids; `by_distance`: count rings of
     distance too, for which the scan is read; `labels`: meaning of the raw ids of the labels, if
     they have their own for these classes; `merging`: of the classes of the probabilities into those
-    compared; `trained_on`: digests of scans that the weights were trained on.
+    compared; `trained_on`: digests of scans that the weights were trained on; `objects`: whether
+    the predictions have instances.
     """
     counts = ScanCounts.none(space, by_distance)
     predictions = output_path(out, scan.sequence, "predictions", scan.stem)
@@ -181,6 +195,12 @@ def count_scan(
     counts.unknown_truth.update(of_truth.unknown_ids(raw_truth))
     counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
     counts.confusion.update(truth, predicted)
+    counts.by_sequence[scan.sequence] = counts.confusion
+    own = scores(counts.confusion, space).to_dict()
+    counts.by_scan[scan.name] = {key: own[key] for key in SCORES_OF_SCAN}
+    if objects:
+        instances = (truth, raw_truth), (predicted, raw_predicted)
+        counts.segments = count_segments(*instances, space.scored)
     scored = space.scored[truth]
     true_class, wrong = truth[scored], (predicted != truth)[scored]
     groups: dict[str, tuple[npt.NDArray[Any], int]] = {CLASS: (true_class, space.class_count)}

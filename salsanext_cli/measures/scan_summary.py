@@ -19,6 +19,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import first_few
 from salsanext_cli.files.reading import present
+from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.fitting.scan_checks import (
     MIN_POINTS,
     UNCHECKED,
@@ -85,6 +86,15 @@ class ScanSummary:
         check = replace(check, findings=findings)
         return cls(file, check, tuple(points.tolist()), rejected_points)
 
+    @classmethod
+    def of_scan(
+        cls, scan: LabelledScan, space: LabelSpace, rejected_points: int = 0
+    ) -> ScanSummary:
+        """Summarise a labelled scan; doubt labels of a low probability."""
+        confidence = scan.softmax.max(axis=0)[scan.image.channels[0] > 0]
+        mean = float(confidence.mean()) if len(confidence) else 1.0
+        return cls.of_labels(scan.file, scan.labels, space, scan.check, rejected_points, mean)
+
 
 def _label_findings(
     points: npt.NDArray[np.int64], confidence: float, space: LabelSpace
@@ -138,14 +148,15 @@ class RunSummary:
         self.ego_shares.append(scan.check.ego_share)
         self.confidences += [scan.confidence] if 0 < scan.confidence < 1 else []
         for finding in scan.check.findings:
-            self._add(scan.file, finding)
+            self.add_finding(scan.file, finding)
         if scan.check.traits is not None:
             self.traits[scan.file] = scan.check.traits
         if scan.class_points:
             before = self.class_points or [0] * len(scan.class_points)
             self.class_points = [a + b for a, b in zip(before, scan.class_points, strict=True)]
 
-    def _add(self, file: ScanFile, finding: Finding) -> None:
+    def add_finding(self, file: ScanFile, finding: Finding) -> None:
+        """Add a reason to doubt a scan; say it at once if it is the first of its kind."""
         name = file.name
         if finding.code not in self.findings:
             words = f"{finding.found}; {finding.remedy}"
@@ -155,7 +166,7 @@ class RunSummary:
     def finished(self, *, selectable: bool = True) -> RunSummary:
         """Compare the scans with each other, at the end of the run; return itself."""
         for file, finding in mixed_sensors(self.traits, selectable=selectable).items():
-            self._add(file, finding)
+            self.add_finding(file, finding)
         return self
 
     @contextmanager

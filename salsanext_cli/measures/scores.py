@@ -15,6 +15,7 @@ does not see it. `Scores.accuracy` is the plain share of labelled points that ar
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
@@ -112,14 +113,41 @@ class Scores:
         return dict(plain(asdict(self)))
 
 
+def ring_rows(rings: Mapping[str, Scores]) -> list[tuple[str, Scores, float, list[str]]]:
+    """Return name, scores, mean IoU of the same classes, and absent classes of each ring.
+
+    The same ones are those that the truth holds in every ring with points; absent ones are in other
+    rings only.
+    """
+    held = {name: {c.name for c in ring.classes if c.points} for name, ring in rings.items()}
+    every = set[str]().union(*held.values())
+    same = every.intersection(*filter(None, held.values()))
+    means = (
+        _mean(np.array([c.iou for c in ring.classes if c.name in same & held[name]]))
+        for name, ring in rings.items()
+    )
+    absent = (sorted(every - names) for names in held.values())
+    return list(zip(rings, rings.values(), means, absent, strict=True))
+
+
+def class_sums(matrix: Counts) -> Counts:
+    """Return points (3, C) that are right, of each class, and predicted as it, of counts (C, C)."""
+    return np.stack([np.diagonal(matrix), matrix.sum(axis=1), matrix.sum(axis=0)])
+
+
+def ious(sums: Counts) -> Ratios:
+    """Return the IoU (…, C) of class sums (…, 3, C); NaN of a class without points."""
+    hits, truths, predictions = np.moveaxis(sums, -2, 0)
+    return ratio(hits, truths + predictions - hits)
+
+
 def scores(confusion: Confusion, space: LabelSpace) -> Scores:
     """Divide counts over the train ids of a label space."""
     scored = space.scored
     matrix = confusion.counted(scored)
     points = int(matrix.sum())
-    hits, truths, predictions = np.diagonal(matrix), matrix.sum(axis=1), matrix.sum(axis=0)
-    union = truths + predictions - hits
-    iou, iou_official = ratio(hits, union), hits / (union + EPSILON)
+    hits, truths, predictions = sums = class_sums(matrix)
+    iou, iou_official = ious(sums), hits / (truths + predictions - hits + EPSILON)
     precision, recall = ratio(hits, predictions), ratio(hits, truths)
     return Scores(
         accuracy=float(hits.sum() / points) if points else math.nan,

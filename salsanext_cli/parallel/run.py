@@ -95,6 +95,8 @@ class Outcome:
     summary: RunSummary | None = None  # Of the scans that were worked on
     # Number of their points that were written as unlabelled for their error, if that was asked
     rejected_points: int | None = None
+    # Number of their points, and of those among them that a stage kept that leaves some out
+    kept_points: tuple[int, int] | None = None
 
 
 def run_over_scans(
@@ -171,19 +173,20 @@ def _attempts(
             context = WorkerContext(uuid4().hex, MARK.get(), stop, Path.cwd(), pool.threads)
             attempt = partial(attempt_chunk, context, task)
             try:
-                yield from _of_chunks(attempt, chunks(scans, pool.workers), pool, options.backend)
+                cut = chunks(scans, pool.workers, getattr(task, "max_chunk_scans", MAX_CHUNK_SCANS))
+                yield from _of_chunks(attempt, cut, pool, options.backend)
             finally:
                 # Joblib kills processes, but cannot kill threads and does not wait for them.
                 WORKER.end(context.run)
 
 
-def chunks(scans: Sequence[ScanFile], workers: int) -> list[Chunk]:
+def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS) -> list[Chunk]:
     """Cut scans into chunks, in order; each holds neighbours of one sequence.
 
-    They have at most `MAX_CHUNK_SCANS` scans, and those of a sequence differ by one at most; each
-    worker has at least `MIN_CHUNKS_PER_WORKER` if there are so many scans.
+    They have at most `most` scans, and those of a sequence differ by one at most; each worker has
+    at least `MIN_CHUNKS_PER_WORKER` if there are so many scans.
     """
-    size = max(1, min(MAX_CHUNK_SCANS, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
+    size = max(1, min(most, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
     cut: list[Chunk] = []
     for _, group in groupby(scans, key=lambda scan: scan.sequence):
         run = tuple(group)

@@ -37,6 +37,7 @@ from salsanext_cli.results.result_folder import ScanResults, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 WIDTH_PX, NARROW_PX = 2048, 1024
@@ -143,11 +144,14 @@ def scan_picture(
     strips: Sequence[Strip] = (),
     legend: Legend = (),
     absent: Collection[str] = (),
+    reach: float = REACH_M,
+    way: Float | None = None,
 ) -> bytes:
     """Draw a scan from above and its strips below that, as a PNG.
 
     `points` (N, 3) float32, metres, sensor frame; `views`: colours of the points (N, 3) by title;
-    `absent`: entries of the legend at the bottom that the picture does not show.
+    `absent`: entries of the legend at the bottom that the picture does not show; `reach`: metres
+    from the middle to an edge of a view; `way` (S, 3): of a drive, instead of the sensor's place.
     """
     width = NARROW_PX if len(views) == 1 else WIDTH_PX
     in_row = max(1, min(len(views), MAX_IN_A_ROW))
@@ -163,7 +167,9 @@ def scan_picture(
         left = MARGIN_PX + i % in_row * (size + MARGIN_PX)
         view_top = HEAD_PX + i // in_row * row_px
         canvas.text_at(figure, left, view_top + VIEW_TITLE_PX // 2, title, 18)
-        _draw_from_above(figure, points, colours, left, view_top + VIEW_TITLE_PX, size)
+        axes = canvas.axes_at(figure, left, view_top + VIEW_TITLE_PX, size, size)
+        of_drive = np.zeros((1, 3), np.float32) if way is None else way
+        _draw_from_above(axes, points, colours, size, reach, of_drive)
     for strip in strips:
         canvas.text_at(figure, MARGIN_PX, top + STRIP_TITLE_PX // 2 + 2, strip.title, 18)
         top += STRIP_TITLE_PX
@@ -209,22 +215,22 @@ def raster(points: Float, colours: Colours, reach: float, size: int, spread: int
 
 
 def _draw_from_above(
-    figure: Figure, points: Float, colours: Colours, left: int, top: int, size: int
+    axes: Axes, points: Float, colours: Colours, size: int, reach: float, way: Float
 ) -> None:
-    """Draw points from above, with circles every `GRID_M` metres and an arrow forward."""
+    """Draw points from above, with circles every `GRID_M` metres, more if far, and the way."""
     from matplotlib.patches import Circle
     from matplotlib.patheffects import withStroke
 
     # Drawn larger and averaged down, so that edges of points are soft.
-    large = raster(points, colours, REACH_M, size * OVERSAMPLING, spread=3)
+    step = GRID_M * max(1, round(reach / REACH_M))
+    large = raster(points, colours, reach, size * OVERSAMPLING, spread=3)
     blocks = large.reshape(size, OVERSAMPLING, size, OVERSAMPLING, 3)
     picture = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
-    axes = canvas.axes_at(figure, left, top, size, size)
     axes.set_axis_off()
-    axes.imshow(picture, extent=(REACH_M, -REACH_M, -REACH_M, REACH_M), interpolation="nearest")
-    for radius in np.arange(GRID_M, REACH_M * 2**0.5, GRID_M):
+    axes.imshow(picture, extent=(reach, -reach, -reach, reach), interpolation="nearest")
+    for radius in np.arange(step, reach * 2**0.5, step):
         axes.add_patch(Circle((0, 0), radius, fill=False, ec=canvas.FAINT, lw=0.6, alpha=0.55))
-        if radius < REACH_M:
+        if radius < reach:
             place = radius * 0.5**0.5
             axes.text(
                 -place,
@@ -234,9 +240,9 @@ def _draw_from_above(
                 fontsize=8,
                 path_effects=[withStroke(linewidth=2.5, foreground=canvas.NIGHT)],
             )
-    axes.plot(0, 0, marker="^", color=canvas.INK, markersize=8)
-    axes.set_xlim(REACH_M, -REACH_M)
-    axes.set_ylim(-REACH_M, REACH_M)
+    axes.plot(way[:, 1], way[:, 0], color=canvas.INK, marker="^", markevery=[0], markersize=8)
+    axes.set_xlim(reach, -reach)
+    axes.set_ylim(-reach, reach)
 
 
 def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:

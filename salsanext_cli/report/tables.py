@@ -16,7 +16,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few, printable
 from salsanext_cli.labelling.label_records import LabelImport
 from salsanext_cli.measures.risk_control import promise
-from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores
+from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores, ring_rows
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
@@ -69,11 +69,12 @@ def score_table(result: Scores, title: str = "") -> Table:
 
 
 def ring_table(rings: Mapping[str, Scores]) -> Table:
-    """Return a table with a row per ring of distance: mean IoU of the classes present, accuracy."""
-    table = number_table("distance", "mean IoU %", "accuracy %", "points")
-    for name, result in rings.items():
-        shares = (percent(share) for share in (result.iou_mean_present, result.accuracy))
-        table.add_row(name, *shares, f"{result.points:,}")
+    """Return a table with a row per ring of distance: mean IoU of the same classes, accuracy."""
+    table = number_table("distance", "mean IoU % of the same classes", "accuracy %", "points")
+    table.add_column("absent classes")
+    for name, result, mean, absent in ring_rows(rings):
+        shares = (percent(share) for share in (mean, result.accuracy))
+        table.add_row(name, *shares, f"{result.points:,}", escape(", ".join(absent)))
     return table
 
 

@@ -25,7 +25,9 @@ OWN_TABLES = {
     "picked.csv": b"rank,sequence,scan,",
 }
 """Tables that `eval`, `train` and `pick` write, and how their first line but a comment begins."""
-LABELLING_STAGES = ("predict", "knn-refine", "uncertainty", "fuse")
+FUSED_STAGES = ("predict", "knn-refine", "uncertainty")
+"""The stages whose labels are fused."""
+LABELLING_STAGES = (*FUSED_STAGES, "fuse")
 """The stages whose results later ones read."""
 UNCERTAINTY = (
     *("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information"),
@@ -40,6 +42,8 @@ DISAGREEMENT = "uncertainty/disagreement"
 """Folder of the share of a place's views that is against the label, which `fuse` writes."""
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values that point clouds may be coloured by."""
+COLOURS = (*COLOURINGS, "uncertainty")
+"""Words for them: the last is the kind of uncertainty that there is."""
 SUFFIX_OF_FOLDER = {
     "range": ".npy",
     "pixels": ".npy",
@@ -48,6 +52,7 @@ SUFFIX_OF_FOLDER = {
     "probabilities": ".npy",
     "votes": ".npy",
     "views": ".npy",
+    "objects": ".csv",
     **{f"uncertainty/{kind}": ".npy" for kind in UNCERTAINTY},
     "pictures": ".png",
     "ply": ".ply",
@@ -150,7 +155,7 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
         raise _nothing_in(source, [source / name for name in others])
     if sequences is not None:
         scans = of_sequences(scans, sequences, source)
-    _require_unique_stems(scans)
+    require_unique_stems(scans)
     return scans
 
 
@@ -245,7 +250,8 @@ def _number(sequence: str) -> int | None:
     return int(sequence) if sequence.isdecimal() else None
 
 
-def _require_unique_stems(scans: list[ScanFile]) -> None:
+def require_unique_stems(scans: list[ScanFile]) -> None:
+    """Refuse scans of the same name, which lie beside each other in the order of `ScanFile`."""
     for name, group in groupby(scans, lambda scan: scan.name):
         paths = [scan.path for scan in group]
         if len(paths) > 1:

@@ -31,7 +31,7 @@ from salsanext_cli.files.reading import filled, present, reading
 FILE_LISTS = ".salsanext.files"
 PLACES = (
     *("sequences/*/", "sequences/*/*/", "sequences/*/*/*/"),
-    *("samples/", "folds/*/", "folds/*/samples/"),
+    *("samples/", "folds/*/", "folds/*/samples/", "eval/*/"),
 )
 """Folders below that stages write into."""
 RECORDS_LOCK_TIMEOUT_S = 1800.0

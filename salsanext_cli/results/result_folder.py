@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
-from salsanext_cli.errors import NoInputError, counted, first_few, shortened
+from salsanext_cli.errors import NoInputError, OutputError, counted, first_few, shortened
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.kitti import read_labels
@@ -23,6 +23,7 @@ from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import (
+    FUSED_STAGES,
     LABELLING_STAGES,
     SCAN_FOLDER,
     SUFFIX_OF_FOLDER,
@@ -129,6 +130,7 @@ class ResultFolder(StageRecords):
         Where it is not recorded where scans came from, or that place is gone, they are looked for
         in the folder that `DATASET_VARIABLE` names, else in the working folder.
         """
+        self._require_current()
         there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(self.root, folder)}
         wanted = {key for key in there if sequence in (None, key[0])}
         sequences = sorted({name for name, _ in wanted})
@@ -150,6 +152,16 @@ class ResultFolder(StageRecords):
             what = "with results not found any more and left out"
             log.warning("%s %s: %s", counted(len(gone), "scan"), what, names)
         return scans
+
+    def _require_current(self) -> None:
+        """Refuse fused labels if those that they were fused of were made anew since."""
+        fused: Mapping[str, Any] = self.settings("fuse") or {}
+        single = StageRecords(self.root / fused.get("fused_of", ""))
+        origins = single.origins(FUSED_STAGES)
+        if fused.get("fused_of") and origins and origins != fused["origins"]:
+            found = f"fused of labels in {single.root} that were made anew since"
+            remedy = f"run `salsanext fuse {single.root} --overwrite`"
+            raise OutputError(self.root, found, remedy=remedy)
 
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
         folder = Path(source.folder) if source else None
@@ -302,6 +314,8 @@ class ResultFolder(StageRecords):
         by_predict = column not in UNCERTAINTY or column == "least_confidence"
         stage = "predict" if by_predict else "uncertainty"
         remedy = f"run `salsanext {stage} SCANS {self.root}` first"
+        if column == "disagreement":
+            remedy = f"run `salsanext fuse {self.root}` first"
         if column == "error":
             remedy = (
                 f"run `salsanext predict SCANS {self.root} --error`, with weights that know it: "
@@ -315,8 +329,8 @@ class ResultFolder(StageRecords):
     def meant_uncertainty(self, scans: Sequence[ScanFile]) -> str:
         """Return what "uncertainty" means.
 
-        The error where all scans have it, else the entropy, of scans without any the least
-        confidence.
+        The error where all scans have it, else of the entropy, the disagreement and the least
+        confidence the first that is known.
         """
         if len(self.with_column("error", scans)) == len(scans):
             return "error"

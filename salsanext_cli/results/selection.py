@@ -24,6 +24,7 @@ from salsanext_cli.results.layout import (
     counted_by_suffix,
     find_scans,
     of_sequences,
+    require_unique_stems,
 )
 
 LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
@@ -56,8 +57,12 @@ class MissingResults:
         return {"missing": missing, "not_asked_for": self.not_asked_for}
 
 
-def scans_of(source: Path) -> list[ScanFile]:
-    """Find all scans of a source, as `layout.find_scans`; log what lies beside them."""
+def scans_of(source: Path | Sequence[Path]) -> list[ScanFile]:
+    """Find all scans of a source or several, as `layout.find_scans`; log what lies beside them."""
+    if not isinstance(source, Path):
+        several = sorted({scan for each in source for scan in scans_of(each)})
+        require_unique_stems(several)
+        return several
     scans = find_scans(source)
     if is_folder(source) and recording_of(scans[0].path) is None:
         folders = {path.parent for path in {scan.sequence: scan.path for scan in scans}.values()}

@@ -13,7 +13,9 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import LabelError, NoInputError, counted, escaped
 from salsanext_cli.files.json_files import encode_json
 from salsanext_cli.files.reading import present
+from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.labelling.label_records import require_truth
+from salsanext_cli.measures.panoptic import panoptic_quality
 from salsanext_cli.measures.risk_control import KeptLabels
 from salsanext_cli.measures.scan_counts import (
     RING_NAMES,
@@ -21,11 +23,12 @@ from salsanext_cli.measures.scan_counts import (
     ScanCounts,
     count_scan,
 )
-from salsanext_cli.measures.scores import Confusion, Scores, scores
+from salsanext_cli.measures.scores import Confusion, Scores, plain, ring_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
 )
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.plots import PICTURES, evaluation_pictures
 from salsanext_cli.results.layout import ScanFile
@@ -63,6 +66,18 @@ class Evaluation:
     # Results for the probabilities and uncertainties, if there are any
     uncertainty: UncertaintyEvaluation
     kept: KeptLabels | None  # Coverage and risk of the labels of a run that rejected some
+    folder: Path  # Where it is written
+    by_sequence: dict[str, Scores]
+    by_scan: dict[str, dict[str, Any]]  # Some scores of each scan, by name
+    # Panoptic quality, if objects were predicted and the labels have instances
+    panoptic: dict[str, Any] | None
+
+    @property
+    def object_sentence(self) -> str:
+        """Panoptic quality of the objects in words."""
+        means = (self.panoptic or {}).get("things_present", {}).items()
+        qualities = ", ".join(f"{name.upper()} {100 * share:.1f} %" for name, share in means)
+        return f"Objects, mean of the classes present: {qualities}."
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
@@ -78,7 +93,13 @@ class Evaluation:
             "failures": [failure.to_dict() for failure in self.failures],
             "unknown_ids": self.unknown_ids,
             "scores": self.scores.to_dict(),
-            "by_distance": {name: ring.to_dict() for name, ring in self.by_distance.items()},
+            "by_distance": {
+                name: ring.to_dict() | {"iou_mean_same": plain(mean), "absent": absent}
+                for name, ring, mean, absent in ring_rows(self.by_distance)
+            },
+            "by_sequence": {name: each.to_dict() for name, each in self.by_sequence.items()},
+            "by_scan": self.by_scan,
+            **({"panoptic": self.panoptic} if self.panoptic else {}),
             "classes": list(self.space.names),
             "confusion": self.confusion.matrix.tolist(),
             **self.uncertainty.to_dict(self.space),
@@ -91,6 +112,7 @@ def evaluate(
     out: Path,
     space: LabelSpace,
     options: RunOptions = RunOptions(),
+    part: str = "",
     *,
     by_distance: bool = False,
     settings: Mapping[str, Any] | None = None,
@@ -104,25 +126,33 @@ def evaluate(
 
     `space`: classes to compare, as `ResultFolder.predicted` returns them; `by_distance`: score
     rings of distance too, for which the scans are read; `settings`: settings of the selection and
-    of the predictions, for the record; `labels`: as `space_of_labels` takes it.
+    of the predictions, for the record; `labels`: as `space_of_labels` takes it; `part`: name of a
+    part of the scans, which goes into ``eval/PART`` and leaves the evaluation of all as it is.
     """
+    folder = out / "eval" / part if part else out
     results = ResultFolder(out)
     labels, merging = space_of_labels(scans, space, labels), results.merging_into(space)
     own = {"by_distance": by_distance, "label_space": space.to_dict()}
     if labels.learning_map != space.learning_map:
         own["label_space_of_labels"] = labels.to_dict()
     settings = dict(as_json({**(settings or {}), **own}))
-    own_files = [out / name for name in FILES]
+    own_files = [folder / name for name in FILES]
     OwnedFolder(out).require_own(own_files)
     _require_labels(scans)
     apart = CountsApart.none(space, by_distance)
     count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
     count = partial(count, by_distance=by_distance, sensor=results.sensor())
-    count = partial(count, trained_on=results.trained_on())
+    recorded = results.settings_of("predictions")
+    # Those of other programs may have instances.
+    objects = recorded is None or bool(recorded.get("objects"))
+    count = partial(count, trained_on=results.trained_on(), objects=objects)
     outcome = run_over_scans(count, scans, options, on_result=apart.add)
     counts = apart.scored()
     if not counts.scans:
         raise _no_input(counts, out, outcome.failures)
+    panoptic = None
+    if counts.segments is not None and counts.segments[:, -1].any():
+        panoptic = panoptic_quality(counts.segments, space, movable_classes(space))
     rings = zip(RING_NAMES, counts.rings, strict=by_distance)
     evaluation = Evaluation(
         space=space,
@@ -140,6 +170,10 @@ def evaluate(
         failures=outcome.failures,
         settings=settings,
         uncertainty=evaluate_uncertainty(counts, space),
+        folder=folder,
+        by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
+        by_scan=dict(sorted(counts.by_scan.items())),
+        panoptic=panoptic,
         kept=KeptLabels.of_confusion(counts.confusion, space, counts.kept) if counts.kept else None,
     )
     for text in counts.label_warnings(space):
@@ -148,8 +182,18 @@ def evaluate(
     evaluation.missing.log_error(compared, "predictions")
     files = _files(evaluation)
     absent = [path for path in own_files if path.name not in files]
-    OwnedFolder(out).replace({out / name: content for name, content in files.items()}, absent)
+    OwnedFolder(out).replace({folder / name: content for name, content in files.items()}, absent)
     return evaluation
+
+
+def part_of(folder: ResultFolder, scans: Sequence[ScanFile], selection: ScanSelection) -> str:
+    """Name a part of the scans with results, as in ``08-10-first-5``; all are no part."""
+    limit, every = selection.limit, folder.scans()
+    if selection.split:
+        every, _ = folder.predicted(ScanSelection(selection.split))
+    name = "-".join(sorted({scan.sequence for scan in scans})) + f"-first-{limit}" * bool(limit)
+    chosen = bool(selection.sequences or limit) and len(scans) < len(every)
+    return name if chosen else ""
 
 
 def _require_labels(scans: Sequence[ScanFile]) -> None:

@@ -1,28 +1,40 @@
 # SPDX-License-Identifier: MIT
-"""Stage `export-ply`: scans and results to coloured point clouds, PLY or LAS."""
+"""Stage `export-ply`: scans, and maps of drives, to coloured point clouds, PLY or LAS."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import NOTICE, UsageError
+from salsanext_cli.errors import NOTICE, NoInputError, UsageError, counted
 from salsanext_cli.formats.label_scalars import PREFIX
 from salsanext_cli.formats.las import asprs_class, classification, encode_las, import_laspy
 from salsanext_cli.formats.ply import encode_ply
+from salsanext_cli.fusion.drive_map import (
+    MERGED_POINTS,
+    Columns,
+    MapTask,
+    one_per_cube,
+    poses_of_map,
+)
+from salsanext_cli.fusion.poses import POSES
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
 from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
+from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, scalar_columns
 from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 
 FORMATS = ("ply", "las", "laz")
+MIN_CUBE_M, MAX_CUBE_M = 0.01, 10.0
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +43,6 @@ def export_scan(
     file: ScanFile,
     colours: PointColours,
     sensor: Sensor,
-    form: str,
     output: OutputRun,
     classes: LabelSpace | None,
     labels: LabelSpace,
@@ -47,23 +58,28 @@ def export_scan(
     columns = scalar_columns(results, colours.space)
     if colours.colour not in columns:
         raise ResultFolder(output.root).missing_column(colours.colour, file)
+    (folder,), points = output.folders, dict(zip("xyz", results.scan.points.T, strict=True))
+    more = [] if max_error is None else [f"unlabelled where error is above {max_error:g}"]
+    cloud = encode_cloud(output.path(file, folder), points, columns, colours, more)
+    output.write_result(file, folder, cloud)
+    return results.rejected_points
+
+
+def encode_cloud(
+    path: Path, points: Columns, columns: Columns, colours: PointColours, more: Sequence[str] = ()
+) -> bytes:
+    """Return a coloured cloud in the format of its name: `points`, x, y, z, and every scalar."""
     rgb = dict(zip(("red", "green", "blue"), colours.of_points(columns).T, strict=True))
-    drawn = dict(zip("xyz", results.scan.points.T, strict=True)) | rgb
-    comments = [f"colour {colours.legend}", f"label space {colours.space.name}"]
-    if max_error is not None:
-        comments.append(f"unlabelled where error is above {max_error:g}")
-    (folder,) = output.folders
-    if form == "ply":
+    comments = [f"colour {colours.legend}", f"label space {colours.space.name}", *more]
+    if path.suffix == ".ply":
         # CloudCompare takes what is named so for scalars, and shows the first.
         shown = {colours.colour: columns[colours.colour]} | columns
         named = {f"{PREFIX}{name}": values for name, values in shown.items()}
-        output.write_result(file, folder, encode_ply(drawn | named, comments))
-        return results.rejected_points
-    space, path = colours.space, output.path(file, folder)
+        return encode_ply(points | rgb | named, comments)
+    space = colours.space
     comments += [f"class {asprs_class(i, space)} {name}" for i, name in space.labels.items()]
-    of_points = classification(columns.get("label", np.zeros(len(results.scan), np.uint32)), space)
-    output.write_result(file, folder, encode_las(path, drawn | columns, of_points, comments))
-    return results.rejected_points
+    labels = columns.get("label", np.zeros(len(points["x"]), np.uint32))
+    return encode_las(path, points | rgb | columns, classification(labels, space), comments)
 
 
 def export_ply(
@@ -73,6 +89,7 @@ def export_ply(
     scale: tuple[float, float] | None = None,
     max_error: float | None = None,
     form: str = "ply",
+    cube: float | None = None,
     dataset: Path | None = None,
     space: LabelSpace | None = None,
     classes: LabelSpace | None = None,
@@ -86,7 +103,9 @@ def export_ply(
 
     `colour`: one of `COLOURS`; `scale`: values at the ends of the colour map, the same for all
     scans, otherwise what most points of the first scans span; `max_error`: points whose error, 0…1,
-    is above it are written as unlabelled; `form`: of `FORMATS`; `space`, `classes`: as for
+    is above it are written as unlabelled; `form`: of `FORMATS`; `cube`: instead of scans, the
+    map of each drive with fused labels goes to `OUT/sequences/<seq>/map.ply`, with one point in
+    each cube of such an edge in metres, in the frame of the poses; `space`, `classes`: as for
     `ResultFolder.predicted`.
     """
     results = ResultFolder(out, dataset)
@@ -97,6 +116,11 @@ def export_ply(
         raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
     if form != "ply":
         import_laspy(f"--format {form}", compressed=form == "laz")
+    if cube is not None:
+        if max_error is not None or options.shard.count > 1 or colour in ("truth", "wrong"):
+            raise UsageError("--map", "with --max-error, --shard or the truth", "none of these")
+        if not MIN_CUBE_M <= cube <= MAX_CUBE_M:
+            raise UsageError("--map-cube", f"{cube:g}", f"{MIN_CUBE_M} to {MAX_CUBE_M} metres")
     chosen = results.chosen(selection, space, classes)
     scans, space = chosen.scans, chosen.space
     if max_error is not None:
@@ -105,6 +129,9 @@ def export_ply(
         colour = results.meant_uncertainty(scans)
     results.require_column(colour, scans)
     sensor = results.sensor()
+    if cube is not None:
+        ends = scale or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
+        return _export_maps(results, chosen, PointColours(colour, ends, space), form, cube, options)
     stage, folder = _place(out, colour, form)
     made_of, earlier = results.origins(LABELLING_STAGES), results.settings(stage)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
@@ -127,7 +154,7 @@ def export_ply(
         overwrite=overwrite,
         record_scans=False,
     ) as output:
-        task = partial(export_scan, colours=colours, sensor=sensor, form=form, output=output)
+        task = partial(export_scan, colours=colours, sensor=sensor, output=output)
         task = partial(task, classes=classes, labels=chosen.labels, max_error=max_error)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=rejected.append
@@ -143,3 +170,56 @@ def _place(out: Path, colour: str, form: str) -> tuple[str, str]:
     if first is None or first["colour"] == colour:
         return "export-ply", form
     return f"export-ply-{colour}", f"{form}/{colour}"
+
+
+def _export_maps(
+    results: ResultFolder,
+    chosen: ChosenResults,
+    colours: PointColours,
+    form: str,
+    cube: float,
+    options: RunOptions,
+) -> Outcome:
+    """Write the map of each drive, in the place of an earlier one."""
+    folder, outcome = OwnedFolder(results.root), Outcome(0, (), 0, chosen.missing)
+    scans = results.with_column("label", chosen.scans)
+    for name, group in groupby(scans, lambda file: file.sequence):
+        files, path = tuple(group), results.root / "sequences" / name / f"map.{form}"
+        folder.require_own([path])
+        columns, added = map_of_drive(results, files, colours.space, cube, options)
+        failures, done = outcome.failures + added.failures, outcome.done + added.done
+        seconds = outcome.seconds + added.seconds
+        outcome = replace(outcome, failures=failures, done=done, seconds=seconds)
+        if columns:
+            if colours.colour not in columns:
+                raise results.missing_column(colours.colour, files[0])
+            points = {axis: columns.pop(axis) for axis in "xyz"}
+            folder.replace({path: encode_cloud(path, points, columns, colours)})
+            log.log(NOTICE, "%s: %s", path, counted(len(points["x"]), "point"))
+    return outcome
+
+
+def map_of_drive(
+    results: ResultFolder,
+    files: tuple[ScanFile, ...],
+    space: LabelSpace,
+    cube: float,
+    options: RunOptions,
+) -> tuple[Columns, Outcome]:
+    """Return the map of scans of a sequence with fused labels; no columns if none can be read."""
+    poses = poses_of_map(results, files)
+    if poses is None:
+        path = results.root / "sequences" / files[0].sequence / POSES
+        remedy = f"run `salsanext fuse {results.root}`, and give the folder of the fused labels"
+        raise NoInputError(path, "no poses", "those that `fuse` wrote", remedy)
+    parts, origin = list[Columns](), poses[0, :3, 3]
+
+    def add(columns: Columns) -> None:
+        parts.append(columns)
+        first, *waiting = (len(part["x"]) for part in parts)
+        if sum(waiting) > max(first, MERGED_POINTS):
+            parts[:] = [one_per_cube(parts, cube, origin)]
+
+    task = MapTask(results, files, poses, space, cube)
+    outcome = run_over_scans(task, files, options, on_result=add)
+    return one_per_cube(parts, cube, origin) if parts else {}, outcome

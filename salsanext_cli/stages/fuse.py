@@ -1,18 +1,33 @@
 # SPDX-License-Identifier: MIT
 """Stage `fuse`: labels of the scans of a drive by all scans that see the same places."""
 
+import hashlib
 import logging
+import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import NOTICE, NoInputError, SalsanextError, UsageError, counted
-from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.errors import (
+    NOTICE,
+    FormatError,
+    NoInputError,
+    OutputError,
+    SalsanextError,
+    UsageError,
+    counted,
+)
+from salsanext_cli.files.json_files import encode_json, read_json
+from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import present
+from salsanext_cli.fitting.scan_checks import Finding
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array, read_probabilities
@@ -20,6 +35,7 @@ from salsanext_cli.fusion.poses import (
     POSES,
     Poses,
     encode_poses,
+    read_fused_poses,
     read_poses,
     require_fitting,
     segments,
@@ -36,11 +52,13 @@ from salsanext_cli.fusion.window import (
 )
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import FusionReach, ScanSelection
+from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.worker import Attempt, AttemptFunction
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import (
     DISAGREEMENT,
+    FUSED_STAGES,
     SCAN_FOLDER,
     ScanFile,
     find_scans,
@@ -48,8 +66,9 @@ from salsanext_cli.results.layout import (
     with_outputs,
 )
 from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.selection import choose
+from salsanext_cli.results.selection import MissingResults, choose, scans_of
 from salsanext_cli.sensors.sensor import Sensor
 
 FUSED = "fused"
@@ -67,6 +86,7 @@ class DriveScans:
 
     files: tuple[ScanFile, ...]
     poses: Poses
+    numbers: dict[ScanFile, int]  # Place of each in the drive
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +99,8 @@ class FuseTask:
     reach: FusionReach
     single: OutputRun  # Takes what other views say against the labels of single scans
     fused: OutputRun  # Takes the fused labels
+    # Neighbours share what they read, so that a chunk is much longer than the reach
+    max_chunk_scans: int = 400
 
     def open(self) -> AttemptFunction:
         """Return the function that works on scans; the window moves from one to the next."""
@@ -108,7 +130,7 @@ class FuseTask:
     def _fuse(self, file: ScanFile, window: FusionWindow) -> ScanSummary:
         self.single.require_replaceable(file)
         self.fused.require_replaceable(file)
-        tally = window.tally(self.drives[file.sequence].files.index(file))
+        tally = window.tally(self.drives[file.sequence].numbers[file])
         path = output_path(self.single.root, file.sequence, "predictions", file.stem)
         labels = self.space.to_train(read_labels(path, len(tally.views)), source=path)
         fused = fused_labels(tally, labels)
@@ -126,7 +148,12 @@ def read_softmax(out: Path, file: ScanFile, count: int, space: LabelSpace) -> Fl
         return read_probabilities(path, count, space.class_count).astype(np.float32)
     votes = output_path(out, file.sequence, "votes", file.stem)
     kept = min(KEPT, space.class_count)
-    return softmax_of(read_array(votes, "uint16", (count, kept)), space.class_count)
+    packed = read_array(votes, "uint16", (count, kept))
+    if (packed >> 8).max(initial=0) >= space.class_count:
+        found = f"class {(packed >> 8).max()}"
+        expected = f"0 … {space.class_count - 1}, the classes of {space.name}"
+        raise FormatError(votes, found, expected, "predict again with --fuse")
+    return softmax_of(packed, space.class_count)
 
 
 def fuse_results(
@@ -148,34 +175,46 @@ def fuse_results(
     target = target or out / FUSED
     if target.resolve() == out.resolve():
         raise UsageError("TARGET", f"{target}, the folder of the single labels", "another folder")
+    if OwnedFolder(out, "predict").is_shared():
+        raise OutputError(
+            out, "a run of `predict` is at work in it", remedy="wait until it has ended"
+        )
     results = ResultFolder(out, dataset)
-    known = with_outputs(results.scans(), out, *SOFTMAX_FOLDERS)
+    present_scans = results.scans()
+    known = with_outputs(present_scans, out, *SOFTMAX_FOLDERS)
     known = with_outputs(known, out, "predictions")
-    space = results.label_space()
-    if not known or space is None:
+    space, of_softmax = results.label_space(), results.label_space(*SOFTMAX_FOLDERS)
+    if not known or space is None or of_softmax is None:
         remedy = f"run `salsanext predict SCANS {out} --fuse`, or with --probabilities"
         raise NoInputError(out, "no softmax of any scan", "votes or probabilities", remedy)
-    scans = choose(known, selection, results.compared_space(known, own_ids=True), out)
+    if not space.fits(of_softmax):
+        found = f"labels in the classes of {space.name}, softmax in those of {of_softmax.name}"
+        raise OutputError(out, found, "the same for both", "predict both anew")
+    wanted = choose(present_scans, selection, results.compared_space(known, own_ids=True), out)
+    scans = [file for file in wanted if file in set(known)]
+    missing = MissingResults(tuple(file for file in wanted if file not in set(known)), 0)
+    missing.log_error(len(wanted), "softmax and labels")
     members: dict[str, list[ScanFile]] = {}
-    for file in known:
+    for file in sorted(known, key=_natural_order):
         members.setdefault(file.sequence, []).append(file)
     chosen = dict.fromkeys(file.sequence for file in scans)
     if poses is not None and len(chosen) > 1:
         found = f"one file for {counted(len(chosen), 'sequence')}"
         raise UsageError("--poses", found, remedy="choose one of them with --sequences")
-    paths = {name: poses or _beside(files) for name, files in members.items()}
     sensor = results.sensor()
-    given = {name: _given(paths[name], members[name], sensor) for name in chosen}
+    given = {
+        name: _given(poses or _beside(members[name]), members[name], sensor) for name in chosen
+    }
     made_with = {
         "reach": asdict(reach),
-        "poses": {name: path and fingerprint(path) for name, path in paths.items()},
-        "origins": results.origins(["predict", "knn-refine", "uncertainty"]),
+        "origins": results.origins(FUSED_STAGES),
     }
     network: Mapping[str, Any] = results.settings("predict") or {}
     of_labels = {
         **{key: network[key] for key in ABOUT_THE_NETWORK if key in network},
         "label_space": space.to_dict(),
         "sensor": sensor.to_dict(),
+        "fused_of": os.path.relpath(out, target),
     }
     summary = RunSummary.of_scans(scans, sensor, space)
     kinds, overwrite = (DISAGREEMENT, "views"), options.overwrite
@@ -183,9 +222,10 @@ def fuse_results(
     folders = (*kinds, "predictions")
     fused = output_run(target, "fuse", made_with | of_labels, folders, scans, overwrite=overwrite)
     with single as of_single, fused as of_fused, summary.kept_in(of_fused, scans):
-        drives = {
-            name: _drive(name, members[name], given[name], of_fused, sensor) for name in chosen
-        }
+        drives = {name: _drive(members[name], given[name], of_fused, sensor) for name in chosen}
+        for drive in drives.values():
+            if finding := _finding(drive):
+                summary.add_finding(drive.files[0], finding)
         task = FuseTask(drives, space, sensor, reach, of_single, of_fused)
         outcome = run_over_scans(
             task,
@@ -194,7 +234,23 @@ def fuse_results(
             is_done=lambda file: of_single.is_done(file) and of_fused.is_done(file),
             on_result=summary.add,
         )
-    return replace(outcome, summary=summary)
+    return replace(outcome, summary=summary, missing=missing if missing.scans else None)
+
+
+def _natural_order(file: ScanFile) -> tuple[Any, ...]:
+    """Return a key by which scan 10 comes after scan 9."""
+    words = re.split(r"(\d+)", file.stem)
+    return file.sequence, [int(word) if word.isdecimal() else word for word in words], file.stem
+
+
+def require_fusable(source: Path | Sequence[Path], out: Path, shard: Shard) -> None:
+    """Refuse to predict and fuse a share, or without the package for poses that scans lack."""
+    if shard.count > 1:
+        remedy = f"run `salsanext fuse {out}` when all shares are predicted"
+        raise UsageError("--fuse", "only a share of the scans", "all of them", remedy)
+    for _, files in groupby(scans_of(source), lambda file: file.sequence):
+        if _beside([*files]) is None:
+            import_extra("small_gicp", "fuse")
 
 
 def _beside(files: Sequence[ScanFile]) -> Path | None:
@@ -208,33 +264,73 @@ def _given(path: Path | None, files: Sequence[ScanFile], sensor: Sensor) -> Pose
     """Read the poses of scans, if there are any, and look whether they fit the scans."""
     if path is None:
         return None
-    beside = [file.stem for file in find_scans(files[0].path.parent)]
-    poses = read_poses(path, beside, [file.stem for file in files])
-    require_fitting(
-        path, poses, segments(poses), lambda index: read_scan(files[index].path, sensor).points
-    )
+    beside = sorted(find_scans(files[0].path.parent), key=_natural_order)
+    stems, wanted = ([file.stem for file in each] for each in (beside, files))
+    poses = read_poses(path, stems, wanted)
+    require_fitting(path, poses, segments(poses), lambda index: _points(files[index], sensor))
     return poses
 
 
+def _points(file: ScanFile, sensor: Sensor) -> Float:
+    """Read the measured points (N, 3) of a scan; none of one that cannot be read."""
+    try:
+        points = read_scan(file.path, sensor).points
+    except SalsanextError:
+        # Its own turn says why.
+        return np.zeros((0, 3), np.float32)
+    return points[np.isfinite(points).all(axis=1)]
+
+
 def _drive(
-    name: str, files: Sequence[ScanFile], poses: Poses | None, output: OutputRun, sensor: Sensor
+    files: Sequence[ScanFile], poses: Poses | None, output: OutputRun, sensor: Sensor
 ) -> DriveScans:
-    """Return a sequence with poses, computed and written if not given; say where it is cut."""
-    stems = [file.stem for file in files]
-    computed = output.root / "sequences" / name / POSES
-    if (
-        poses is None
-        and present(computed)
-        and not (output.overwrite and not output.others([computed]))
-    ):
-        poses = read_poses(computed, stems, stems)
+    """Return a sequence with poses, computed if not given, and record both."""
+    name, stems = files[0].sequence, [file.stem for file in files]
+    folder = output.root / "sequences" / name
+    used, record = folder / POSES, folder / "drive.json"
+    before, edited = read_json(record), bool(output.others([used]))
+    recorded: dict[str, Any] = {"scans": len(stems), "names": _digest("\n".join(stems).encode())}
+    known = before is not None and {key: before.get(key) for key in recorded} == recorded
+    if before is not None and not known and not output.overwrite:
+        raise _other_drive(record, before, len(stems))
+    if poses is None and present(used) and (edited or (known and not output.overwrite)):
+        poses = read_fused_poses(used, stems, stems)
+        if edited:
+            points = partial(_points, sensor=sensor)
+            require_fitting(used, poses, segments(poses), lambda index: points(files[index]))
     elif poses is None:
         log.log(NOTICE, "sequence %s: no %s, computing poses of its scans", name, POSES)
-        poses = register(read_scan(file.path, sensor).points for file in files)
-        output.write(computed, encode_poses(poses))
-    parts = np.bincount(segments(poses))
-    if (parts == 1).all() and len(files) > 1:
-        log.warning("sequence %s: its scans see no common places; labels stay", name)
-    elif len(parts) > 1:
-        log.warning("sequence %s: %s that see no common places", name, counted(len(parts), "part"))
-    return DriveScans(tuple(files), poses)
+        poses = register(_points(file, sensor) for file in files)
+    content = encode_poses(poses)
+    recorded["poses"] = _digest(content)
+    if before not in (None, recorded) and not output.overwrite:
+        raise _other_drive(record, before or {}, len(stems))
+    if not edited:
+        output.write(used, content)
+    output.write(record, encode_json(recorded))
+    return DriveScans(tuple(files), poses, {file: number for number, file in enumerate(files)})
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _other_drive(record: Path, before: Mapping[str, Any], scans: int) -> OutputError:
+    """Return the error of results that have votes of other scans, or by other poses."""
+    fused = f"{before.get('scans')} scans"
+    found = f"fused of {fused}, now {scans}" if before.get("scans") != scans else "other poses"
+    remedy = "fuse the sequence anew with --overwrite"
+    return OutputError(record, found, "the same scans and poses for all of it", remedy)
+
+
+def _finding(drive: DriveScans) -> Finding | None:
+    """Return what is doubtful about a drive that is cut into parts."""
+    parts = np.bincount(segments(drive.poses))
+    if len(parts) == 1:
+        return None
+    alone = (parts == 1).all()
+    found = (
+        "its scans see no common places" if alone else f"{len(parts)} parts see no common places"
+    )
+    remedy = "labels stay" if alone else "they have no votes for each other; look at its poses"
+    return Finding("apart", f"of the sequence, {found}", remedy)

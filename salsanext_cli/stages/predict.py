@@ -1,39 +1,51 @@
 # SPDX-License-Identifier: MIT
 """Stage `predict`: scans to labels in memory, or range images on disk to pixel labels."""
 
+import csv
+import io
 import logging
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import TrainIds
+from salsanext_cli.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.engines.loading import load_network
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, UsageError, WeightsError
 from salsanext_cli.fitting.label_scan import (
     LabelledScan,
     label_scan,
+    labelled,
+    project_for,
     projected_sensor,
     range_image,
     sensor_of_images,
 )
 from salsanext_cli.fitting.scan_checks import check_image
-from salsanext_cli.fitting.scan_fit import fitted_view, network_of_run
+from salsanext_cli.fitting.scan_fit import fit_network, fitted_view, network_of_run
 from salsanext_cli.fusion.top_classes import top_classes
+from salsanext_cli.fusion.window import movable_classes
+from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.risk_control import promise
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, Steps, run_over_scans
-from salsanext_cli.records import Float
+from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ERROR, LEAST_CONFIDENCE, ScanFile, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.uncertainty.error_features import error_model, label_error
+from salsanext_cli.uncertainty.error_features import error_model, knows_error, label_error
+
+IN_MEMORY = ScanFile("scan", "points", Path("points"))
+"""Name of the points in warnings and errors."""
 
 log = logging.getLogger(__name__)
 
@@ -51,8 +63,7 @@ class LabelWriter:
         """Write the results of a scan; return numbers about it."""
         file, image, softmax, labels = scan.file, scan.image, scan.softmax, scan.labels
         space, output = network.space, self.output
-        confidence = softmax.max(axis=0)
-        doubt = points_from_pixels(1 - confidence, image.pixel_of_point, np.nan)
+        doubt = points_from_pixels(1 - softmax.max(axis=0), image.pixel_of_point, np.nan)
         output.write_array(file, LEAST_CONFIDENCE, doubt)
         values = {"least_confidence": doubt}
         if "pixel_labels" in output.folders:
@@ -72,12 +83,29 @@ class LabelWriter:
         if self.reject is not None:
             rejected = values[self.reject_by] > self.reject
         labels[rejected] = 0
-        output.write_labels(file, space.to_raw(labels))
-        occupied = image.channels[0] > 0
-        mean = float(confidence[occupied].mean()) if occupied.any() else 1.0
-        found = ScanSummary.of_labels(file, labels, space, scan.check, int(rejected.sum()), mean)
+        raw = space.to_raw(labels)
+        if "objects" in output.folders:
+            objects = find_objects(image, labels, movable_classes(space))
+            output.write_result(file, "objects", object_table(scan, objects, space))
+            raw |= objects.astype(np.uint32) << 16
+        output.write_labels(file, raw)
+        summary = ScanSummary.of_scan(scan, space, int(rejected.sum()))
         of_points = doubt[~np.isnan(doubt)]
-        return replace(found, confidence=1 - float(of_points.mean()) if of_points.size else np.nan)
+        mean = 1 - float(of_points.mean()) if of_points.size else np.nan
+        return replace(summary, confidence=mean)
+
+
+def object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> bytes:
+    """Return a table with class, number of points and box of each object, in its order."""
+    file, sizes = io.StringIO(), np.bincount(objects)
+    of_object = np.zeros(len(sizes), np.uint8)
+    of_object[objects] = scan.labels
+    table = csv.writer(file, lineterminator="\n")
+    table.writerow(("object", "class", "points", *BOX))
+    for number, box in enumerate(fit_boxes(scan.scan.points, objects), 1):
+        name, numbers = space.names[of_object[number]], [f"{value:.3f}" for value in box]
+        table.writerow((number, name, sizes[number], *numbers))
+    return file.getvalue().encode()
 
 
 def most_probable(probabilities: Float) -> TrainIds:
@@ -94,7 +122,7 @@ def predict_scan(file: ScanFile, network: Network, writer: LabelWriter) -> Steps
 
 
 def predict_scans(
-    source: Path,
+    source: Path | Sequence[Path],
     out: Path,
     *,
     network: NetworkSettings = NetworkSettings(),
@@ -107,8 +135,8 @@ def predict_scans(
 ) -> Outcome:
     """Label scans into `OUT/sequences/<seq>/predictions`, beside their least confidence.
 
-    `extras`: further results to write, of "pixel_labels", "probabilities", "votes" for `fuse` and
-    "uncertainty/error";
+    `extras`: further results to write, of "pixel_labels", "probabilities", "votes" for `fuse`,
+    "objects", whose numbers the labels hold too, and "uncertainty/error";
     `reject`: points whose error, 0…1, is above it are unlabelled, and the error is written too;
     "risk": those above the threshold that `tune risk` wrote into the weights;
     `batch`: scans computed together, halved where memory runs out; None for what suits the device.
@@ -136,6 +164,7 @@ def predict_scans(
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     settings |= {} if reject is None else {"reject": reject}
     settings |= {} if reject_by == "error" else {"reject_by": reject_by}
+    settings |= {"objects": True} if "objects" in extras else {}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
     if not network.adapt and reject is None:
         summary.accuracy = loaded.card.accuracy
@@ -209,9 +238,81 @@ def predict_range_images(
     summary = RunSummary(loaded.sensor)
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
-        label = partial(predict_image, folder=folder, output=output)
-        task = NetworkTask(label, network.resolved(loaded), loaded)
+        steps = partial(predict_image, folder=folder, output=output)
+        task = NetworkTask(steps, network.resolved(loaded), loaded)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
     return replace(outcome, summary=summary)
+
+
+class PointLabels(NamedTuple):
+    """Result of `label`."""
+
+    labels: TrainIds
+    probabilities: Float
+    error: Float | None
+
+
+def label(
+    points: npt.ArrayLike,
+    intensity: npt.ArrayLike | None = None,
+    weights: Path | str | Network | None = None,
+) -> PointLabels:
+    """Label the points of one scan, as `predict` does: fitted, checked, refined.
+
+    Reasons to doubt the labels are logged as warnings of ``salsanext_cli``.
+
+    Parameters
+    ----------
+    points : (N, 3) numbers
+        Coordinates in metres around the sensor. Those that are NaN, infinite or 0 get label 0.
+    intensity : (N,) numbers, optional
+        Of any scale; None where there is none.
+    weights : Path, str or Network, optional
+        A weights file, None for the default weights: loaded, and fitted to these points. A network
+        is taken as it is, which saves both for many scans: fit it by `fit_network`.
+
+    Returns
+    -------
+    labels : (N,) uint8
+        Train ids of the label space of the weights, ``sn.label_space()`` for the default ones.
+    probabilities : (N, C) float32
+        Of the pixel of each point, of class 0 alone without one; labels are refined besides.
+    error : (N,) float32 or None
+        Probability that each label is wrong, NaN without a pixel; None if the weights lack it.
+
+    Raises
+    ------
+    SalsanextError
+        If the arrays cannot be points in metres around a sensor, or the weights cannot be used.
+    """
+    scan = _scan(points, intensity)
+    network = weights
+    if not isinstance(network, Network):
+        network = fit_network(load_network(weights), [scan])  # type: ignore[arg-type]
+    projected = project_for(network, IN_MEMORY, scan)
+    softmax = network.probabilities(projected.image, IN_MEMORY.path)
+    done = labelled(projected, softmax, network, KnnParameters())
+    RunSummary(network.sensor).add(ScanSummary.of_scan(done, network.space))
+    none = np.eye(1, network.space.class_count)
+    of_points = points_from_pixels(softmax, done.image.pixel_of_point, none)
+    known = knows_error(network)
+    error = label_error(network, done.image, softmax, done.labels) if known else None
+    return PointLabels(done.labels, of_points, error)
+
+
+def _scan(points: npt.ArrayLike, intensity: npt.ArrayLike | None) -> Scan:
+    """Check the arrays and return the scan that they are; a scan without intensity has 0."""
+    coordinates = np.asarray(points)
+    if coordinates.ndim != 2 or coordinates.shape[1] != 3 or coordinates.dtype.kind not in "fiu":
+        found = f"an array {coordinates.shape} of {coordinates.dtype}"
+        remedy = "of x, y, z, intensity: label(array[:, :3], array[:, 3])"
+        raise UsageError("points", found, "numbers (N, 3), in metres", remedy)
+    values = np.zeros(len(coordinates)) if intensity is None else np.asarray(intensity)
+    if values.shape != coordinates.shape[:1] or values.dtype.kind not in "fiu":
+        found = f"an array {values.shape} of {values.dtype}"
+        raise UsageError("intensity", found, f"numbers ({len(coordinates)},), one per point")
+    # What float32 cannot hold is infinite: no measurement.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return Scan(coordinates.astype(np.float32), values.astype(np.float32))

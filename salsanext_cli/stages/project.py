@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `project`: scans to range images on disk."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -29,7 +30,7 @@ def write_projected(file: ScanFile, sensor: Sensor, output: OutputRun) -> ScanSu
 
 
 def project_scans(
-    source: Path,
+    source: Path | Sequence[Path],
     out: Path,
     *,
     sensor: Sensor,

@@ -4,6 +4,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from threading import Lock
 from typing import Any, TypedDict, Unpack
@@ -12,10 +13,12 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
+from salsanext_cli.fusion.drive_map import poses_of_map
 from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
+from salsanext_cli.report.colours import PointColours, legend_of, map_on_dark
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import (
@@ -28,14 +31,18 @@ from salsanext_cli.report.page.run_results import (
     worth_looking_at,
 )
 from salsanext_cli.report.page.server import PageServer
+from salsanext_cli.report.scan_pictures import NARROW_PX, REACH_M, TITLES, scan_picture
 from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.selection import MissingResults, space_of_labels
+from salsanext_cli.results.selection import MissingResults, evenly_spaced, space_of_labels
 from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.stages.export_ply import map_of_drive
 
 PAGE = "report.html"
 """Name of the page in the output folder."""
+MAP_SCANS = 400
+"""Scans of a drive on its map, evenly spaced."""
 SAMPLED = 5
 """Evenly spaced scans that `view` takes the scales from, besides those worth looking at."""
 
@@ -101,7 +108,9 @@ def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice])
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
     reasons = [failure.reason for failure in failures]
-    written = html_of(run, compared, shown, scales_of(shown), reasons).encode()
+    maps, unmapped = _maps(run, choice.get("options", RunOptions()))
+    reasons += unmapped
+    written = html_of(run, compared, shown, scales_of(shown), reasons, maps).encode()
     OwnedFolder(out).replace({page: written})
     kept = compared.uncertainty.kept if compared else None
     return Report(
@@ -117,6 +126,39 @@ def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice])
         missing=run.missing,
         failures=failures,
     )
+
+
+def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[str]]:
+    """Draw the drives whose labels `fuse` wrote, from above; return also why some are not."""
+    maps, reasons = dict[str, bytes](), list[str]()
+    space, results = run.reader.space, ResultFolder(run.reader.out)
+    for name, group in groupby((row.file for row in run.rows), lambda file: file.sequence):
+        files = tuple(evenly_spaced(results.with_column("label", [*group]), MAP_SCANS))
+        try:
+            if not files or (poses := poses_of_map(results, files)) is None:
+                continue
+            # About those that a pixel shows.
+            span = float(np.ptp(poses[:, :3, 3], axis=0).max()) + 2 * REACH_M
+            columns, _ = map_of_drive(results, files, space, max(0.1, span / NARROW_PX), options)
+        except SalsanextError as error:
+            reasons.append(str(error))
+            continue
+        if not columns:
+            continue
+        points = np.stack([columns[axis] for axis in "xyz"], axis=1)
+        # Drawn with y up; a few far points would make all others small.
+        low, high = np.percentile(points, (1, 99), axis=0)
+        turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+        points, way = ((each - (low + high) / 2) @ turn.T for each in (points, poses[:, :3, 3]))
+        reach = max(1.0, float((high - low)[:2].max()) / 2)
+        legend = legend_of(space, space.to_train(columns["label"], strict=False))
+        shares = [(f"{step / 255:.0%}", (*map_on_dark()[step],)) for step in (0, 64, 128, 191, 255)]
+        for colour, meaning in {"label": legend, "disagreement": shares}.items():
+            if colour in columns:
+                colours = PointColours(colour, (0.0, 1.0), space, dark=True).of_points(columns)
+                view, words = {TITLES[colour]: colours}, f"{name}: {TITLES[colour]}"
+                maps[words] = scan_picture(name, points, view, (), meaning, (), reach, way)
+    return maps, reasons
 
 
 class View(PageServer):

@@ -37,6 +37,7 @@ from salsanext_cli.training.log import Row
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.run_folder import (
     BEST,
+    CHECKPOINT,
     CLASS_COUNTS,
     LAST,
     STAGE,
@@ -133,7 +134,8 @@ def train(
                 counts.require_no_warnings(dataset)
             begin(run, settings, overwrite=overwrite)
             random = "random weights (--weights default: those of the package)"
-            log.log(NOTICE, "training from %s", start.name if start else random)
+            if not (run / CHECKPOINT).exists():
+                log.log(NOTICE, "training from %s", start.name if start else random)
             return [replace(scored, files=validated), *sources], counts
 
         (scored, *sources), counts = group.on_main(prepare)

@@ -2,7 +2,7 @@
 """Stage `uncertainty`: scans to labels and uncertainties of their points."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -63,7 +63,7 @@ def uncertainty_scan(
 
 
 def uncertainty(
-    source: Path,
+    source: Path | Sequence[Path],
     out: Path,
     *,
     network: NetworkSettings = NetworkSettings(),

@@ -17,7 +17,7 @@ import torch
 
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import TrainingError
+from salsanext_cli.errors import NOTICE, TrainingError
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.scores import Confusion, scores
 from salsanext_cli.network.card import TEMPERATURES, WeightsCard
@@ -83,8 +83,9 @@ class Training:
         if (of_main := group.on_main(lambda: first)) != first:
             found = f"the first worker goes on after step {of_main}, this one after step {first}"
             raise TrainingError(self.run, found, "one folder that all workers see")
-        if first:
-            log.info("resuming after step %d", first)
+        if first and group.is_main:
+            epochs = f"{state.epoch} of {self.learner.recipe.epochs} epochs"
+            log.log(NOTICE, "going on after %s, step %d, from %s", epochs, first, checkpoint)
         pinned = self.learner.device.type == "cuda"
         stream = batches(self.samples, first, self.workers, pinned=pinned, group=group)
         with tensorboard_in(self.run, wanted=group.is_main) as write_epoch:

@@ -175,6 +175,54 @@ def test_learning_curve(tmp_path, capsys, monkeypatch):
     assert (tmp_path / "out/curve.png").stat().st_size > 1000
 
 
+def test_fusion(tmp_path, capsys, monkeypatch):
+    """Poses are computed of links without poses, then those given are used; both are judged."""
+    drive = write_sequence(tmp_path / "drive/00", ["0", "1"], count=300)
+    for name in ("0", "1"):
+        moving = np.repeat([252, 40], 150)
+        write_labels(drive / f"labels/{name}.label", moving)
+    (drive / "poses.txt").write_text("")
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    script = runpy.run_path(str(BENCHMARKS / "fusion.py"))
+    commands = []
+
+    def command(words, **_):
+        """Say what `eval` would; write labels as `predict` and `fuse` would."""
+        commands.append(words[1])
+        fused = words[1] == "fuse"
+        if words[1] == "predict":
+            assert not (Path(words[2]).parent / "poses.txt").exists()
+        if words[1] != "eval":
+            for name in ("0", "1"):
+                path = Path(words[3]) / f"sequences/00/predictions/{name}.label"
+                write_labels(
+                    path,
+                    np.repeat([10, 50 - 10 * fused], [75 * (1 + fused), 300 - 75 * (1 + fused)]),
+                )
+        is_fused = "single" not in str(words[2])
+        iou = 0.5 + 0.1 * is_fused
+        found = {
+            "scores": {
+                "accuracy": iou,
+                "iou_mean_present": iou / 2,
+                "classes": [
+                    {"train_id": 1, "iou": iou - 0.3 * is_fused},
+                    {"train_id": 2, "iou": None},
+                ],
+            },
+            "confusion": [[0, 0, 0], [0, 2000, 0], [0, 0, 5]],
+            "uncertainty": {"least_confidence": {"aurc": 0.2}, "disagreement": {"aurc": 0.1}},
+        }
+        return subprocess.CompletedProcess(words, 0, json.dumps(found).encode())
+
+    monkeypatch.setattr(subprocess, "run", command)
+    script["main"](str(tmp_path / "out"), str(drive))
+    (line,) = capsys.readouterr().out.splitlines()
+    assert "single 50.0 / 25.0  fused 60.0 / 30.0  AURC 0.2000 → 0.1000" in line
+    assert "worst class -20.0  moving 50.0 → 100.0  computed" in line
+    assert commands == ["predict", "fuse", "fuse", "eval", "eval"]
+
+
 def test_holes_are_counted_as_by_a_plain_loop():
     script = runpy.run_path(str(BENCHMARKS / "hole_shares.py"))
     random = np.random.default_rng(0)

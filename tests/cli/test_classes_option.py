@@ -9,7 +9,7 @@ from salsanext_cli import label_space
 
 OFFERED = {
     *("predict", "uncertainty", "eval", "export-ply", "export-rrd", "picture", "report", "view"),
-    "demo",
+    *("compare", "demo"),
 }
 
 pytestmark = pytest.mark.usefixtures("undrawn")

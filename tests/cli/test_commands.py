@@ -171,7 +171,8 @@ def test_eval_replaces_its_result_of_other_settings_and_inputs(run, predict, res
     for other in ((), ("--limit", 1), ("--limit", 1, "--by-distance"), ("--dataset", data)):
         result = run("eval", "--out", results, *other)
         assert result.exit_code == 0, result.output
-        reports.append(json.loads((results / "eval.json").read_text())["settings"])
+        folder = results / "eval/08-first-1" if "--limit" in other else results
+        reports.append(json.loads((folder / "eval.json").read_text())["settings"])
     assert predict(results, "--knn-k", 3, "--overwrite").exit_code == 0
     assert run("eval", "--out", results).exit_code == 0
     reports.append(json.loads((results / "eval.json").read_text())["settings"])
@@ -430,3 +431,54 @@ def test_import_weights_and_predict_with_them(run, data, weights, tmp_path):
     assert run("import-weights", weights, half).exit_code == 1
     assert run("import-weights", weights, half, "--overwrite", "-q").exit_code == 0
     assert run("predict", data, tmp_path / "out", "--weights", half).exit_code == 0
+
+
+def test_several_scans_and_globs(run, data, weights, tmp_path):
+    scans = sorted((data / "sequences/08/velodyne").iterdir())
+    options = ("--weights", weights, "--device", "cpu")
+    assert run("predict", *scans, tmp_path / "out", *options).exit_code == 0
+    assert len(labels_below(tmp_path / "out")) == 2
+    assert (
+        run("predict", scans[0], "--limit", "1", scans[1], tmp_path / "one", *options).exit_code
+        == 0
+    )
+    assert len(labels_below(tmp_path / "one")) == 1
+    assert run("project", *scans, tmp_path / "images", "--weights", weights).exit_code == 0
+    without_out = run("predict", *scans, *options)
+    assert without_out.exit_code == 2
+    assert "000001.bin is a file · expected a folder for the results" in without_out.stderr
+    folders = [data / "sequences/08", tmp_path / "other"]
+    write_sequence(folders[1])
+    hidden = run("predict", scans[0], *folders, *options)
+    assert hidden.exit_code == 1
+    assert "holds scans" in hidden.stderr
+    topic = run("predict", *scans, tmp_path / "out", "--topic", "/points", *options)
+    assert (topic.exit_code, "2 sources" in topic.stderr) == (2, True)
+
+
+def test_an_evaluation_of_a_part_leaves_that_of_all(run, data, weights, tmp_path):
+    write_sequence(data / "sequences/10")
+    out = tmp_path / "out"
+    assert (
+        run("predict", data, out, "--weights", weights, "--device", "cpu", "--objects").exit_code
+        == 0
+    )
+    assert run("eval", out).exit_code == 0
+    before = (out / "eval.json").read_bytes()
+    part = run("eval", out, "--sequences", "8")
+    assert f"{out}/eval/08/scores.txt" in part.stderr
+    first = run("eval", out, "--limit", "1", "--json")
+    assert only_json(first)["scans"] == 1
+    assert (out / "eval/08-first-1/eval.json").exists()
+    assert (out / "eval.json").read_bytes() == before
+    assert run("eval", out, "--sequences", "08,10").exit_code == 0
+    assert sorted(path.name for path in (out / "eval").iterdir()) == ["08", "08-first-1"]
+
+
+def test_range_images_have_no_objects(run, data, weights, tmp_path):
+    assert run("project", data, tmp_path / "images", "--weights", weights).exit_code == 0
+    refused = run(
+        "predict", tmp_path / "images", tmp_path / "out", "--objects", "--weights", weights
+    )
+    assert refused.exit_code == 2
+    assert "--objects" in refused.stderr

@@ -8,17 +8,29 @@ from pathlib import Path
 from typing import Annotated
 
 import pytest
+import typer
 from command_line import every_command, only_json, parsed
 from scans import SMALL, labels_below, write_weights
+from typer.testing import CliRunner
 
 from salsanext_cli.cli import options
+from salsanext_cli.cli.app import app
 from salsanext_cli.cli.option_groups import Default, Only, Shown, Without, expanded
 from salsanext_cli.engines.settings import NetworkSettings, weights_file
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.options import KnnParameters, ScanSelection
 
-SHARDED = {"project", "predict", "knn-refine", "uncertainty", "picture", "export-ply"}
+SHARDED = {
+    "filter",
+    "fuse",
+    "project",
+    "predict",
+    "knn-refine",
+    "uncertainty",
+    "picture",
+    "export-ply",
+}
 
 
 def test_a_group_is_expanded_filled_and_handed_over():
@@ -64,7 +76,7 @@ def test_results_over_all_scans_cannot_be_sharded():
     }
     assert {name for name in flags if "--shard" in flags[name]} == SHARDED
     backends = {name for name in flags if "--backend" in flags[name]}
-    assert backends == SHARDED | {"eval", "inspect", "convert", "pick", "report", "view"}
+    assert backends == SHARDED | {"compare", "eval", "inspect", "convert", "pick", "report", "view"}
 
 
 @pytest.fixture
@@ -132,3 +144,26 @@ def test_what_training_measured_is_not_taken_for_the_scans(network):
     named = network(columns="x,y,z,i").named_sensor()
     assert named == replace(SMALL, columns=("x", "y", "z", "i"))
     assert network().named_sensor() is None
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "begun", "completed"),
+    [
+        ("predict", "sensor", "os1", ["os1-64", "os1-128"]),
+        ("predict", "classes", "co", ["coarse"]),
+        ("train", "recipe", "pa", ["paper", "paper-v1"]),
+        ("export-ply", "colour", "un", ["uncertainty"]),
+        ("eval", "label_space", "s", ["semantic-kitti"]),
+    ],
+)
+def test_values_are_completed(command, option, begun, completed):
+    group = typer.main.get_command(app)
+    context = group.make_context("salsanext", [command], resilient_parsing=True)
+    (parameter,) = (p for p in group.commands[command].params if p.name == option)
+    found = [item.value for item in parameter.shell_complete(context, begun)]
+    assert found == completed
+
+
+def test_flags_have_no_type_in_the_help():
+    text = CliRunner().invoke(app, ["predict", "--help"], env={"COLUMNS": "100"}).output
+    assert not [line for line in text.splitlines() if "<bool>" in line and "--help" not in line]

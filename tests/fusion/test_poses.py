@@ -8,6 +8,7 @@ from salsanext_cli.fusion.poses import (
     CAMERA,
     encode_poses,
     overlap,
+    read_fused_poses,
     read_poses,
     require_fitting,
     segments,
@@ -36,13 +37,15 @@ def test_kitti_is_read_as_written(tmp_path):
     poses = along(0, 1, 2.5)
     path = written(tmp_path, encode_poses(poses))
     np.testing.assert_allclose(read_poses(path, STEMS, STEMS), poses, atol=1e-8)
-    np.testing.assert_allclose(read_poses(path, STEMS, STEMS[1:])[1][0, 3], 1.5)
+    np.testing.assert_allclose(read_poses(path, STEMS, STEMS[1:])[1][0, 3], 2.5)
 
 
 def test_a_file_of_a_whole_drive_has_a_line_per_number(tmp_path):
     path = written(tmp_path, encode_poses(along(*range(10))))
     poses = read_poses(path, ["000002", "000007"], ["000002", "000007"])
-    np.testing.assert_allclose(poses[:, 0, 3], [0, 5])
+    np.testing.assert_allclose(poses[:, 0, 3], [2, 7])
+    with pytest.raises(FormatError, match="10 lines"):
+        read_fused_poses(path, ["000002", "000007"], ["000002", "000007"])
 
 
 def test_tum_is_read_as_kitti(tmp_path):
@@ -51,7 +54,6 @@ def test_tum_is_read_as_kitti(tmp_path):
     lines = ["# time x y z qx qy qz qw"]
     lines += [f"{n} {n + 3} 0 0 0 0 {np.sin(h)} {np.cos(h)}" for n, h in enumerate(half)]
     path = written(tmp_path, "\n".join(lines).encode())
-    poses[:, 0, 3] -= 3
     np.testing.assert_allclose(read_poses(path, STEMS, STEMS), poses, atol=1e-12)
 
 
@@ -88,7 +90,8 @@ def test_what_is_no_pose_is_refused(tmp_path, content, found):
 
 def test_a_drive_is_cut_where_a_step_is_out_of_sight():
     assert segments(along(0, 1, 2, 60, 61)).tolist() == [0, 0, 0, 1, 1]
-    assert segments(along(0, 1, 2, 14, 15)).tolist() == [0, 0, 0, 1, 1]
+    assert segments(along(*range(20), 40, 41)).tolist() == [0] * 20 + [1, 1]
+    assert segments(along(0, 0, 0, 0, 12, 24, 36)).tolist() == [0] * 7
     assert segments(along(0, 13, 26, 39)).tolist() == [0, 0, 0, 0]
     assert segments(along(0, 0, 0)).tolist() == [0, 0, 0]
     assert segments(along(0)).tolist() == [0]
@@ -116,15 +119,22 @@ def test_poses_must_lay_the_scans_on_each_other(tmp_path):
     parts = segments(poses)
     require_fitting(tmp_path, poses, parts, seen)
     assert overlap(seen(0), seen(1), np.linalg.inv(poses[1]) @ poses[0]) > 0.9
+    in_centimetres = poses.copy()
+    in_centimetres[:, :3, 3] *= 100
     wrong = {
         "world to the scans": np.linalg.inv(poses),
-        "poses of the camera": CAMERA @ poses @ np.linalg.inv(CAMERA),
+        "poses that are of the camera": CAMERA @ poses @ np.linalg.inv(CAMERA),
+        "in centimetres": in_centimetres,
         "do not fit|fit worse": along(0, -7, -14, -21),
+        "do not fit": along(0, 0, 0, 0),
     }
     for found, each in wrong.items():
         with pytest.raises(FormatError, match=found):
-            require_fitting(tmp_path, each, parts, seen)
+            require_fitting(tmp_path, each, segments(each), seen)
 
 
-def test_scans_that_do_not_move_fit_any_poses(tmp_path):
-    require_fitting(tmp_path, along(0, 0, 0), np.zeros(3, int), lambda number: make_scan().points)
+def test_scans_that_stand_apart_or_still_may_have_such_poses(tmp_path):
+    still = np.tile(np.eye(4), (3, 1, 1))
+    require_fitting(tmp_path, still, segments(still), lambda number: make_scan().points)
+    apart = along(0, 200, 400)
+    require_fitting(tmp_path, apart, segments(apart), lambda number: make_scan(seed=number).points)

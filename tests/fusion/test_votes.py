@@ -55,12 +55,15 @@ def slowly(scans, softmax, poses, reach, movable):
                 cube = tuple(np.floor(place / size))
                 if softmax[index][number, 0] == 1:
                     continue
+                total, counts = np.zeros(CLASSES), np.zeros(CLASSES)
                 for other, view in enumerate(views):
                     away = abs(other - index)
                     if away <= reach.reach and cube in view:
-                        counts = (away <= reach.movable_reach) | ~movable
-                        shares[which, number] += view[cube] * counts
+                        counted = (away <= reach.movable_reach) | ~movable
+                        total += view[cube] * counted
+                        counts += counted
                         seen[number] += 1
+                shares[which, number] = total / counts
                 shares[which, number] /= shares[which, number].sum()
         results.append((shares.mean(axis=0), seen))
     return results
@@ -74,7 +77,7 @@ def test_votes_are_those_of_a_slow_loop(seed, reach, movable_reach):
     expected = slowly(scans, softmax, poses, settings, movable)
     for tally, (shares, views) in zip(fuse(scans, softmax, poses, settings), expected, strict=True):
         np.testing.assert_array_equal(tally.views, views)
-        # Each probability of a vote is rounded by half a step, and so is their sum.
+        # Each probability of a vote is rounded by half a step, and their sum by one per class.
         rounding = (1 + CLASSES) / 2 / SCALE
         np.testing.assert_allclose(tally.probabilities, shares, atol=rounding)
 
@@ -96,6 +99,15 @@ def test_a_label_changes_only_where_another_scan_sees_the_place():
     tally = fuse(scans, [[car, road], [road], [road]], np.tile(np.eye(4), (3, 1, 1)))[0]
     assert fused_labels(tally, labels).tolist() == [ROAD, CAR]
     np.testing.assert_allclose(disagreement(tally, labels), [2 / 3, 1], atol=1e-4)
+
+
+def test_scans_too_far_away_to_speak_of_cars_are_not_against_them():
+    scan = Scan(np.zeros((1, 3), np.float32), np.zeros(1, np.float32))
+    softmax = np.zeros((1, CLASSES), np.float32)
+    softmax[0, [CAR, ROAD]] = 0.8, 0.2
+    tallies = fuse([scan] * 41, [softmax] * 41, np.tile(np.eye(4), (41, 1, 1)))
+    np.testing.assert_allclose(tallies[20].probabilities, softmax, atol=1e-3)
+    assert tallies[20].views.tolist() == [41]
 
 
 def test_points_without_a_label_neither_vote_nor_are_judged():

@@ -10,10 +10,12 @@ from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
 from scans import files_below
 
 from salsanext_cli.errors import LabelError, NoInputError, OutputError
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.stages.evaluate import evaluate, part_of
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -170,7 +172,9 @@ def test_files_are_complete_and_replace_earlier_ones(world):
     assert report["scans"] == 2
     assert report["label_space"] == SPACE.name
     assert report["scores"]["points"] == 2
-    assert report["by_distance"]["0–10 m"]["points"] == 2
+    ring = report["by_distance"]["0–10 m"]
+    assert (ring["points"], ring["iou_mean_same"], ring["absent"]) == (2, 0.5, [])
+    assert report["by_distance"]["over 50 m"]["absent"] == ["car"]
     assert np.sum(report["confusion"]) == 2
     assert report["classes"] == list(SPACE.names)
 
@@ -185,3 +189,52 @@ def test_foreign_files_stay(world, name):
     with pytest.raises(OutputError, match=rf"{name} · .*and is kept"):
         world.evaluate(by_distance=True)
     assert files_below(world.out) == before
+
+
+def test_scores_of_each_scan_and_sequence(world):
+    world.add("000000", [CAR, CAR, ROAD], [CAR, ROAD, ROAD], "08")
+    world.add("000001", [CAR], [CAR], "08")
+    world.add("000000", [ROAD], [CAR], "09")
+    found = world.evaluate().to_dict()
+    assert found["by_scan"]["08/000000"] == {
+        "points": 3,
+        "accuracy": pytest.approx(2 / 3),
+        "iou_mean_present": pytest.approx(0.5),
+    }
+    assert [found["by_scan"][name]["accuracy"] for name in ("08/000001", "09/000000")] == [1, 0]
+    assert {name: each["accuracy"] for name, each in found["by_sequence"].items()} == {
+        "08": pytest.approx(3 / 4),
+        "09": 0,
+    }
+    assert "panoptic" not in found
+
+
+def test_objects_are_matched_where_the_labels_have_instances(world):
+    truth = [CAR | 5 << 16] * 60 + [MOVING_CAR | 6 << 16] * 60 + [ROAD] * 80
+    world.add("000000", truth, [CAR | 1 << 16] * 60 + [CAR | 2 << 16] * 40 + [ROAD] * 100, "08")
+    found = world.evaluate().to_dict()["panoptic"]
+    assert found["classes"]["car"] == {
+        **{"pq": pytest.approx(5 / 6), "sq": pytest.approx(5 / 6), "rq": 1},
+        **{"matches": 2, "false_alarms": 0, "misses": 0},
+    }
+    assert found["things_present"]["pq"] == pytest.approx(5 / 6)
+    assert found["classes"]["road"]["pq"] == pytest.approx(0.8)
+
+
+def test_a_part_leaves_the_evaluation_of_all(world):
+    world.add("000000", [CAR], [CAR], "08")
+    world.add("000000", [ROAD], [CAR], "09")
+    world.evaluate()
+    before = {name: (world.out / name).read_bytes() for name in ("scores.txt", "eval.json")}
+    scans = find_scans(world.dataset)
+    folder = ResultFolder(world.out, world.dataset)
+    part = part_of(folder, scans[:1], ScanSelection(sequences=("08",)))
+    evaluation = evaluate(scans[:1], world.out, SPACE, part=part)
+    assert evaluation.folder == world.out / "eval/08"
+    assert json.loads((world.out / "eval/08/eval.json").read_text())["scores"]["accuracy"] == 1
+    assert {name: (world.out / name).read_bytes() for name in before} == before
+    assert part_of(folder, scans, ScanSelection(sequences=("08", "09"))) == ""
+    assert part_of(folder, scans[:1], ScanSelection(limit=1)) == "08-first-1"
+    (world.out / "eval/08/scores.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"scores\.txt · was changed"):
+        evaluate(scans[:1], world.out, SPACE, part=part)

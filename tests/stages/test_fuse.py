@@ -7,9 +7,10 @@ from command_line import only_json
 from scans import files_below
 from typer.testing import CliRunner
 
-from salsanext_cli import KnnParameters, label_space, read_labels, read_scan
+from salsanext_cli import KnnParameters, Scan, label_space, read_labels, read_scan
 from salsanext_cli.cli.app import app
 from salsanext_cli.errors import FormatError, NoInputError, OutputError, UsageError
+from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.fusion.poses import encode_poses
 from salsanext_cli.fusion.window import disagreement, fuse, fused_labels
 from salsanext_cli.options import FusionReach, ScanSelection
@@ -23,13 +24,23 @@ SPACE = label_space()
 STEMS = ("000000", "000001", "000002")
 
 
+def write_drive(world, count):
+    """Write scans of one place, each with its own noise, and their poses; return the folder."""
+    folder = world.data / "sequences/08"
+    scan = read_scan(world.scan())
+    for number in range(1, count):
+        noise = np.random.default_rng(number).normal(0, 0.02, scan.points.shape)
+        noisy = Scan((scan.points + noise).astype(np.float32), scan.intensity)
+        write_bin(folder / f"velodyne/{number:06}.bin", noisy)
+        shutil.copy(folder / "labels/000000.label", folder / f"labels/{number:06}.label")
+    (folder / "poses.txt").write_bytes(encode_poses(np.tile(np.eye(4), (count, 1, 1))))
+    return folder
+
+
 @pytest.fixture
 def drive(world):
-    """Predict a drive of three scans at one place, two of which are the same."""
-    folder = world.data / "sequences/08"
-    for kind, suffix in (("velodyne", "bin"), ("labels", "label")):
-        shutil.copy(folder / kind / f"000000.{suffix}", folder / kind / f"000002.{suffix}")
-    (folder / "poses.txt").write_bytes(encode_poses(np.tile(np.eye(4), (3, 1, 1))))
+    """Predict a drive of three scans at one place."""
+    folder = write_drive(world, 3)
     predict_scans(folder, world.out, network=world.network, extras=("probabilities",))
     return world
 
@@ -105,6 +116,36 @@ def test_new_labels_take_away_what_is_known_against_the_old(drive):
     assert not any(drive.result("views").parent.iterdir())
 
 
+def test_fused_labels_of_other_ones_are_refused(drive):
+    fuse_results(drive.out)
+    predict_scans(
+        drive.data / "sequences/08",
+        drive.out,
+        network=drive.network,
+        knn=KnnParameters(k=1),
+        options=RunOptions(overwrite=True),
+    )
+    with pytest.raises(OutputError, match="made anew"):
+        ResultFolder(drive.out / "fused").scans()
+
+
+def test_votes_of_other_scans_are_not_mixed(drive):
+    hidden = drive.result("probabilities", stem="000002")
+    hidden.rename(hidden.with_suffix(".hidden"))
+    assert [scan.stem for scan in fuse_results(drive.out).missing.scans] == ["000002"]
+    hidden.with_suffix(".hidden").rename(hidden)
+    with pytest.raises(OutputError, match="fused of 2 scans, now 3"):
+        fuse_results(drive.out)
+    assert fuse_results(drive.out, options=RunOptions(overwrite=True)).done == 3
+
+
+def test_a_drive_in_parts_is_a_finding(drive):
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[2, 0, 3] = 500
+    (drive.data / "sequences/08/poses.txt").write_bytes(encode_poses(poses))
+    assert set(fuse_results(drive.out).summary.findings) >= {"apart"}
+
+
 @pytest.mark.parametrize("lines", [2, 4])
 def test_poses_of_other_scans_are_refused_before_anything_is_written(drive, lines):
     poses = drive.data / "sequences/08/poses.txt"
@@ -131,6 +172,16 @@ def test_what_cannot_be_fused_is_said(world, drive):
         fuse_results(drive.out)
 
 
+def test_votes_for_classes_that_there_are_not_are_damage(drive):
+    shutil.rmtree(drive.out / "sequences/08/probabilities")
+    folder = drive.data / "sequences/08"
+    again = RunOptions(overwrite=True)
+    predict_scans(folder, drive.out, network=drive.network, extras=("votes",), options=again)
+    np.save(drive.result("votes"), np.full((1500, 3), 200 * 256, np.uint16))
+    outcome = fuse_results(drive.out)
+    assert [failure.code for failure in outcome.failures] == ["format"]
+
+
 def test_computed_poses_are_written_and_kept(drive):
     pytest.importorskip("small_gicp")
     (drive.data / "sequences/08/poses.txt").unlink()
@@ -144,13 +195,14 @@ def test_computed_poses_are_written_and_kept(drive):
 
 
 def test_predict_can_fuse_at_once(world):
-    folder = world.data / "sequences/08"
-    (folder / "poses.txt").write_bytes(encode_poses(np.tile(np.eye(4), (2, 1, 1))))
+    folder = write_drive(world, 2)
     words = ["predict", folder, world.out, "--weights", world.network.weights, "--fuse", "--json"]
     result = CliRunner().invoke(app, [*map(str, words), "--engine", "torch"])
     assert result.exit_code == 0, result.output
     assert only_json(result)["done"] == 2
     assert len(list((fused_folder(world) / "predictions").iterdir())) == 2
+    shared = CliRunner().invoke(app, [*map(str, words), "--engine", "torch", "--shard", "1/2"])
+    assert shared.exit_code == 2
     votes = np.load(world.result("votes"))
     assert (votes.dtype, votes.shape) == (np.uint16, (1500, 3))
     assert not world.result("probabilities").exists()

@@ -237,3 +237,38 @@ def test_logits_that_are_not_finite_are_an_error_of_weights_and_scan(world, tmp_
             assert "absurd.safetensors" in failure.reason
             assert str(failure.scan.path) in failure.reason
     assert not labels_below(world.out)
+
+
+def test_objects_are_numbered_in_the_upper_bits_and_have_a_row_each(world):
+    run(world)
+    plain = world.labels()
+    with pytest.raises(OutputError, match="objects was not set and is true"):
+        run(world, extras=("objects",))
+    run(world, extras=("objects",), options=RunOptions(overwrite=True))
+    raw = world.labels()
+    np.testing.assert_array_equal(raw & 0xFFFF, plain)
+    header, *lines = world.result("objects").read_text().splitlines()
+    assert header == "object,class,points,x,y,z,length,width,height,yaw"
+    rows = [line.split(",") for line in lines]
+    assert [int(row[0]) for row in rows] == list(range(1, int((raw >> 16).max()) + 1))
+    space, points = label_space(), read_scan(world.scan()).points
+    for number, name, count, *box in rows:
+        own = raw >> 16 == int(number)
+        assert own.sum() == int(count) >= 10
+        assert {space.names[train] for train in space.to_train(raw[own])} == {name}
+        x, y, z, length, width, height, yaw = map(float, box)
+        across = np.float64(points[own]) - (x, y, z)
+        c, s = np.cos(yaw), np.sin(yaw)
+        turned = np.abs(across @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
+        assert (turned <= np.array([length, width, height]) / 2 + 0.02).all()
+
+
+def test_several_sources_are_one_run(world):
+    sources = [world.scan("08", "000001"), world.data / "sequences/00", world.scan("08", "000001")]
+    assert run(world, sources).done == 2
+    assert world.labels("08", "000001").any()
+    twice = world.data / "other/sequences/08/velodyne/000001.bin"
+    twice.parent.mkdir(parents=True)
+    shutil.copy(world.scan("08", "000001"), twice)
+    with pytest.raises(OutputError, match="2 scans of that name"):
+        run(world, [twice, world.scan("08", "000001")])

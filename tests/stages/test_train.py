@@ -233,6 +233,29 @@ def test_the_recipe_of_a_run_resumes_it_unless_it_was_edited(dataset, tmp_path):
     assert (run / "recipe.toml").read_text("utf-8") == text
 
 
+def test_more_epochs_go_on_as_if_they_had_been_asked_for_at_first(dataset, tmp_path, caplog):
+    run, steps, steady = tmp_path / "run", [], TINY.with_changes(schedule="decay")
+    caplog.set_level("DEBUG", "salsanext_cli")
+    go(dataset, run, recipe=steady.with_changes(epochs=1))
+    assert "training from random weights" in caplog.text
+    caplog.clear()
+    parts = go(dataset, run, recipe=steady, progress=lambda report: steps.append(report.step))
+    assert steps[0] == 3
+    assert "going on after 1 of 3 epochs, step 2, from" in caplog.text
+    assert "random" not in caplog.text
+    require_same(go(dataset, tmp_path / "whole", recipe=steady), parts)
+    with pytest.raises(OutputError, match=r"recipe\.epochs was 3 and is 2"):
+        go(dataset, run, recipe=steady.with_changes(epochs=2), progress=no_step)
+
+
+@pytest.mark.parametrize("changes", [{}, {"schedule": "decay", "whole_epochs": 1}])
+def test_more_epochs_are_refused_where_the_first_ones_would_be_others(dataset, tmp_path, changes):
+    plan = TINY.with_changes(epochs=1, **changes)
+    go(dataset, tmp_path / "run", recipe=plan)
+    with pytest.raises(OutputError, match=r"recipe\.epochs was 1 and is 2"):
+        go(dataset, tmp_path / "run", recipe=plan.with_changes(epochs=2), progress=no_step)
+
+
 def test_files_that_no_training_wrote_are_not_replaced(dataset, tmp_path):
     stop_at(dataset, tmp_path / "run", 3)
     for name in ("best.safetensors", "checkpoint.safetensors", "log.csv", "recipe.toml"):

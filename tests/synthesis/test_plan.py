@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from salsanext_cli.synthesis import surfaces
-from salsanext_cli.synthesis.presets import STYLES
+from salsanext_cli.synthesis.presets import STYLES, Numbers
 from salsanext_cli.synthesis.street.plan import REACH_M, draw_plan, ground
 
 PLANS = [draw_plan(np.random.default_rng(seed), STYLES[seed], 160.0) for seed in range(len(STYLES))]
@@ -85,3 +85,17 @@ def test_the_ground_has_no_holes_and_the_plans_labels():
         surfaces.ROAD, surfaces.MARKING, surfaces.PARKING, surfaces.SIDEWALK, surfaces.TERRAIN,
         surfaces.OTHER_GROUND,
     }  # fmt: skip
+
+
+def test_an_embankment_is_steep_and_green():
+    style = Numbers(**vars(STYLES[0]) | {"embankment": 1.0})
+    for seed in range(5):
+        plan = draw_plan(np.random.default_rng(seed), style, 160.0)
+        for side in plan.sides:
+            assert {lot.kind for lot in side.lots} <= {"thicket", "scrub", "field", "green"}
+            assert 0.35 <= abs(side.bank.slope) <= 0.9
+            s = away_from_crossings(plan, side)
+            foot = side.depth + side.bank.start
+            ends = (foot, foot + side.bank.width)
+            low, high = (plan.relief(s, np.full_like(s, side.sign * (plan.half + e))) for e in ends)
+            np.testing.assert_allclose(high - low, side.bank.slope * side.bank.width)

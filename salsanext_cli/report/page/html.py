@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from importlib import resources
 from string import Template
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, escaped, printable
 from salsanext_cli.measures.scan_counts import RING_NAMES
-from salsanext_cli.measures.scores import Confusion, Counts, scores
+from salsanext_cli.measures.scores import Confusion, Counts, ring_rows, scores
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
 from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
 from salsanext_cli.report.page.run_results import (
@@ -60,6 +61,7 @@ def html_of(
     shown: Sequence[ShownScan],
     scales: Mapping[str, Scale],
     failures: Sequence[str] = (),
+    maps: Mapping[str, bytes] = MappingProxyType({}),
     *,
     served: Mapping[str, str] | None = None,
     token: str = "",
@@ -67,6 +69,7 @@ def html_of(
     """Return the page of a run; every text that comes from files or names is escaped.
 
     `shown`: scans whose points the page holds; `failures`: reasons why scans are left out;
+    `maps`: PNGs of drives by title;
     `served`: scans whose points it asks a server for, by name, with the reason to look at them,
     which may be empty; `token`: that of the server.
     """
@@ -101,6 +104,7 @@ def html_of(
         facts="".join(f"<dt>{_text(name)}</dt><dd>{_text(fact)}</dd>" for name, fact in facts),
         warnings=_listed("Warnings", '<ul class="warnings">', "</ul>", warnings),
         shares=_shares(class_points.sum(axis=0), compared, space, colours),
+        maps=_figures(maps),
         plots=comparison,
         plots_link='<a href="#plots">Comparison</a>' if comparison else "",
         data="".join(blocks),
@@ -199,23 +203,31 @@ def _comparison(compared: Comparison, space: LabelSpace) -> str:
     confusions = _confusions(compared.counts.confusion, space)
     parts = _rings(compared, space)
     parts += _listed("Largest confusions", '<ol class="confusions">', "</ol>", confusions)
-    figures = "".join(
-        f'<figure tabindex="0"><img alt="{_text(PICTURES[name])}" '
-        f'src="data:image/png;base64,{b64encode(png).decode("ascii")}"></figure>'
-        for name, png in uncertainty_pictures(compared.uncertainty, space).items()
-    )
-    parts += f'<div class="plots">{figures}</div>' * bool(figures)
+    pictures = uncertainty_pictures(compared.uncertainty, space)
+    parts += _figures({PICTURES[name]: png for name, png in pictures.items()})
     return f'<section id="plots"><h2>Comparison with labels</h2>{parts}</section>' * bool(parts)
+
+
+def _figures(pictures: Mapping[str, bytes]) -> str:
+    """Return PNGs, by what they show."""
+    figures = "".join(
+        f'<figure tabindex="0"><img alt="{_text(text)}" '
+        f'src="data:image/png;base64,{b64encode(png).decode("ascii")}"></figure>'
+        for text, png in pictures.items()
+    )
+    return f'<div class="plots">{figures}</div>' * bool(figures)
 
 
 def _rings(compared: Comparison, space: LabelSpace) -> str:
     """Return a table of the scores of the rings of distance; none if they were not counted."""
-    names = ("distance", "mean IoU %", "accuracy %", "points")
+    rings = (scores(ring, space) for ring in compared.counts.rings)
+    found = dict(zip(RING_NAMES, rings, strict=bool(compared.counts.rings)))
+    names = ("distance", "mean IoU % of the same classes", "accuracy %", "points", "absent classes")
     lines = []
-    for name, ring in zip(RING_NAMES, compared.counts.rings, strict=bool(compared.counts.rings)):
-        if (found := scores(ring, space)).points:
-            shares = (percent(found.iou_mean_present), percent(found.accuracy))
-            cells = (name, *shares, f"{found.points:,}")
+    for name, ring, mean, absent in ring_rows(found):
+        if ring.points:
+            shares = (percent(mean), percent(ring.accuracy))
+            cells = (name, *shares, f"{ring.points:,}", ", ".join(absent))
             lines.append("".join(f"<td>{_text(cell)}</td>" for cell in cells))
     heading = "".join(f"<th>{name}</th>" for name in names)
     table = "".join(f"<tr>{line}</tr>" for line in (heading, *lines))

@@ -46,7 +46,16 @@ LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
 """Kinds of uncertainty by how well they tell which scan is uncertain."""
 DOUBT = "doubt"
 """1 − the largest probability, which is shown as confidence."""
-UNCERTAIN = ("error", "entropy", DOUBT, "epistemic", "aleatoric", "total", "mutual_information")
+UNCERTAIN = (
+    "error",
+    "entropy",
+    "disagreement",
+    DOUBT,
+    "epistemic",
+    "aleatoric",
+    "total",
+    "mutual_information",
+)
 """Values by which points can be hidden, in the order in which they are offered."""
 SCALARS = (*UNCERTAIN, "range", "intensity")
 """Values that are shown on a scale; labels are not."""

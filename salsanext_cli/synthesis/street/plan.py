@@ -5,6 +5,7 @@ Positions are given along the street and across it: ``s`` metres along the centr
 metres to its left. Everything here is vectorised over s and t.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,8 @@ RUN_OUT_M = 70.0
 """Length of the street behind the first scan and beyond the last one."""
 MULTILANE_HALF_WIDTH_M = 5.5
 """Half the width of a carriageway from which on it has more than a lane per direction."""
+GREEN = ("thicket", "scrub", "field", "green")
+"""Kinds of lot on an embankment."""
 PAVED = (Material.PAVING, Material.PAVING, Material.PAVING, Material.ASPHALT)
 """Materials of paved ground, each as likely as it is listed."""
 CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
@@ -59,6 +62,15 @@ class Crossing:
 
 
 @dataclass(frozen=True, slots=True)
+class Bank:
+    """Slope of the ground beside the street, up or down, between two levels."""
+
+    slope: float  # Rise per metre away from the street
+    start: float  # Distance from the lots' edge to its foot
+    width: float  # From foot to top
+
+
+@dataclass(frozen=True, slots=True)
 class Side:
     """One side of the street: widths of its strips from the kerb outwards, then the lots."""
 
@@ -71,6 +83,7 @@ class Side:
     raised_parking: bool
     lots: tuple[Lot, ...]
     crossings: tuple[Crossing, ...]  # Those to this side
+    bank: Bank
 
     @property
     def depth(self) -> float:
@@ -132,7 +145,6 @@ class Plan:
     y: Array
     heading: Array
     waves: Array  # (4, M): amplitude, x and y wave number and phase of the rolling ground
-    bank: tuple[float, float]  # Slope of the ground beyond the verge, left and right
     crossings: tuple[Crossing, ...]
     sides: tuple[Side, Side]  # Left and right
 
@@ -158,12 +170,13 @@ class Plan:
     def relief(self, s: Array, t: Array) -> Array:
         """Height of kerbs, camber and banks above the landscape."""
         height = -0.015 * np.minimum(np.abs(t), self.half)
-        for side, slope in zip(self.sides, self.bank, strict=True):
+        for side in self.sides:
             beyond = side.sign * t - self.half
             inside = (beyond > 0) & ~side.on_side_street(s, beyond)
             flat = side.parking if not side.raised_parking else 0.0
             height = height + side.kerb_height(s) * (inside & (beyond > flat))
-            rise = slope * np.clip(beyond - side.depth - 0.5, 0, 14)
+            bank = side.bank
+            rise = bank.slope * np.clip(beyond - side.depth - bank.start, 0, bank.width)
             level = np.clip(side.from_side_street(s) / 6, 0, 1)
             height = height + rise * level * (beyond > 0)
         return height
@@ -200,6 +213,8 @@ class Plan:
             s += [edge for lot in side.lots for edge in (lot.start, *lot.drive)]
             strips = [0, side.parking, side.parking + side.verge, side.depth]
             strips += [side.depth + lot.setback for lot in side.lots]
+            foot = side.depth + side.bank.start
+            strips += [foot, foot + side.bank.width]
             t += [side.sign * (self.half + strip) for strip in strips]
             t += [side.sign * (self.half - 0.36), side.sign * (self.half - 0.24)]
             t += list(side.sign * (self.half + CORNER_LINES_M))
@@ -218,10 +233,9 @@ def draw_plan(rng: Rng, style: Numbers, length: float) -> Plan:
         rng.choice([-1, 1], 5) * 2 * np.pi / longest * rng.uniform(0.3, 1, 5) for _ in range(2)
     )
     waves = np.array([amplitude, kx, ky, rng.uniform(0, 2 * np.pi, 5)])
-    bank = (rng.uniform(-0.6, 1) * style.bank, rng.uniform(-0.6, 1) * style.bank)
     x, y = np.cumsum(np.cos(heading)) * 0.5, np.cumsum(np.sin(heading)) * 0.5
     left, right = (_side(rng, style, sign, length, crossings) for sign in (LEFT, RIGHT))
-    return Plan(style, length, half, knots, x, y, heading, waves, bank, crossings, (left, right))
+    return Plan(style, length, half, knots, x, y, heading, waves, crossings, (left, right))
 
 
 def _heading(rng: Rng, knots: Array) -> Array:
@@ -259,25 +273,33 @@ def _side(
     sidewalk = rng.uniform(*style.sidewalk_width) if rng.random() < style.sidewalk else 0.0
     kerb = rng.uniform(0.02, 0.14) if sidewalk and rng.random() >= style.flush else 0.0
     strip = surfaces.OTHER_GROUND if rng.random() < style.gravel else surfaces.TERRAIN
+    bank = Bank(rng.uniform(-0.6, 1) * style.bank, 0.5, 14.0)
+    kinds = style.lots
+    if rng.random() < style.embankment:
+        steep = rng.uniform(0.35, 0.9) * rng.choice([1, 1, 1, -1])
+        bank = Bank(steep, rng.uniform(0.2, 8), rng.uniform(2.5, 10))
+        kinds = {kind: share for kind, share in kinds.items() if kind in GREEN} or {"scrub": 1}
     lots: list[Lot] = []
     position = 0.0
     here = tuple(crossing for crossing in crossings if sign in crossing.sides)
     for crossing in here:
-        lots += _lots(rng, style, position, crossing.s - crossing.half - crossing.pavement)
+        lots += _lots(rng, style, kinds, position, crossing.s - crossing.half - crossing.pavement)
         position = crossing.s + crossing.half + crossing.pavement
-    lots += _lots(rng, style, position, length)
+    lots += _lots(rng, style, kinds, position, length)
     raised = bool(rng.random() < 0.5)
-    return Side(sign, parking, verge, strip, sidewalk, kerb, raised, tuple(lots), here)
+    return Side(sign, parking, verge, strip, sidewalk, kerb, raised, tuple(lots), here, bank)
 
 
-def _lots(rng: Rng, style: Numbers, start: float, end: float) -> list[Lot]:
+def _lots(
+    rng: Rng, style: Numbers, kinds: Mapping[str, float], start: float, end: float
+) -> list[Lot]:
     """Fill the stretch between two side streets with lots."""
     lots: list[Lot] = []
     setback = rng.uniform(*style.setback)
     while end - start > 1:
         width = rng.uniform(*style.lot_width)
         stop = end if end - start - width < style.lot_width[0] * 0.6 else start + width
-        kind = weighted_choice(rng, style.lots)
+        kind = weighted_choice(rng, kinds)
         lots.append(_lot(rng, kind, start, stop, setback + rng.uniform(-0.15, 0.15) * setback))
         start = stop
     return lots

@@ -22,7 +22,7 @@ IN_A_ROW_M = 1.95
 
 def furnish(builder: Builder, side: Side) -> None:
     """Fill the strips of one side: parked cars, trees, lamps, signs, people, clutter."""
-    for fill in (_parked, _trees, _lamps, _signs, _crowd, _clutter):
+    for fill in (_road_works, _parked, _trees, _lamps, _signs, _crowd, _clutter):
         fill(builder, side)
     for crossing in side.crossings:
         _side_street(builder, side, crossing)
@@ -33,6 +33,20 @@ def separate_directions(builder: Builder) -> None:
     plan, shade = builder.plan, builder.between(0.6, 1.3)
     piece = partial(boundaries.fence, builder.rng, kind="barrier", height=0.8, shade=shade)
     builder.put_line(piece, plan.sides[0], 0.0, plan.length, -plan.half)
+
+
+def _road_works(builder: Builder, side: Side) -> None:
+    """Close off a stretch of the edge of the carriageway with a row of blocks."""
+    if not builder.chance(builder.plan.style.works):
+        return
+    start = builder.along()
+    end = min(start + builder.between(8, 50), builder.plan.length - 1)
+    height, shade = builder.between(0.75, 1.1), builder.between(0.5, 1.5)
+    length, gap = builder.between(1, 4), builder.between(0, 0.4)
+    piece = boundaries.fence(builder.rng, length - gap, "block", height, shade)
+    out = builder.between(-0.7, 0.5)
+    for s in np.arange(start, end, length):
+        builder.put_if_free(piece, side, float(s), out + builder.rng.normal(0, 0.04), 0.45 * length)
 
 
 def _parked(builder: Builder, side: Side) -> None:

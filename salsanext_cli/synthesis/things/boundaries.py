@@ -15,6 +15,11 @@ PALES = {
     "mesh": (Material.METAL, 0.1, 0.018),
 }
 """Material, distance and width of the upright pieces, metres."""
+BLOCK_OUTLINE = np.array(
+    [[-0.3, 0], [-0.3, 0.08], [-0.15, 0.35], [-0.09, 1], [0.09, 1], [0.15, 0.35], [0.3, 0.08]]
+    + [[0.3, 0]]
+)
+"""Cross-section of a block of road works, in metres and in shares of its height."""
 HEDGE_OUTLINE = np.array(
     [[-0.5, 0.0], [-0.52, 0.35], [-0.5, 0.7], [-0.42, 0.95], [0, 1.0]]
     + [[0.42, 0.95], [0.5, 0.7], [0.52, 0.35], [0.5, 0.0]]
@@ -23,7 +28,13 @@ HEDGE_OUTLINE = np.array(
 
 
 def fence(rng: Rng, length: float, kind: str, height: float, shade: float) -> Mesh:
-    """Return a fence, one of `FENCES` or a crash ``"barrier"``."""
+    """Return a fence, one of `FENCES`, a crash ``"barrier"`` or a ``"block"`` of road works."""
+    if kind == "block":
+        skin = Skin(FENCE, Material.PAVING, shade)
+        section = BLOCK_OUTLINE * [1, height]
+        ends = np.array([0.0, length])[:, None, None]
+        sides = np.broadcast_to(section, (2, *section.shape))
+        return loft(np.concatenate([np.broadcast_to(ends, (2, len(section), 1)), sides], -1), skin)
     if kind == "wall":
         skin = Skin(FENCE, Material.BRICK, shade)
         body = box((0, -0.12, FOOT_M), (length, 0.12, height), skin)

@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: MIT
+import gzip
 import re
 import struct
 
 import numpy as np
 import pytest
 
+from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats import kitti
 from salsanext_cli.formats.kitti import evident_count, read_labels
+from salsanext_cli.results.layout import find_scans
 
 
 def five_columns(count, seed=0):
@@ -23,6 +26,33 @@ def test_bytes_are_little_endian_x_y_z_intensity(tmp_path):
     assert scan.points.tolist() == [[1, -2, 3], [4, 5, -6]]
     assert scan.intensity.tolist() == [0.5, 0.25]
     assert kitti.encode_bin(scan) == path.read_bytes()
+
+
+@pytest.mark.parametrize("name", ["s.bin.gz", "S.BIN.GZ", "s.pcd.bin.gz"])
+def test_compressed_files_are_read_as_the_others(tmp_path, name):
+    width = 5 if "pcd" in name else 4
+    table = np.random.default_rng(0).uniform(1, 9, (300, width)).astype("<f4")
+    (tmp_path / name).write_bytes(gzip.compress(table.tobytes()))
+    scan = read_scan(tmp_path / name)
+    np.testing.assert_array_equal(scan.points, table[:, :3])
+    np.testing.assert_array_equal(scan.intensity, table[:, 3])
+    assert (scan.ring is None) == (width == 4)
+    assert [file.stem for file in find_scans(tmp_path)] == ["S" if name[0] == "S" else "s"]
+
+
+def test_compressed_files_that_are_damaged_or_too_large(tmp_path, monkeypatch):
+    path, whole = tmp_path / "s.bin.gz", gzip.compress(bytes(1 << 16))
+    monkeypatch.setattr(kitti, "MAX_DECOMPRESSED_BYTES", 1 << 15)
+    for content, message in {
+        b"": "is empty",
+        gzip.compress(bytes(1 << 9))[:-9]: "damaged or cut off",
+        b"plain" * 9: "damaged or cut off",
+        gzip.compress(b""): "is empty",
+        whole: "more than 0 MiB when decompressed",
+    }.items():
+        path.write_bytes(content)
+        with pytest.raises(FormatError, match=message):
+            read_scan(path)
 
 
 @pytest.mark.parametrize("size", [1, 15, 17, 16 * 9 + 8])

@@ -31,7 +31,7 @@ OTHERS = {
     "html": (b"<!DOCTYPE html><html>Not found</html>\n" * 16, "is text"),
     "ply": (b"ply\nformat binary_little_endian 1.0\n" + bytes(16 * 99), r"is a \.ply file"),
     "npy": (npy(TABLE), r"is a \.npy file"),
-    "gzip": (gzip.compress(encode_bin(SCAN)), r"is a \.gz file"),
+    "gzip": (gzip.compress(encode_bin(SCAN)), r"is a \.bin\.gz file"),
     "float64": (TABLE.astype("<f8").tobytes(), "holds float64"),
     "float64, decimals": (TABLE.astype("<f8").round(3).tobytes(), "holds float64"),
     "float64, dyadic": (np.rint(TABLE.astype("<f8") * 128) / 128, "holds float64"),

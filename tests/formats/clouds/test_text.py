@@ -33,6 +33,14 @@ TABLES = {
 }
 
 
+@pytest.mark.parametrize("suffix", [".asc", ".txt", ".pts"])
+def test_suffixes_that_cloudcompare_writes(tmp_path, suffix):
+    path = tmp_path / f"s{suffix}"
+    path.write_text("//X;Y;Z;Intensity\n2\n1.5;-2;3e-3;0.25\n4;5;-6;1\n")
+    scan = read_scan(path)
+    np.testing.assert_array_equal(np.column_stack([scan.points, scan.intensity]), np.float32(ROWS))
+
+
 @pytest.mark.parametrize("name", TABLES)
 def test_tables_of_several_programs(tmp_path, name):
     path = tmp_path / "s.csv"

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: MIT
+"""Objects of a scan: connected components of the range image, and boxes around them.
+
+Pixels of one class are connected where the line between their points meets the beam of the farther
+one at more than an angle (Bogoslavskyi & Stachniss, IROS 2016): along a surface it does, from one
+thing to another behind it hardly. Near points are connected at any angle. The image goes on around
+in azimuth, and pixels without a return are bridged. A box is the upright rectangle to whose sides
+the points are closest (L-shape fit: Zhang, Xu, Dong, Dolan, IV 2017).
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes.label_space import TrainIds
+from salsanext_cli.compiled import argument, compiled
+from salsanext_cli.geometry.projection import pixels_from_points
+from salsanext_cli.records import Float, Int, RangeImage
+
+Objects = npt.NDArray[np.uint16]
+COLUMNS, ROWS = 6, 4
+"""Pixels to the right and below that may be neighbours."""
+LARGEST_COSINE = np.float32(np.cos(np.radians(8.0)))
+"""Of the angle between beam and line above which points are connected."""
+NEAR_M, FAR_M = np.float32(0.4), np.float32(1.5)
+"""Distances below which points are connected at any angle, and above which at none."""
+SAME_M, MIN_POINTS = np.float32(1.0), 10
+"""Largest difference in range to the pixel whose object a point joins; fewest points of one."""
+ANGLES_RAD = np.radians(np.arange(0.0, 90.0, 1.5))
+"""Directions of the sides of a box that are tried."""
+BOX = ("x", "y", "z", "length", "width", "height", "yaw")
+"""Numbers of a box: centre and sizes in metres; the angle of its longer side from x in radians."""
+NEAREST_M, MAX_FITTED = np.float32(0.05), 128
+"""Distance below which points are equally close to a side; points of an object that are fitted."""
+
+
+def find_objects(image: RangeImage, labels: TrainIds, things: npt.NDArray[np.bool_]) -> Objects:
+    """Return the number of the object of each point, (N,) uint16 from 1; 0 for none.
+
+    `labels` (N,): train ids of the points; `things` (C,): classes that consist of objects.
+    """
+    wanted = (np.arange(len(things), dtype=np.uint8) * things)[labels]
+    seen = pixels_from_points(wanted, image.point_of_pixel)
+    channels = argument(image.channels, np.float32)
+    component = components(channels, seen)
+    pixels = argument(image.pixel_of_point, np.int32)
+    found = nearest_pixels(wanted, pixels, argument(image.point_range, np.float32), channels, seen)
+    inside = np.flatnonzero(found >= 0)
+    own = component[found[inside]]
+    _, place, sizes = np.unique(own, return_inverse=True, return_counts=True)
+    large = sizes >= MIN_POINTS
+    objects = np.zeros(len(labels), np.uint16)
+    objects[inside] = (np.cumsum(large) * large)[place]
+    return objects
+
+
+@compiled
+def root(parent: Int, pixel: int) -> int:
+    """Return the first pixel of a pixel's component, and shorten the way there."""
+    while parent[pixel] != pixel:
+        parent[pixel] = parent[parent[pixel]]
+        pixel = parent[pixel]
+    return pixel
+
+
+@compiled
+def connected(image: Float, v: int, u: int, row: int, column: int) -> bool:
+    """Say whether the points of two pixels of a range image (5, H, W) are of one surface."""
+    if image[0, v, u] > image[0, row, column]:
+        v, u, row, column = row, column, v, u
+    x, y, z = image[1, row, column], image[2, row, column], image[3, row, column]
+    dx, dy, dz = x - image[1, v, u], y - image[2, v, u], z - image[3, v, u]
+    distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+    along = (x * dx + y * dy + z * dz) / image[0, row, column]
+    apart: bool = distance > NEAR_M and (distance > FAR_M or along >= LARGEST_COSINE * distance)
+    return not apart
+
+
+@compiled
+def components(image: Float, labels: TrainIds) -> Int:
+    """Return the first pixel of each pixel's component, (H · W,) int32, of an image (5, H, W)."""
+    height, width = labels.shape
+    parent = np.arange(height * width).astype(np.int32)
+    for v in range(height):
+        for u in range(width):
+            # To the right and below.
+            for step in range(1, (COLUMNS + ROWS + 1) * (labels[v, u] > 0)):
+                row = v if step <= COLUMNS else v + step - COLUMNS
+                column = (u + step) % width if step <= COLUMNS else u
+                if row >= height or labels[row, column] != labels[v, u]:
+                    continue
+                if connected(image, v, u, row, column):
+                    a, b = root(parent, v * width + u), root(parent, row * width + column)
+                    parent[max(a, b)] = min(a, b)
+    for pixel in range(height * width):
+        parent[pixel] = root(parent, pixel)
+    return parent
+
+
+@compiled
+def nearest_pixels(
+    labels: TrainIds, pixel_of_point: Int, point_range: Float, image: Float, seen: TrainIds
+) -> Int:
+    """Return the pixel of each point's class around it that is nearest in range, (N,); else -1."""
+    height, width = seen.shape
+    found = np.full(len(labels), -1, np.int32)
+    for i in range(len(labels)):
+        if labels[i] == 0 or pixel_of_point[i] < 0:
+            continue
+        v, u, least = pixel_of_point[i] // width, pixel_of_point[i] % width, SAME_M
+        for row in range(max(v - 2, 0), min(v + 3, height)):
+            for column in range(u - 2, u + 3):
+                place = row * width + column % width
+                if seen[row, column % width] == labels[i]:
+                    difference = abs(image[0, row, column % width] - point_range[i])
+                    if difference < least:
+                        least, found[i] = difference, place
+    return found
+
+
+def fit_boxes(points: Float, objects: Objects) -> list[list[float]]:
+    """Return the `BOX` of each object, by the number of the object (N,) of each point (N, 3)."""
+    inside = np.flatnonzero(objects)
+    inside = inside[np.argsort(objects[inside], kind="stable")]
+    ends = np.cumsum(np.bincount(objects)[1:])
+    return [fit_box(own) for own in np.split(points[inside], ends[:-1]) if len(own)]
+
+
+def fit_box(points: Float) -> list[float]:
+    """Return the `BOX`, upright, around points (N, 3) of an object that is seen from one side."""
+    some = points[:: len(points) // MAX_FITTED + 1, :2]
+    c, s = np.cos(ANGLES_RAD).astype(np.float32), np.sin(ANGLES_RAD).astype(np.float32)
+    closest = np.full((len(some), len(c)), np.inf, np.float32)
+    for coordinates in (some @ np.stack([c, s]), some @ np.stack([-s, c])):
+        np.minimum(closest, coordinates - coordinates.min(axis=0), out=closest)
+        np.minimum(closest, coordinates.max(axis=0) - coordinates, out=closest)
+    best = (1 / np.maximum(closest, NEAREST_M)).sum(axis=0).argmax()
+    yaw, c, s = ANGLES_RAD[best], c[best], s[best]
+    turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    turned = points @ turn.T
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    length, width, height = high - low
+    if width > length:
+        length, width, yaw = width, length, yaw - np.pi / 2
+    return [*((low + high) / 2 @ turn).tolist(), float(length), float(width), float(height), yaw]

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: MIT
+"""Differences of two runs on the same scans, with paired intervals over the scans."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.measures.scan_counts import RING_NAMES
+from salsanext_cli.measures.scores import Counts, Mask, Ratios, ious, plain, ratio
+from salsanext_cli.results.layout import ScanFile
+
+RESAMPLES, SEED = 1000, 0
+MIN_SCANS = 5
+"""Fewer scans have no interval: their resamples are too much alike."""
+NAMED = 10
+"""Scans, and pairs of classes, that are named."""
+
+
+class Difference(NamedTuple):
+    """Score of two runs, 0…1, and the 95 % interval of the difference; NaN where there is none."""
+
+    before: float
+    after: float
+    difference: float
+    low: float
+    high: float
+
+
+def paired_differences(sums: Counts, held: Mask) -> list[Difference]:
+    """Return the differences of accuracy, of the mean IoU of the held classes, and of each IoU.
+
+    `sums`: (S, 2, 3, C), `class_sums` of S scans by both runs. The scans of each resample are drawn
+    for both runs alike.
+    """
+    random, flat = np.random.default_rng(SEED), sums.reshape(len(sums), -1)
+    totals = [flat.sum(axis=0)]
+    for _ in range(RESAMPLES if len(sums) >= MIN_SCANS else 0):
+        drawn = np.bincount(random.integers(len(sums), size=len(sums)), minlength=len(sums))
+        totals.append(drawn @ flat)
+    found = _scores(np.array(totals).reshape(-1, *sums.shape[1:]), held)
+    of_sample, *of_resamples = found[:, 1] - found[:, 0]
+    # A class that a resample lacks has no difference there.
+    known = [[each for each in column if not math.isnan(each)] for column in zip(*of_resamples)]  # noqa: B905
+    bounds = [np.percentile(each, (2.5, 97.5)) if each else (math.nan,) * 2 for each in known]
+    columns = zip(*found[0], of_sample, bounds or [(math.nan,) * 2] * len(of_sample), strict=True)
+    return [Difference(*map(float, (*scores, *bound))) for *scores, bound in columns]
+
+
+def _scores(sums: Counts, held: Mask) -> Ratios:
+    """Return accuracy, mean IoU and IoUs (R, 2, 2 + C) of class sums (R, 2, 3, C)."""
+    of_classes, (hits, truths, _) = ious(sums), np.moveaxis(sums.sum(axis=-1), -1, 0)
+    # The truth is the same for both runs, and so are the classes of the mean.
+    known = held & (sums[:, :, 1] > 0)
+    total = np.where(known, of_classes, 0).sum(axis=-1)
+    mean = np.where(known.any(axis=-1), total / np.maximum(known.sum(axis=-1), 1), np.nan)
+    return np.concatenate([ratio(hits, truths)[..., None], mean[..., None], of_classes], axis=-1)
+
+
+class ScanPair(NamedTuple):
+    """Labels of one scan by two runs, in numbers."""
+
+    file: ScanFile
+    turned: Counts  # (C, C): points by label of the first run and of the second
+    # (1 + rings, 2, 3, C): class sums of all points, and of each ring, by run; None without truth
+    sums: Counts | None = None
+    trained_on: bool = False  # Whether the weights of a run were trained on it
+
+    @property
+    def gain(self) -> float:
+        """Difference of the accuracies; NaN without truth."""
+        points = 0 if self.sums is None else self.sums[0, 0, 1].sum()
+        hits = self.sums[0, :, 0].sum(axis=-1) if self.sums is not None else (0, 0)
+        return float((hits[1] - hits[0]) / points) if points else math.nan
+
+
+def changed(turned: Counts) -> float:
+    """Return the share that has not the same label in both runs, of points with one in either."""
+    points = int(turned.sum() - turned[0, 0])
+    return 1 - int(turned.trace() - turned[0, 0]) / points if points else 0.0
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """Comparison of two runs on the same scans."""
+
+    space: LabelSpace  # Classes of both
+    pairs: Sequence[ScanPair]  # At least one
+
+    @cached_property
+    def sums(self) -> Counts:
+        """Class sums (S, 1 + rings, 2, 3, C) of the scans with truth that no run was trained on."""
+        known = [p.sums for p in self.pairs if p.sums is not None and not p.trained_on]
+        return np.array(known) if known else np.zeros((0, 1, 2, 3, self.space.class_count), int)
+
+    @cached_property
+    def scores(self) -> dict[str, Difference]:
+        """Accuracy, mean IoU of the classes present, and IoU of each of these; empty without."""
+        held = self.sums[:, 0, 0, 1].sum(axis=0) > 0
+        if not held.any():
+            return {}
+        accuracy, mean, *classes = paired_differences(self.sums[:, 0], held)
+        named = zip(self.space.names, classes, held, strict=True)
+        of_classes = {name: each for name, each, is_held in named if is_held}
+        return {"accuracy": accuracy, f"mean IoU, {held.sum()} classes": mean} | of_classes
+
+    @cached_property
+    def rings(self) -> dict[str, tuple[Difference, Difference]]:
+        """Accuracy, and mean IoU of the classes that all rings with points hold, by ring."""
+        held = self.sums[:, 1:, 0, 1].sum(axis=0) > 0
+        same = held[held.any(axis=1)].all(axis=0)
+        rings = zip(RING_NAMES, np.moveaxis(self.sums[:, 1:], 1, 0), held, strict=False)
+        found = {name: paired_differences(s, same)[:2] for name, s, any_ in rings if any_.any()}
+        return {name: (accuracy, mean) for name, (accuracy, mean) in found.items()}
+
+    @cached_property
+    def turned(self) -> Counts:
+        """Points (C, C) of all scans by label of the first run and of the second."""
+        turned: Counts = np.sum([pair.turned for pair in self.pairs], axis=0)
+        return turned
+
+    def turns(self) -> list[tuple[str, str, int, float]]:
+        """Return which classes turned into which, most points first, and the share that did."""
+        off, names = self.turned * ~np.eye(len(self.turned), dtype=bool), self.space.names
+        most = np.unravel_index(np.argsort(-off, axis=None, kind="stable")[:NAMED], off.shape)
+        return [
+            (names[a], names[b], int(off[a, b]), float(off[a, b] / self.turned[a].sum()))
+            for a, b in zip(*most, strict=True)
+            if off[a, b]
+        ]
+
+    def most_changed(self) -> list[ScanPair]:
+        """Return the scans that changed most, those first."""
+        found = (pair for pair in self.pairs if changed(pair.turned))
+        return sorted(found, key=lambda pair: (-changed(pair.turned), pair.file))[:NAMED]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON; null stands for NaN."""
+        return dict(
+            plain(
+                {
+                    "label_space": self.space.name,
+                    "scans": len(self.pairs),
+                    "scored": len(self.sums),
+                    "trained_on": [pair.file.name for pair in self.pairs if pair.trained_on],
+                    "agreement": 1 - changed(self.turned),
+                    "turned": self.turns(),
+                    "scores": {name: each._asdict() for name, each in self.scores.items()},
+                    "by_distance": {
+                        name: {"accuracy": accuracy._asdict(), "iou_mean_same": mean._asdict()}
+                        for name, (accuracy, mean) in self.rings.items()
+                    },
+                    "changed_most": [
+                        {"scan": p.file.name, "changed": changed(p.turned), "gain": p.gain}
+                        for p in self.most_changed()
+                    ],
+                }
+            )
+        )

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: MIT
+"""Panoptic quality, as SemanticKITTI's benchmark defines it (Kirillov et al., CVPR 2019).
+
+A segment is all points of one class and one instance in a scan, without those whose truth is
+ignored. Two segments of a class match if their IoU is above 0.5; what matches none is a miss or a
+false alarm, from 50 points on. SQ is the mean IoU of the matches, RQ their number over itself and
+half of both others, PQ = SQ · RQ.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
+from salsanext_cli.measures.scores import EPSILON, Mask, Ratios
+
+MIN_SEGMENT_POINTS = 50
+COLUMNS = ("pq", "sq", "rq", "matches", "false_alarms", "misses")
+
+
+def count_segments(
+    truth: tuple[TrainIds, RawIds], predicted: tuple[TrainIds, RawIds], scored: Mask
+) -> Ratios:
+    """Match the segments of a scan, of train ids and of raw ids with instances, (N,) each.
+
+    Returns sum of IoU, matches, false alarms, misses, true objects of each class, (C, 5) float64.
+    """
+    kept = scored[truth[0]]
+    (true, of_true, true_sizes), (found, of_found, found_sizes) = (
+        np.unique((train.astype(np.int64) << 16 | raw >> 16)[kept], False, True, True)
+        for train, raw in (truth, predicted)
+    )
+    pairs, common = np.unique(of_true * len(found) + of_found, return_counts=True)
+    a, b = np.divmod(pairs, max(len(found), 1))
+    iou = common / (true_sizes[a] + found_sizes[b] - common)
+    hit = (true[a] >> 16 == found[b] >> 16) & (iou > 0.5)
+    a, b = a[hit], b[hit]
+    misses, false_alarms = (sizes >= MIN_SEGMENT_POINTS for sizes in (true_sizes, found_sizes))
+    misses[a] = false_alarms[b] = False
+    segments = (true[a], true[a], found[false_alarms], true[misses], true[true & 0xFFFF > 0])
+    weights = (iou[hit], None, None, None, None)
+    by_class = [
+        np.bincount(each >> 16, weight, len(scored))
+        for each, weight in zip(segments, weights, strict=True)
+    ]
+    return np.stack(by_class, axis=1).astype(np.float64) * scored[:, None]
+
+
+def panoptic_quality(counts: Ratios, space: LabelSpace, things: Mask) -> dict[str, Any]:
+    """Return `COLUMNS` of each class of counts (C, 5), and means of the qualities, as plain data.
+
+    An absent class counts 0, as in the official evaluator, but for the last mean. `things` (C,):
+    classes that consist of objects.
+    """
+    iou, matches, false_alarms, misses, _ = counts.T
+    counted = matches + (false_alarms + misses) / 2
+    sq, rq = iou / np.maximum(matches, EPSILON), matches / np.maximum(counted, EPSILON)
+    quality = np.stack([sq * rq, sq, rq], axis=1)
+    groups = {"all": space.scored, "things": space.scored & things, "stuff": space.scored & ~things}
+    groups["things_present"] = groups["things"] & (counted > 0)
+    means = {name: quality[of].mean(axis=0) for name, of in groups.items() if of.any()}
+    numbers = {
+        space.names[i]: [*quality[i].tolist(), *counts[i, 1:4].astype(int).tolist()]
+        for i in np.flatnonzero(space.scored)
+    }
+    return {
+        **{name: dict(zip(COLUMNS, mean.tolist(), strict=False)) for name, mean in means.items()},
+        "classes": {name: dict(zip(COLUMNS, each, strict=True)) for name, each in numbers.items()},
+    }

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: MIT
+"""Stage `compare`: two runs on the same scans, what changed, and whether it is better."""
+
+import logging
+from collections.abc import Collection
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import (
+    LabelError,
+    NoInputError,
+    SalsanextError,
+    UsageError,
+    counted,
+    escaped,
+    first_few,
+)
+from salsanext_cli.files.json_files import encode_json
+from salsanext_cli.files.reading import present
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.measures.paired import RunComparison, ScanPair
+from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
+from salsanext_cli.measures.scores import Confusion, class_sums
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
+from salsanext_cli.report.comparison import change_picture, comparison_page
+from salsanext_cli.results.layout import ScanFile, output_path, with_outputs
+from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.selection import space_of_labels
+from salsanext_cli.sensors.sensor import Sensor
+
+FILES = ("compare.json", "compare.html")
+SHOWN = 4
+"""Scans of which the page has pictures."""
+
+log = logging.getLogger(__name__)
+
+
+def compare_scan(
+    file: ScanFile,
+    runs: tuple[ResultFolder, ResultFolder],
+    space: LabelSpace,
+    labels: LabelSpace,
+    by_distance: bool,
+    sensor: Sensor,
+    trained_on: Collection[str],
+) -> tuple[ScanPair, list[ScanCounts]]:
+    """Compare the labels of a scan by two runs with each other, and with the truth if there is."""
+    paths = [output_path(run.root, file.sequence, "predictions", file.stem) for run in runs]
+    before, after = (space.to_train(read_labels(path), strict=False, source=path) for path in paths)
+    if len(before) != len(after):
+        found, remedy = counted(len(after), "label"), "compare runs on the same scans"
+        raise LabelError(paths[1], found, f"{len(before):,}, as {paths[0]}", remedy)
+    pair = ScanPair(file, Confusion(space.class_count).update(before, after).matrix)
+    if not present(file.label_path):
+        return pair, []
+    counts = [
+        count_scan(
+            *(file, run.root, space, by_distance, sensor, labels),
+            *(run.merging_into(space), trained_on),
+        )
+        for run in runs
+    ]
+    for each in counts:
+        each.histograms.clear()
+    parts = zip(*((each.confusion, *each.rings) for each in counts), strict=True)
+    sums = [[class_sums(each.counted(space.scored)) for each in part] for part in parts]
+    return pair._replace(sums=np.array(sums), trained_on=bool(counts[0].trained_on)), counts
+
+
+def compare(
+    before: Path,
+    after: Path,
+    *,
+    by_distance: bool = False,
+    dataset: Path | None = None,
+    space: LabelSpace | None = None,
+    classes: LabelSpace | None = None,
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> tuple[RunComparison, tuple[Failure, ...]]:
+    """Compare two output folders; write `compare.json` and `compare.html` into the second one.
+
+    Scans that the weights of either run were trained on have no part in the scores. `by_distance`:
+    score rings of distance too, for which the scans are read; `space`, `classes`: as for
+    `ResultFolder.predicted`.
+    """
+    runs = ResultFolder(before, dataset), ResultFolder(after, dataset)
+    OwnedFolder(after).require_own([after / name for name in FILES])
+    chosen, compared = runs[0].predicted(selection, space, classes)
+    others, own = runs[1].predicted(selection, space, classes)
+    if not compared.fits(own):
+        found = f"{first_few(compared.differences(own))}"
+        raise UsageError(after, found, f"the classes of {before}", "merge both, --classes coarse")
+    scans = [
+        with_outputs(each, run.root, "predictions")
+        for each, run in zip((chosen, others), runs, strict=True)
+    ]
+    keys = [{(scan.sequence, scan.stem) for scan in each} for each in scans]
+    both = [scan for scan in scans[0] if (scan.sequence, scan.stem) in keys[1]]
+    if not both:
+        raise NoInputError(after, f"no scan that {before} has labels of", "the same scans")
+    if alone := len(keys[0] ^ keys[1]):
+        log.warning("%s left out, with labels of one run only", counted(alone, "scan"))
+    labels, sensor = space_of_labels(both, compared, space), runs[0].sensor()
+    trained_on = runs[0].trained_on() | runs[1].trained_on()
+    task = partial(compare_scan, runs=runs, space=compared, labels=labels, sensor=sensor)
+    task = partial(task, by_distance=by_distance, trained_on=trained_on)
+    pairs: list[ScanPair] = []
+    totals = [ScanCounts.none(compared, by_distance) for _ in runs]
+
+    def keep(found: tuple[ScanPair, list[ScanCounts]]) -> None:
+        pairs.append(found[0])
+        if not found[0].trained_on:
+            for total, counts in zip(totals, found[1], strict=bool(found[1])):
+                total.add(counts)
+
+    outcome = run_over_scans(task, both, options, on_result=keep)
+    if not pairs:
+        raise NoInputError(after, f"no scan could be compared, as {outcome.failures[0].reason}")
+    for total, run in zip(totals, runs, strict=True):
+        for text in total.label_warnings(compared):
+            log.warning("%s: %s", run.root, text)
+    result = RunComparison(compared, sorted(pairs, key=lambda pair: pair.file))
+    pictures = []
+    for pair in result.most_changed()[:SHOWN]:
+        try:
+            old, new = (run.read(pair.file, sensor, compared, (labels, compared)) for run in runs)
+            pictures.append(change_picture(pair, old, new, compared, sensor))
+        except SalsanextError as error:
+            log.warning("not shown: %s", error)
+    content = {"stage": "compare", "before": str(before), "after": str(after), "alone": alone}
+    content |= {"weights": [run.weights("predictions") for run in runs], **result.to_dict()}
+    files = encode_json(escaped(content)), comparison_page(result, f"{before} → {after}", pictures)
+    OwnedFolder(after).replace(dict(zip((after / name for name in FILES), files, strict=True)))
+    return result, outcome.failures

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: MIT
+"""Stage `filter`: scans in their own format, without the points of some classes."""
+
+import logging
+from collections.abc import Callable, Collection
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salsanext_cli.classes.label_space import LabelSpace, label_space
+from salsanext_cli.classes.merging import ClassMerging, contradiction
+from salsanext_cli.errors import OutputError, UsageError, counted, first_few
+from salsanext_cli.files.reading import filled, present
+from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.formats.recordings import recording_of
+from salsanext_cli.formats.subsets import Mask, subsets_of
+from salsanext_cli.fusion.window import movable_classes
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.results.layout import ERROR, LABELLING_STAGES, SCAN_FOLDER, ScanFile, output_path
+from salsanext_cli.results.output_run import encode_array
+from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.result_folder import ResultFolder, read_kind
+from salsanext_cli.results.stage_records import as_json, require_same_settings
+
+MASKS = "masks"
+"""Folder of a sequence with masks of its scans' points."""
+
+log = logging.getLogger(__name__)
+
+
+def named_classes(names: Collection[str], space: LabelSpace) -> Mask:
+    """Return the train ids (C,) that names mean: classes, coarse ones, or "moving" for a group."""
+    known: dict[str, Mask] = {"moving": movable_classes(space)}
+    coarse = label_space("coarse")
+    if not contradiction(space, coarse):
+        groups = zip(coarse.names, ClassMerging.between(space, coarse).groups, strict=True)
+        known |= {name: np.isin(np.arange(space.class_count), ids) for name, ids in groups}
+    known |= dict(zip(space.names, np.eye(space.class_count, dtype=bool), strict=True))
+    if unknown := [name for name in names if name not in known]:
+        raise UsageError(f"class {unknown[0]}", "no such class", f"one of {', '.join(known)}")
+    meant = np.zeros(space.class_count, bool)
+    for name in names:
+        meant |= known[name]
+    return meant
+
+
+@dataclass(frozen=True, slots=True)
+class PointFilter:
+    """Filter of the points of scans by their results."""
+
+    results: ResultFolder
+    owned: OwnedFolder
+    space: LabelSpace
+    stays: Mask  # (C,) train ids
+    max_error: float | None
+    split: bool
+    indices: bool
+    columns: tuple[str, ...]  # Of files that do not name theirs
+    kept: frozenset[Path] = frozenset()  # Files that are there and not as they were written
+
+    @property
+    def folders(self) -> tuple[str, ...]:
+        """Folders of a sequence that parts of scans go to."""
+        if self.split:
+            return self.space.names
+        return (MASKS,) if self.indices else (SCAN_FOLDER,)
+
+    def path(self, file: ScanFile, part: str) -> Path:
+        """Return where a part of a scan goes."""
+        name = f"{file.stem}.npy" if self.indices else file.path.name
+        return self.owned.root / "sequences" / file.sequence / part / name
+
+    def parts(self, file: ScanFile) -> tuple[dict[str, Mask], int]:
+        """Return which points (N,) stay, by the folder that they go to, if any do; and N."""
+        path = output_path(self.results.root, file.sequence, "predictions", file.stem)
+        if not present(path):
+            raise self.results.missing_column("label", file)
+        train = self.space.to_train(read_labels(path), source=path)
+        stay = self.stays[train]
+        if self.max_error is not None:
+            errors = output_path(self.results.root, file.sequence, ERROR, file.stem)
+            if not present(errors):
+                raise self.results.missing_column("error", file)
+            stay &= ~(read_kind(errors, "error", len(train)) > self.max_error)
+        if self.split:
+            occurring = np.unique(train[stay]).tolist()
+            return {self.space.names[i]: stay & (train == i) for i in occurring}, len(train)
+        return ({self.folders[0]: stay} if self.indices or stay.any() else {}), len(train)
+
+    def is_done(self, file: ScanFile) -> bool:
+        """Say whether all parts of a scan are there."""
+        there = {part for part in self.folders if filled(self.path(file, part))}
+        return bool(there) and (not self.split or there >= self.parts(file)[0].keys())
+
+    def write(self, file: ScanFile) -> tuple[str, int, int]:
+        """Write the parts of a scan; return its name, and how many points it has and keeps."""
+        parts, count = self.parts(file)
+        absent = (self.path(file, part) for part in self.folders if part not in parts)
+        if stale := [path for path in absent if present(path)]:
+            self.owned.remove_own(stale)
+        encode: Callable[[Mask], bytes] = encode_array
+        if parts and not self.indices:
+            encode = subsets_of(file.path, self.columns)
+        for part, mask in parts.items():
+            if (path := self.path(file, part)) in self.kept:
+                raise not_own(path)
+            self.owned.write(path, encode(mask))
+        return file.name, count, sum(int(mask.sum()) for mask in parts.values())
+
+
+def filter_scans(
+    out: Path,
+    folder: Path,
+    *,
+    drop: Collection[str] = (),
+    keep: Collection[str] = (),
+    max_error: float | None = None,
+    split: bool = False,
+    indices: bool = False,
+    dataset: Path | None = None,
+    selection: ScanSelection = ScanSelection(),
+    options: RunOptions = RunOptions(),
+) -> Outcome:
+    """Write `FOLDER/sequences/<seq>/velodyne/`: the scans as they are, without some points.
+
+    `drop`, `keep`: names as `named_classes` takes them; `max_error`: points whose error, 0…1, is
+    above it go too; `split`: a folder of each class in the place of `velodyne`; `indices`: which
+    points stay, (N,) bool, as `.npy`, in the place of scans.
+    """
+    if not (drop or keep or split or max_error is not None):
+        raise UsageError("--drop, --keep, --max-error, --split", "none given", "one of them")
+    if max_error is not None and not 0 <= max_error <= 1:
+        raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
+    results, owned = ResultFolder(out, dataset), OwnedFolder(folder, "filter")
+    chosen = results.chosen(selection)
+    scans, space = chosen.scans, chosen.space
+    stays = named_classes(keep, space) if keep else np.ones(space.class_count, bool)
+    stays &= ~named_classes(drop, space)
+    if not indices and (recording := recording_of(scans[0].path)):
+        remedy = f"`salsanext convert {recording} DATA` first, or masks of it with --indices"
+        raise UsageError(recording, "a recording, which is not written", "files of scans", remedy)
+    if odd := [name for name in space.names if split and Path(name).name != name]:
+        raise UsageError("--split", f"class {odd[0]}", "names that folders can have")
+    settings = {
+        "stage": "filter",
+        "results": str(out.absolute()),
+        "classes": [name for name, each in zip(space.names, stays, strict=True) if each],
+        "max_error": max_error,
+        "split": split,
+        "indices": indices,
+        "label_space": space.to_dict(),
+        "origins": results.origins(LABELLING_STAGES),
+    }
+    task = PointFilter(
+        results, owned, space, stays, max_error, split, indices, results.sensor().columns
+    )
+    counts = list[tuple[str, int, int]]()
+    with ExitStack() as stack:
+        with owned.locked_records():
+            _begin(owned, as_json(settings), options.overwrite)
+            stack.enter_context(owned.open(shared=True))
+        parts = [task.path(file, part) for file in scans for part in task.folders]
+        task = replace(task, kept=frozenset(owned.others(parts)))
+        outcome = run_over_scans(
+            task.write, scans, options, is_done=task.is_done, on_result=counts.append
+        )
+    total = sum(count for _, count, _ in counts), sum(kept for *_, kept in counts)
+    if empty := sorted(name for name, _, kept in counts if not kept):
+        log.warning("no point stays of %s: %s", counted(len(empty), "scan"), first_few(empty))
+    return replace(outcome, missing=chosen.missing, kept_points=total)
+
+
+def _begin(owned: OwnedFolder, settings: dict[str, Any], overwrite: bool) -> None:
+    """Record the settings in a new folder or one with the same; overwriting replaces others."""
+    if (recorded := owned.recorded()) is None:
+        owned.require_new()
+    replaced = [] if recorded in (None, settings) else owned.written()
+    if replaced and not overwrite:
+        require_same_settings(owned.record_path, recorded or {}, settings)
+    if replaced and owned.is_shared():
+        found, remedy = "another run of `filter` is at work in it", "wait until it has ended"
+        raise OutputError(owned.root, found, remedy=remedy)
+    owned.begin(settings, [path for path in replaced if path != owned.record_path])

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: MIT
+"""Files with some of their points: the lines or records of the others, byte for byte."""
+
+import io
+
+import laspy
+import numpy as np
+import plyfile
+import pytest
+from scans import make_scan
+
+from salsanext_cli import read_scan
+from salsanext_cli.errors import FormatError, LabelError
+from salsanext_cli.formats import SCAN_SUFFIXES, scan_suffix
+from salsanext_cli.formats.las import encode_las
+from salsanext_cli.formats.subsets import subsets_of
+
+
+def kept_points(path, keep):
+    return subsets_of(path)(keep)
+
+
+SCAN = make_scan(60)
+KEEP = np.random.default_rng(0).random(60) < 0.5
+TABLE = np.column_stack([SCAN.points, SCAN.intensity])
+TIMES = np.arange(60, dtype=np.uint64)
+RECORDS = np.rec.fromarrays([*TABLE.T, TIMES], names="x,y,z,intensity,t")
+LINES = [" ".join(map(repr, row)) + " 7\n" for row in TABLE.astype(float).tolist()]
+PCD = (
+    "# .PCD\nVERSION 0.7\nFIELDS x y z intensity t\nSIZE 4 4 4 4 8\nTYPE F F F F U\n"
+    "COUNT 1 1 1 1 1\n"
+    "WIDTH {0}\nHEIGHT 1\nVIEWPOINT 1 2 3 1 0 0 0\nPOINTS {0}\nDATA "
+)
+PLY = (
+    "ply\nformat {1} 1.0\ncomment of 60 things\nelement vertex {0}\n"
+    + "".join(f"property float {name}\n" for name in ("x", "y", "z", "intensity"))
+    + "property {2} t\nend_header\n"
+)
+
+
+def packed(keep, kind="<u8"):
+    types = [(name, "<f4") for name in ("x", "y", "z", "intensity")] + [("t", kind)]
+    return RECORDS[keep].astype(types).tobytes()
+
+
+def text(keep):
+    return "".join(line for line, stays in zip(LINES, keep, strict=True) if stays).encode()
+
+
+def saved(save, *arrays, **named):
+    with io.BytesIO() as buffer:
+        save(buffer, *arrays, **named)
+        return buffer.getvalue()
+
+
+MADE = {
+    "a.bin": lambda keep: TABLE[keep].tobytes(),
+    "a.pcd.bin": lambda keep: np.column_stack([TABLE, TABLE[:, 0]])[keep].tobytes(),
+    "ascii.pcd": lambda keep: PCD.format(keep.sum()).encode() + b"ascii\n" + text(keep),
+    "binary.pcd": lambda keep: PCD.format(keep.sum()).encode() + b"binary\n" + packed(keep),
+    "ascii.ply": lambda keep: PLY.format(keep.sum(), "ascii", "int").encode() + text(keep),
+    "binary.ply": lambda keep: (
+        PLY.format(keep.sum(), "binary_little_endian", "int").encode() + packed(keep, "<i4")
+    ),
+    "a.xyz": text,
+    "a.txt": lambda keep: f"# 3 columns\n{keep.sum()}\n".encode() + text(keep),
+    "a.csv": lambda keep: b"\xef\xbb\xbfx,y,z,note,t\r\n" + text(keep).replace(b" ", b","),
+    "a.npy": lambda keep: saved(np.save, RECORDS[keep]),
+    "a.npz": lambda keep: saved(
+        np.savez_compressed, points=TABLE[keep], t=TIMES[keep], pose=np.eye(4)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MADE)
+@pytest.mark.parametrize("keep", [KEEP, ~KEEP, KEEP | True, KEEP & False])
+def test_they_are_as_if_written_without_the_others(tmp_path, name, keep):
+    path = tmp_path / name
+    path.write_bytes(MADE[name](KEEP | True))
+    assert kept_points(path, keep) == MADE[name](keep)
+    with pytest.raises(LabelError, match="points · expected 59, as it has labels"):
+        kept_points(path, keep[1:])
+
+
+def test_there_is_one_for_every_suffix():
+    assert {scan_suffix(name) for name in MADE} | {".las", ".laz"} == {*SCAN_SUFFIXES}
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_las_keeps_dimensions_records_and_times(tmp_path, suffix):
+    path, kept = tmp_path / f"a{suffix}", tmp_path / f"kept{suffix}"
+    columns = dict(zip("xyz", SCAN.points.T, strict=True)) | {"intensity": SCAN.intensity}
+    columns |= dict.fromkeys(("red", "green", "blue"), np.arange(60, dtype=np.uint8))
+    path.write_bytes(encode_las(path, columns, np.arange(60, dtype=np.uint8), ["a comment"]))
+    kept.write_bytes(kept_points(path, KEEP))
+    before, after = laspy.read(path), laspy.read(kept)
+    assert after.points.array.tobytes() == before.points.array[KEEP].tobytes()
+    assert after.header.vlrs[0].record_data == before.header.vlrs[0].record_data
+    assert (after.header.scales == before.header.scales).all()
+
+
+def test_what_cannot_be_kept_is_refused(tmp_path):
+    faces = np.array([([0, 1, 2],)], [("vertex_indices", "i4", (3,))])
+    vertices = RECORDS.astype([(n, "f4") for n in RECORDS.dtype.names])
+    elements = [("vertex", vertices), ("face", faces)]
+    mesh = plyfile.PlyData([plyfile.PlyElement.describe(of, name) for name, of in elements])
+    mesh.write(str(tmp_path / "mesh.ply"))
+    with pytest.raises(FormatError, match="also holds face · expected points only"):
+        kept_points(tmp_path / "mesh.ply", KEEP)
+    (tmp_path / "cut.pcd").write_bytes(MADE["binary.pcd"](KEEP | True)[:-1])
+    with pytest.raises(LabelError, match="59 points"):
+        kept_points(tmp_path / "cut.pcd", KEEP)
+
+
+def test_real_files(real_data, tmp_path):
+    """Compressed and organised clouds, padding, bytes: points and rings read are those kept."""
+    for path in sorted((real_data / "data/sensors/pcd").iterdir()):
+        scan = read_scan(path)
+        keep = np.random.default_rng(0).random(len(scan)) < 0.4
+        (tmp_path / path.name).write_bytes(kept_points(path, keep))
+        found, expected = read_scan(tmp_path / path.name), scan.take(np.flatnonzero(keep))
+        assert found.points.tobytes() == expected.points.tobytes(), path.name
+        assert found.intensity.tobytes() == expected.intensity.tobytes()

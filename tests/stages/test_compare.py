@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: MIT
+import json
+import shutil
+
+import numpy as np
+import pytest
+from evaluated import CAR, ROAD, SPACE, World
+from scans import files_below
+
+from salsanext_cli import label_space, read_scan, sensor
+from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.network.card import scan_digest
+from salsanext_cli.results.layout import find_scans, output_path
+from salsanext_cli.stages.compare import compare
+from salsanext_cli.stages.evaluate import evaluate
+
+TREE = 70
+
+
+@pytest.fixture
+def runs(tmp_path):
+    """Return two runs on six scans with truth and one without, of which the second is better."""
+    worlds = World(tmp_path), World(tmp_path)
+    worlds[1].out = tmp_path / "after"
+    for number in range(6):
+        truth = [CAR, ROAD, ROAD, TREE, 0] * 4
+        before = np.where(np.arange(20) < 2 + number, CAR, truth)
+        worlds[0].add(f"{number}", truth, before, distance=5 + 10 * (number % 2))
+        worlds[1].add(f"{number}", truth, truth, distance=5 + 10 * (number % 2))
+    for world in worlds:
+        world.add("9", None, [CAR] * 3)
+    return worlds
+
+
+@pytest.fixture(autouse=True)
+def one_picture(monkeypatch):
+    """Draw one scan: each takes a second."""
+    monkeypatch.setattr("salsanext_cli.stages.compare.SHOWN", 1)
+
+
+def compared(runs, **options):
+    found, failures = compare(runs[0].out, runs[1].out, dataset=runs[0].dataset, **options)
+    return found, failures, json.loads((runs[1].out / "compare.json").read_text())
+
+
+def recorded(world, space=SPACE, **settings):
+    """Leave a record of `predict`."""
+    settings |= {"label_space": space.to_dict(), "sensor": sensor("hdl64").to_dict()}
+    record = {"stage": "predict", "settings": settings, "writes": ["predictions"], "scans": {}}
+    (world.out / "predict.json").write_text(json.dumps(record))
+
+
+def test_scores_are_those_of_eval(runs):
+    found, failures, data = compared(runs, by_distance=True)
+    assert failures == ()
+    evaluated = [evaluate(find_scans(w.dataset)[:6], w.out, SPACE, by_distance=True) for w in runs]
+    accuracy = found.scores["accuracy"]
+    assert [accuracy.before, accuracy.after] == [each.scores.accuracy for each in evaluated]
+    mean = found.scores["mean IoU, 3 classes"]
+    assert [mean.before, mean.after] == [each.scores.iou_mean_present for each in evaluated]
+    assert 0 < accuracy.low <= accuracy.difference <= accuracy.high
+    assert found.scores["car"].before == evaluated[0].scores.classes[0].iou
+    assert set(found.rings) == {"0–10 m", "10–20 m"}
+    ring = evaluated[0].by_distance["0–10 m"]
+    assert found.rings["0–10 m"][1].before == ring.iou_mean_present
+    assert (data["scans"], data["scored"], data["trained_on"]) == (7, 6, [])
+    assert data["changed_most"][0]["scan"] == "08/5"
+
+
+def test_the_page_holds_tables_and_pictures_and_replaces_own_ones_only(runs):
+    compared(runs)
+    first = files_below(runs[1].out)
+    page = first["compare.html"].decode()
+    assert page.count("data:image/png;base64,") == 1
+    assert "mean IoU, 3 classes" in page
+    compared(runs)
+    assert files_below(runs[1].out) == first
+    (runs[1].out / "compare.html").write_text("mine")
+    with pytest.raises(OutputError, match=r"compare.html · .*and is kept"):
+        compared(runs)
+
+
+def test_scans_of_either_training_are_marked_and_have_no_part_in_the_scores(runs):
+    files = find_scans(runs[0].dataset)
+    for world, file in zip(runs, files, strict=False):
+        recorded(world, trained_on=scan_digest(read_scan(file.path)))
+    # Scans of equal points are one scan.
+    _, _, data = compared(runs)
+    assert data["trained_on"] == [f"08/{i}" for i in range(6)]
+    assert (data["scored"], data["scores"]) == (0, {})
+    assert data["agreement"] < 1
+
+
+def test_without_truth_there_is_agreement(runs):
+    shutil.rmtree(runs[0].dataset / "sequences/08/labels")
+    found, _, data = compared(runs)
+    assert data["scores"] == {}
+    assert data["turned"][0][:2] == ["car", "road"]
+    assert data["agreement"] == pytest.approx(
+        1 - found.turned[1, 2:].sum() / found.turned[1:, 1:].sum(), abs=0.2
+    )
+
+
+def test_what_cannot_be_compared_is_said(runs, tmp_path, caplog):
+    output_path(runs[1].out, "08", "predictions", "0").unlink()
+    runs[1].add("1", None, [CAR] * 3)
+    _, failures, data = compared(runs)
+    assert "1 scan left out, with labels of one run only" in caplog.text
+    assert data["alone"] == 1
+    assert "1.label · 3 labels · expected 20, as" in failures[0].reason
+    with pytest.raises(NoInputError):
+        compare(runs[0].out, tmp_path / "nowhere", dataset=runs[0].dataset)
+    shutil.rmtree(runs[1].out / "sequences")
+    runs[1].add("8", None, [CAR])
+    with pytest.raises(NoInputError, match=r"no scan that .* has labels of"):
+        compared(runs)
+
+
+def test_runs_in_other_classes_are_merged_if_that_is_said(runs):
+    recorded(runs[0])
+    recorded(runs[1], space=label_space("coarse"))
+    with pytest.raises(UsageError, match="merge both, --classes coarse"):
+        compared(runs)
+    found, _, _ = compared(runs, classes=label_space("coarse"))
+    assert found.scores["vehicle"].after == 1
+
+
+def test_a_scan_that_cannot_be_shown_does_not_end_it(runs, caplog):
+    (runs[0].dataset / "sequences/08/velodyne/5.bin").write_bytes(b"")
+    _, failures, data = compared(runs)
+    assert failures == ()
+    assert data["scans"] == 7
+    assert "not shown: " in caplog.text

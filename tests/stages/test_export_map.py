@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: MIT
+import numpy as np
+import plyfile
+import pytest
+from scans import write_array
+from typer.testing import CliRunner
+
+from salsanext_cli import Scan, label_space, read_labels, read_scan, write_labels
+from salsanext_cli.cli.app import app
+from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.fusion.drive_map import MapTask
+from salsanext_cli.fusion.poses import encode_poses
+from salsanext_cli.parallel.options import Shard
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.stages.fuse import fuse_results
+from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.report import report
+
+SPACE = label_space()
+FAR = np.array([4e5, 5e6, 30.0])
+CAR, BUILDING = 10, 50
+
+
+def ray_cast(x, walls):
+    """Return points that rays of an HDL-64 from (x, 0) hit of walls, and their labels.
+
+    Each wall is at y, from one x to another, 3 m high around the sensor; the last is endless.
+    """
+    azimuth = (np.arange(2048) + 0.5) / 2048 * 2 * np.pi - np.pi
+    elevation = np.radians(3 - 28 * (np.arange(20) + 0.5) / 64)
+    elevation, azimuth = (each.ravel() for each in np.meshgrid(elevation, azimuth))
+    nearest, labels = np.full(len(azimuth), np.inf), np.zeros(len(azimuth), np.uint32)
+    for y, start, end, label in walls:
+        with np.errstate(divide="ignore"):
+            distance = y / np.sin(azimuth)
+        hit = (distance > 0) & (distance < nearest) & (distance < 60)
+        place = x + distance * np.cos(azimuth)
+        hit &= (place >= start) & (place <= end)
+        nearest[hit], labels[hit] = distance[hit], label
+    seen = np.isfinite(nearest)
+    points = np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)], 1) * nearest[:, None]
+    return points[seen].astype(np.float32), labels[seen]
+
+
+def test_what_moves_leaves_no_trail_and_what_is_parked_stays(tmp_path):
+    poses = np.tile(np.eye(4), (5, 1, 1))
+    for i in range(5):
+        poses[i, 0, 3] = i
+        parked, moving = (5.0, 0, 4, CAR), (-5.0, 4 * i - 6, 4 * i - 4, CAR)
+        walls = (parked, moving, (10.0, -99, 99, BUILDING), (-10.0, -99, 99, BUILDING))
+        points, labels = ray_cast(i, walls)
+        write_bin(tmp_path / f"08/velodyne/{i}.bin", Scan(points, np.zeros(len(points), "f4")))
+        write_labels(tmp_path / f"out/sequences/08/predictions/{i}.label", labels)
+        write_array(tmp_path / f"out/sequences/08/views/{i}.npy", np.ones(len(points), np.uint16))
+    files = tuple(find_scans(tmp_path / "08"))
+    task = MapTask(ResultFolder(tmp_path / "out"), files, poses, SPACE, 0.1)
+    found = [columns for _, columns, error in task.open()(files) if error is None]
+    assert len(found) == 5
+    places, labels = (np.concatenate([part[name] for part in found]) for name in ("y", "label"))
+    assert (labels[places > 4.9] == CAR).any()
+    assert not (labels[places < 0] == CAR).any()
+    assert (labels[places < 0] == BUILDING).any()
+
+
+@pytest.fixture
+def fused(world):
+    """Return a world of a fused drive, far from the origin of its map."""
+    folder = world.data / "sequences/08"
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, :3, 3] = FAR
+    poses[1, 0, 3] += 0.2
+    (folder / "poses.txt").write_bytes(encode_poses(poses))
+    predict_scans(folder, world.out, network=world.network, extras=("votes",))
+    fuse_results(world.out)
+    return world
+
+
+def export(world, **options):
+    return export_ply(world.out / "fused", **{"cube": 0.1} | options)
+
+
+def map_of(world, form="ply"):
+    return world.out / f"fused/sequences/08/map.{form}"
+
+
+def test_a_map_holds_the_fused_points_in_the_frame_of_the_poses(fused):
+    assert export(fused).done == 2
+    data = plyfile.PlyData.read(map_of(fused))
+    vertices = data["vertex"]
+    assert any(comment.startswith("colour label") for comment in data.comments)
+    names = ("label", "disagreement", "views", "scan", "intensity", "range")
+    assert {f"scalar_{name}" for name in names} <= {each.name for each in vertices.properties}
+    places = np.stack([vertices[axis] for axis in "xyz"], axis=1)
+    assert len(np.unique(np.floor((places - FAR) / 0.1), axis=0)) == len(places)
+    for number in (0, 1):
+        path = fused.out / f"fused/sequences/08/predictions/00000{number}.label"
+        points = read_scan(fused.scan(stem=f"00000{number}")).points + FAR + [0.2 * number, 0, 0]
+        of_scan = vertices["scalar_scan"] == number
+        apart = np.abs(places[of_scan][:, None] - points).max(axis=2)
+        assert apart.min(axis=1).max() < 1e-6
+        labels = read_labels(path)[apart.argmin(axis=1)]
+        np.testing.assert_array_equal(vertices["scalar_label"][of_scan], labels)
+        assert labels.all()
+
+
+def test_las_has_the_same_points_with_an_offset(fused):
+    laspy = pytest.importorskip("laspy")
+    export(fused)
+    export(fused, form="laz", colour="disagreement")
+    las, ply = laspy.read(map_of(fused, "laz")), plyfile.PlyData.read(map_of(fused))["vertex"]
+    assert np.abs(las.header.offsets - FAR).max() < 100
+    assert las.header.scales.max() < 1e-6
+    for axis in "xyz":
+        np.testing.assert_allclose(las[axis], ply[axis], rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(las.views, ply["scalar_views"])
+
+
+def test_workers_change_nothing(fused):
+    export(fused)
+    alone = map_of(fused).read_bytes()
+    export(fused, options=RunOptions(jobs=2, backend="threading"))
+    assert map_of(fused).read_bytes() == alone
+
+
+def test_a_map_of_the_user_is_kept(fused):
+    map_of(fused).write_text("mine")
+    with pytest.raises(OutputError, match="kept"):
+        export(fused)
+    assert map_of(fused).read_text() == "mine"
+
+
+def test_what_has_no_map_is_said(fused):
+    for wrong in (
+        {"max_error": 0.1},
+        {"options": RunOptions(shard=Shard(1, 2))},
+        {"cube": 0.0},
+        {"cube": float("nan")},
+        {"colour": "truth"},
+    ):
+        with pytest.raises(UsageError, match="--map"):
+            export(fused, **wrong)
+    with pytest.raises(NoInputError, match="salsanext fuse"):
+        export_ply(fused.out, cube=0.1)
+    assert not [*fused.out.rglob("map.*")]
+
+
+def test_a_scan_that_cannot_be_read_is_named_and_left_out(fused):
+    (fused.out / "fused/sequences/08/views/000001.npy").write_bytes(b"no array")
+    outcome = export(fused)
+    assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
+    assert not plyfile.PlyData.read(map_of(fused))["vertex"]["scalar_scan"].any()
+
+
+def test_the_command_writes_a_map(fused):
+    words = ["export-ply", str(fused.out / "fused"), "--map", "--map-cube", "1"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    assert "map.ply" in result.output
+    assert not (map_of(fused).parent / "ply").exists()
+
+
+def test_a_report_shows_the_drive_from_above(fused):
+    page = report(fused.out / "fused").page.read_text()
+    assert page.count('alt="08: ') == 2
+    assert 'alt="08: ' not in report(fused.out).page.read_text()
+
+
+def test_a_report_says_why_there_is_no_map(fused):
+    path = fused.out / "fused/sequences/08/poses.txt"
+    path.write_text(path.read_text() * 2)
+    page = report(fused.out / "fused").page.read_text()
+    assert "4 lines" in page
+    assert 'alt="08: ' not in page
