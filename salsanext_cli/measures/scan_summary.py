@@ -160,7 +160,9 @@ class RunSummary:
         name = file.name
         if finding.code not in self.findings:
             words = f"{finding.found}; {finding.remedy}"
-            log.warning("%s: %s (%s)", name, words, finding.code)
+            # Handlers of other programs may not take what is no text.
+            shown = name.encode(errors="backslashreplace").decode()
+            log.warning("%s: %s (%s)", shown, words, finding.code)
         self.findings.setdefault(finding.code, []).append((name, finding))
 
     def finished(self, *, selectable: bool = True) -> RunSummary:

@@ -66,7 +66,7 @@ def test_cells_are_written_scored_and_not_repeated(data, tmp_path, weights, comm
     found = lines(capsys)
     names = ["other sensor 1", "other sensor 3", "other sensor mean"]
     assert [*found] == ["clean", *names]
-    assert [len(cell) for cell in found["clean"]] == [1, 1, 1, 2, 2]
+    assert [len(cell) for cell in found["clean"]] == [1, 1, 1, 2, 2, 2]
     accuracy = [float(found[name][1][0]) for name in names]
     assert accuracy[2] == pytest.approx(sum(accuracy[:2]) / 2, abs=0.11)
     assert commands == ["predict", "eval"] * 3
@@ -95,5 +95,5 @@ def test_error_and_other_kinds_have_columns(data, tmp_path, weights, commands, c
     run(data, tmp_path / "folder", "--weights", tuned, *some, "--sequences", "00")
     found = lines(capsys)
     assert commands == ["predict", "uncertainty", "eval"] * 2
-    assert [len(cell) for cell in found["crosstalk 2"]] == [1, 1, 1, 2, 2, 2, 2, 2, 2, 2, 4]
+    assert [len(cell) for cell in found["crosstalk 2"]] == [1, 1, 1, 2, 2, 2, 2, 2, 2, 2, 2, 4]
     assert not (tmp_path / "folder/clean/data/sequences/01").exists()

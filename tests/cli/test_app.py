@@ -121,7 +121,7 @@ def test_what_the_encoding_of_stdout_lacks_is_replaced_unless_the_user_says_else
     [
         ("predikt", "No such command 'predikt'"),
         ("predict --overwrit", "No such option: --overwrit"),
-        ("predict a b c", "Got unexpected extra argument"),
+        ("knn-refine a b", "Got unexpected extra argument"),
         ("predict --limit many", "Invalid value for '--limit'"),
         ("predict --on-error panic", "Invalid value for '--on-error'"),
         ("predict --backend spark", "Invalid value for '--backend'"),

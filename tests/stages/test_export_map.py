@@ -73,6 +73,10 @@ def fused(world):
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, :3, 3] = FAR
     poses[1, 0, 3] += 0.2
+    scan = read_scan(world.scan())
+    noise = np.random.default_rng(1).normal(0, 0.02, scan.points.shape)
+    seen = (scan.points - [0.2, 0, 0] + noise).astype(np.float32)
+    write_bin(world.scan(stem="000001"), Scan(seen, scan.intensity))
     (folder / "poses.txt").write_bytes(encode_poses(poses))
     predict_scans(folder, world.out, network=world.network, extras=("votes",))
     fuse_results(world.out)
