@@ -159,7 +159,9 @@ def sources(
     """Return where to look for scans, and OUT, which is the last word where several are given."""
     words = [*([scans] if scans else []), out, *map(Path, context.args)]
     several, out = words[:-1], words[-1]
-    if out.is_file():
+    from salsanext_cli.files.reading import is_folder, present
+
+    if present(out) and not is_folder(out):
         remedy = "give it last: salsanext predict a.bin b.bin out/"
         raise UsageError("OUT", f"{out} is a file", "a folder for the results", remedy)
     if len(several) < 2:

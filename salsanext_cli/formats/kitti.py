@@ -66,7 +66,7 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
         file: BufferedIOBase = opened
         size = size_of(opened)
         if size and path.name.lower().endswith(GZIP_SUFFIX):
-            file, size = _decompressed(opened, path)
+            file, size = decompressed(opened, path)
         if size == 0:
             raise FormatError(path, "is empty", _expected(width), "copy it again, or remove it")
         if suffix := other_suffix(file.read(TEXT_BYTES)):
@@ -80,7 +80,7 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
     return values, size
 
 
-def _decompressed(file: BufferedIOBase, path: Path) -> tuple[BytesIO, int]:
+def decompressed(file: BufferedIOBase, path: Path) -> tuple[BytesIO, int]:
     """Return content and size of a gzip file, of `MAX_DECOMPRESSED_BYTES` at most."""
     with refusing_damage(path, "a .bin file, compressed by gzip", "copy it again"):
         content = gzip.GzipFile(fileobj=file).read(MAX_DECOMPRESSED_BYTES + 1)

@@ -2,6 +2,7 @@
 """Files of scans with some of their points: their headers, then the points as they are."""
 
 import copy
+import gzip
 import io
 import re
 from collections.abc import Callable
@@ -46,8 +47,10 @@ def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Callable[[Mask], byte
                 head, body, width = _pcd_parts(body, path)
             case ".ply":
                 head, body, width = _ply_parts(body, path)
-            case ".bin" | ".pcd.bin":
-                usual = kitti.COLUMNS_WITH_RING if suffix == ".pcd.bin" else kitti.COLUMNS
+            case ".bin" | ".pcd.bin" | ".bin.gz" | ".pcd.bin.gz":
+                if suffix.endswith(kitti.GZIP_SUFFIX):
+                    body = kitti.decompressed(io.BytesIO(body), path)[0].getvalue()
+                usual = kitti.COLUMNS_WITH_RING if ".pcd" in suffix else kitti.COLUMNS
                 width = 4 * (len(names) or usual)
             case _:
                 mark = len(body) - len(body.removeprefix(text.BYTE_ORDER_MARK))
@@ -62,7 +65,8 @@ def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Callable[[Mask], byte
     def subset(keep: Mask) -> bytes:
         kept = _kept(rows, keep, path)
         points = kept.tobytes() if width else b"".join(compress(lines, keep.tolist()))
-        return number.sub(rb"\g<1>%d" % len(kept), head) + points
+        content = number.sub(rb"\g<1>%d" % len(kept), head) + points
+        return gzip.compress(content) if suffix.endswith(kitti.GZIP_SUFFIX) else content
 
     return subset
 

@@ -26,7 +26,7 @@ class Normed(SegmentationNetwork):
     stride = (4, 4)
 
     def __init__(self) -> None:
-        super().__init__(1)
+        super().__init__()
         self.norm, self.pool, self.deep = nn.BatchNorm2d(5), nn.AvgPool2d(4), nn.BatchNorm2d(5)
         self.logits = nn.Identity()
 

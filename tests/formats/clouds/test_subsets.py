@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Files with some of their points: the lines or records of the others, byte for byte."""
 
+import gzip
 import io
 
 import laspy
@@ -63,6 +64,8 @@ MADE = {
         PLY.format(keep.sum(), "binary_little_endian", "int").encode() + packed(keep, "<i4")
     ),
     "a.xyz": text,
+    "a.asc": text,
+    "a.pts": lambda keep: f"{keep.sum()}\n".encode() + text(keep),
     "a.txt": lambda keep: f"# 3 columns\n{keep.sum()}\n".encode() + text(keep),
     "a.csv": lambda keep: b"\xef\xbb\xbfx,y,z,note,t\r\n" + text(keep).replace(b" ", b","),
     "a.npy": lambda keep: saved(np.save, RECORDS[keep]),
@@ -83,7 +86,15 @@ def test_they_are_as_if_written_without_the_others(tmp_path, name, keep):
 
 
 def test_there_is_one_for_every_suffix():
-    assert {scan_suffix(name) for name in MADE} | {".las", ".laz"} == {*SCAN_SUFFIXES}
+    others = {".las", ".laz", ".bin.gz", ".pcd.bin.gz"}
+    assert {scan_suffix(name) for name in MADE} | others == {*SCAN_SUFFIXES}
+
+
+@pytest.mark.parametrize("name", ["a.bin", "a.pcd.bin"])
+def test_what_was_compressed_is_compressed_again(tmp_path, name):
+    path = tmp_path / f"{name}.gz"
+    path.write_bytes(gzip.compress(MADE[name](KEEP | True)))
+    assert gzip.decompress(kept_points(path, KEEP)) == MADE[name](KEEP)
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
