@@ -336,8 +336,10 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
     steps = re.findall(r"^\d+\. `(\S+\.py)`", section, re.MULTILINE)
     others = re.findall(r"`(\S+\.py)`", section.partition("These call")[2])
     assert [name for name in in_order if name in steps] == steps
-    # Messages go through the console where a command was run in this process before.
     seen = {name for name in visited[3] | visited[4] if not name.startswith("cli/")}
+    if seen != {*visited[3], *visited[4]}:
+        # Messages go through the console, which escapes names, after a command in this process.
+        seen.discard("errors.py")
     assert seen == {*steps, *others, "stages/predict.py", "parallel/run.py"}
     assert len(seen) == 20
 

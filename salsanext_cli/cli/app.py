@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from salsanext_cli.cli import drives, look, models, own_data, pipeline
+from salsanext_cli.cli import look, models, own_data, pipeline, results
 from salsanext_cli.cli.console import WRONG_USE, guarded, usage_errors
 from salsanext_cli.cli.option_groups import expanded
 from salsanext_cli.cli.train import train
@@ -23,18 +23,18 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
         "train": train,
         "predict": pipeline.predict,
         "knn-refine": pipeline.knn_refine,
-        "fuse": drives.fuse,
+        "fuse": results.fuse,
         "uncertainty": pipeline.uncertainty,
-        "eval": pipeline.evaluate,
-        "compare": drives.compare,
-        "export-ply": pipeline.export_ply,
+        "eval": results.evaluate,
+        "compare": results.compare,
+        "export-ply": results.export_ply,
     },
     "Your own data": {
         "inspect": own_data.inspect,
         "convert": own_data.convert,
         "pick": own_data.pick,
         "import-labels": own_data.import_labels,
-        "filter": drives.filter_command,
+        "filter": results.filter_command,
         "synth": own_data.synth,
         "submit": own_data.submit,
     },

@@ -35,7 +35,7 @@ from salsanext_cli.measures.scores import Confusion, Mask, Ratios, scores
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
-from salsanext_cli.results.result_folder import ResultFolder, read_kind
+from salsanext_cli.results.result_folder import read_kind
 from salsanext_cli.sensors.sensor import Sensor
 
 SOFTMAX = "probabilities"
@@ -166,6 +166,7 @@ def count_scan(
     merging: ClassMerging | None = None,
     trained_on: Collection[str] = (),
     objects: bool = False,
+    rejection: tuple[str, float] | None = None,
 ) -> ScanCounts:
     """Count one scan; one without predictions counts as missing.
 
@@ -177,7 +178,7 @@ def count_scan(
     distance too, for which the scan is read; `labels`: meaning of the raw ids of the labels, if
     they have their own for these classes; `merging`: of the classes of the probabilities into those
     compared; `trained_on`: digests of scans that the weights were trained on; `objects`: whether
-    the predictions have instances.
+    the predictions have instances; `rejection`: as `StageRecords.rejection`.
     """
     counts = ScanCounts.none(space, by_distance)
     predictions = output_path(out, scan.sequence, "predictions", scan.stem)
@@ -228,7 +229,8 @@ def count_scan(
         if present(path := output_path(out, scan.sequence, folder, scan.stem)):
             counts.files[folder] = 1
             values[kind] = read_kind(path, kind, len(scored))[scored]
-    if (rejected := ResultFolder(out).rejected(values)) is not None:
+    if rejection and rejection[0] in values:
+        rejected = values[rejection[0]] > rejection[1]
         values = {kind: np.where(rejected, np.nan, each) for kind, each in values.items()}
         labelled = predicted[scored] != 0
         counts.kept[scan.name] = int(labelled.sum()), int((labelled & wrong).sum())

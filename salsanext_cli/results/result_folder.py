@@ -155,10 +155,12 @@ class ResultFolder(StageRecords):
 
     def _require_current(self) -> None:
         """Refuse fused labels if those that they were fused of were made anew since."""
-        fused: Mapping[str, Any] = self.settings("fuse") or {}
-        single = StageRecords(self.root / fused.get("fused_of", ""))
+        fused = self.settings("fuse")
+        if fused is None or "fused_of" not in fused:
+            return
+        single = StageRecords(self.root / fused["fused_of"])
         origins = single.origins(FUSED_STAGES)
-        if fused.get("fused_of") and origins and origins != fused["origins"]:
+        if origins and origins != fused["origins"]:
             found = f"fused of labels in {single.root} that were made anew since"
             remedy = f"run `salsanext fuse {single.root} --overwrite`"
             raise OutputError(self.root, found, remedy=remedy)
@@ -249,7 +251,7 @@ class ResultFolder(StageRecords):
             "predictions_of": stage,
             "weights": self.weights("predictions"),
             "temperature": softmax.get("temperature"),
-            "reject": self.rejected_above(),
+            "reject": rejection[1] if (rejection := self.rejection()) else None,
             "uncertainty": {k: estimated[k] for k in UNCERTAINTY_SETTINGS if k in estimated}
             or None,
             "origins": self.origins(sorted(made_by)),
@@ -280,7 +282,9 @@ class ResultFolder(StageRecords):
             truth = truth if own.learning_map == space.learning_map else space.to_raw(train)
         paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
         uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
-        rejected = self.rejected(uncertainty)
+        rejection, rejected = self.rejection(), None
+        if rejection and rejection[0] in uncertainty:
+            rejected = uncertainty[rejection[0]] > rejection[1]
         return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
 
     def with_results(self, scans: list[ScanFile]) -> list[ScanFile]:

@@ -8,15 +8,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import LabelError, OutputError, first_few, shortened
 from salsanext_cli.files.json_files import RecordedSettings, read_json, write_json
 from salsanext_cli.network.card import parted
-from salsanext_cli.records import Float
 from salsanext_cli.results.layout import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
 from salsanext_cli.results.selection import space_of
 from salsanext_cli.sensors.sensor import Sensor, sensor
@@ -243,16 +239,11 @@ class StageRecords:
                 remedy = f"{remedy} --classes of the labels"
                 raise OutputError(self.root, f"labels in {classes}", "the same for both", remedy)
 
-    def rejected(self, uncertainty: Mapping[str, Float]) -> npt.NDArray[np.bool_] | None:
-        """Say which points were left unlabelled for their uncertainty, (N,) by kind, if known."""
+    def rejection(self) -> tuple[str, float] | None:
+        """Return the kind of uncertainty above which points were left unlabelled, and the value."""
         settings: Mapping[str, Any] = self.settings_of("predictions") or {}
-        above, kind = settings.get("reject"), settings.get("reject_by", "error")
-        return None if above is None or kind not in uncertainty else uncertainty[kind] > above
-
-    def rejected_above(self) -> float | None:
-        """Return the error above which points were left unlabelled; None if none."""
-        settings = self.settings_of("predictions")
-        return None if settings is None else settings.get("reject")
+        above = settings.get("reject")
+        return None if above is None else (settings.get("reject_by", "error"), above)
 
 
 def as_json(settings: Any) -> Any:

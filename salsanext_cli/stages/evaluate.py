@@ -146,6 +146,7 @@ def evaluate(
     # Those of other programs may have instances.
     objects = recorded is None or bool(recorded.get("objects"))
     count = partial(count, trained_on=results.trained_on(), objects=objects)
+    count = partial(count, rejection=results.rejection())
     outcome = run_over_scans(count, scans, options, on_result=apart.add)
     counts = apart.scored()
     if not counts.scans:

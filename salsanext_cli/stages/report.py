@@ -255,7 +255,7 @@ def read_run(
     labels = space_of_labels(files, results_space, space)
     merging = results.merging_into(results_space)
     sensor = results.sensor()
-    reader = RunReader(out, results_space, labels, merging, sensor)
+    reader = RunReader(out, results_space, labels, merging, sensor, StageRecords(out).rejection())
     rows, counts, failures = _rows(files, reader, by_distance, options)
     return RunResults(reader, rows, counts, missing), failures
 

@@ -83,6 +83,7 @@ class RunReader:
     labels: LabelSpace  # Meaning of the raw ids of the truth
     merging: ClassMerging | None  # Of the classes of the probabilities into those of `space`
     sensor: Sensor  # Sensor of the range images, and origin of the scans
+    rejection: tuple[str, float] | None  # As `StageRecords.rejection`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,7 +129,9 @@ def read_row(
     if class_points is None or not present(file.label_path):
         return ScanRow(file, points, class_points, uncertainty), None
     compared_in = (reader.sensor, reader.labels, reader.merging)
-    counts = count_scan(file, out, space, by_distance, *compared_in, trained_on)
+    counts = count_scan(
+        file, out, space, by_distance, *compared_in, trained_on, rejection=reader.rejection
+    )
     confusion = counts.confusion.counted(space.scored)
     return ScanRow(file, points, class_points, uncertainty, confusion), counts
 

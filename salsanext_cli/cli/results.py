@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Commands that work on results: of drives, of points to leave out, of two runs."""
+"""Commands that work on results: they fuse, filter, compare, evaluate and export them."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,6 +12,11 @@ from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.options import FusionReach, ScanSelection
 from salsanext_cli.parallel.options import RunOptions
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+    from salsanext_cli.stages.evaluate import Evaluation
 
 
 def fuse(
@@ -153,3 +158,127 @@ def compare(
     run_end.name_failures(failures)
     output.say(f"compare: {counted(len(found.pairs), 'scan')} → {after}/{', '.join(FILES)}")
     run_end.leave(failures)
+
+
+def evaluate(
+    *,
+    results: options.Results,
+    by_distance: options.ByDistance = False,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    running: options.Reading,
+    output: console.Output,
+) -> None:
+    """Compare predictions with labels, as the official benchmark does.
+
+    Scans that the weights were trained on are left out, unless all were.
+
+    Example: salsanext eval --split valid
+    """
+    from salsanext_cli.results.result_folder import ResultFolder
+    from salsanext_cli.stages.evaluate import evaluate as stage
+    from salsanext_cli.stages.evaluate import part_of
+
+    out = results.folder()
+    folder = ResultFolder(out, dataset)
+    labels = options.label_space(label_space)
+    files, space = folder.predicted(selection, labels, options.label_space(classes))
+    part = part_of(folder, files, selection)
+    with over_scans("eval", running, output.quiet) as run:
+        settings = folder.provenance(selection)
+        found = stage(
+            *(files, out, space, run, part),
+            by_distance=by_distance,
+            settings=settings,
+            labels=labels,
+        )
+    output.result(found.to_dict(), _evaluation_shown(found, settings["reject"]))
+    run_end.name_failures(found.failures)
+    done = f"eval: {counted(found.scans, 'scan')}{run_end.left_out(found.missing)} → {found.folder}"
+    output.say(f"{done}/scores.txt, eval.json, eval_*.png")
+    run_end.leave(found.failures, found.missing)
+
+
+def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
+    """Return the tables and sentences of an evaluation, what was asked for last."""
+    from rich.console import Group
+    from rich.text import Text
+
+    from salsanext_cli.report.tables import kept_table, ring_table, score_table, uncertainty_tables
+    from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
+
+    shown: list[Any] = [score_table(found.scores, ON_TRAINING_SCANS * found.on_training_scans)]
+    shown += [ring_table(found.by_distance)] if found.by_distance else []
+    shown += uncertainty_tables(found.uncertainty)
+    shown += [Text(found.uncertainty.kept.sentence)] if found.uncertainty.kept else []
+    shown += [Text(found.object_sentence)] if found.panoptic else []
+    if kept := found.kept:
+        missed = f"Points left unlabelled by predict --reject {reject:g} are missed in the scores."
+        shown += [kept_table(kept.classes), Text("\n".join([missed, *kept.sentences]))]
+    return Group(*shown)
+
+
+def export_ply(
+    *,
+    results: options.Results,
+    colour: Annotated[
+        str,
+        typer.Option(
+            "--colour",
+            "--color",
+            help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
+            "error, epistemic, aleatoric, total, entropy, mutual_information, "
+            "least_confidence, disagreement.",
+        ),
+    ] = "label",
+    scale: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            help="Values at the two ends of the colour map.",
+            show_default="range of most of the values",
+        ),
+    ] = None,
+    max_error: Annotated[
+        float | None,
+        typer.Option(help="Write points as unlabelled whose error is above this, 0 to 1."),
+    ] = None,
+    form: Annotated[
+        str, typer.Option("--format", help="ply, or las or laz with the classes of the ASPRS.")
+    ] = "ply",
+    as_map: Annotated[
+        bool, typer.Option("--map", help="Write one cloud of each drive with labels of `fuse`.")
+    ] = False,
+    cube: Annotated[
+        float, typer.Option("--map-cube", help="Edge of the cubes of one point each, in metres.")
+    ] = 0.1,
+    dataset: options.DataSetOfResults = None,
+    selection: ScanSelection,
+    label_space: options.LabelSpaceName = None,
+    classes: options.MergedInto = None,
+    running: RunOptions,
+    output: console.Output,
+) -> None:
+    """Write coloured point clouds that hold every known value of every point.
+
+    Example: salsanext export-ply --colour uncertainty
+    """
+    from salsanext_cli.stages.export_ply import export_ply as stage
+
+    out = results.folder()
+    with over_scans("export-ply", running, output.quiet) as run:
+        outcome = stage(
+            out,
+            colour=colour,
+            scale=scale,
+            max_error=max_error,
+            form=form,
+            cube=cube if as_map else None,
+            dataset=dataset,
+            space=options.label_space(label_space),
+            classes=options.label_space(classes),
+            selection=selection,
+            options=run,
+        )
+    run_end.finish("export-ply", outcome, out, output)
