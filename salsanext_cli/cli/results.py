@@ -250,8 +250,8 @@ def export_ply(
     as_map: Annotated[
         bool, typer.Option("--map", help="Write one cloud of each drive with labels of `fuse`.")
     ] = False,
-    cube: Annotated[
-        float, typer.Option("--map-cube", help="Edge of the cubes of one point each, in metres.")
+    voxel: Annotated[
+        float, typer.Option("--map-voxel", help="Edge of the voxels of one point each, in metres.")
     ] = 0.1,
     dataset: options.DataSetOfResults = None,
     selection: ScanSelection,
@@ -274,7 +274,7 @@ def export_ply(
             scale=scale,
             max_error=max_error,
             form=form,
-            cube=cube if as_map else None,
+            voxel=voxel if as_map else None,
             dataset=dataset,
             space=options.label_space(label_space),
             classes=options.label_space(classes),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Map of a drive: one point per cube, without the trails of what moves."""
+"""Map of a drive: one point per voxel, without the trails of what moves."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -42,8 +42,8 @@ def poses_of_map(results: ResultFolder, files: Sequence[ScanFile]) -> Poses | No
     return read_fused_poses(path, fused, [file.stem for file in files])
 
 
-def one_per_cube(parts: Sequence[Columns], size: float, origin: Poses) -> Columns:
-    """Join points; keep of each cube that measured from nearest, of the first scan if several."""
+def one_per_voxel(parts: Sequence[Columns], size: float, origin: Poses) -> Columns:
+    """Join points; keep of each voxel that measured from nearest, of the first scan if several."""
     names = [name for name in parts[0] if all(name in part for part in parts)]
     joined = {name: np.concatenate([part[name] for part in parts]) for name in names}
     keys = keys_of(np.stack([joined[axis] for axis in "xyz"], axis=1) - origin, size)
@@ -67,7 +67,7 @@ class MapTask:
     files: tuple[ScanFile, ...]  # Those of one sequence, with labels
     poses: Poses
     space: LabelSpace
-    size: float  # Edge of a cube, metres
+    size: float  # Edge of a voxel, metres
 
     def open(self) -> Any:
         """Return the function that works on scans; the window moves from one to the next."""
@@ -86,7 +86,7 @@ class MapTask:
             if isinstance(own, SalsanextError):
                 yield file, None, own
                 continue
-            columns = one_per_cube([own.columns], self.size, self.poses[0, :3, 3])
+            columns = one_per_voxel([own.columns], self.size, self.poses[0, :3, 3])
             kept = self._standing(columns, window, sensor)
             window[index] = own
             yield file, {name: values[kept] for name, values in columns.items()}, None

@@ -26,7 +26,7 @@ GAP_STEPS, MIN_GAP_M = 4.0, 10.0
 CHECKED_PAIRS = 8
 NEAR_M, FAR_M, ABOVE_GROUND_M = 3.0, 30.0, 0.5
 """Points that tell whether two scans lie on each other: near, and not of the ground."""
-OVERLAP_CUBE_M = 0.5
+OVERLAP_VOXEL_M = 0.5
 MIN_OVERLAP = 0.35
 """Least share of such points on each other: 0.64 or more of real drives, 0.32 without poses."""
 MARGIN = 0.1
@@ -148,8 +148,8 @@ def overlap(points: Points, others: Points, pose: Poses) -> float:
     upright = _upright(points)
     if not len(upright):
         return 0.0
-    keys = _cubes(upright @ pose[:3, :3].T + pose[:3, 3])
-    return float(np.isin(keys, np.unique(_cubes(others))).mean())
+    keys = _voxels(upright @ pose[:3, :3].T + pose[:3, 3])
+    return float(np.isin(keys, np.unique(_voxels(others))).mean())
 
 
 def _upright(points: Points) -> Poses:
@@ -161,8 +161,8 @@ def _upright(points: Points) -> Poses:
     return upright
 
 
-def _cubes(points: Points) -> npt.NDArray[np.int64]:
-    cell = np.floor(points.astype(np.float64) / OVERLAP_CUBE_M).astype(np.int64) + (1 << 20)
+def _voxels(points: Points) -> npt.NDArray[np.int64]:
+    cell = np.floor(points.astype(np.float64) / OVERLAP_VOXEL_M).astype(np.int64) + (1 << 20)
     keys: npt.NDArray[np.int64] = (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]
     return keys
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Votes of the scans of a drive for the classes of the places that they see.
 
-Space is cut into cubes, of two sizes. In each cube a scan has one vote: the mean softmax of its
+Space is cut into voxels, of two sizes. In each voxel a scan has one vote: the mean softmax of its
 points there. So a place that a scan sees with a thousand points from nearby weighs no more than
 from afar with one, and what the network gets wrong from one place, it gets right from another.
 """
@@ -16,10 +16,10 @@ import numpy.typing as npt
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.records import Float
 
-CUBE_SIZES_M = (0.3, 0.6)
-"""Edges of the cubes, whose shares of the votes are averaged."""
+VOXEL_SIZES_M = (0.3, 0.6)
+"""Edges of the voxels, whose shares of the votes are averaged."""
 KEY_BITS = 21
-"""Bits of a cube's place along each axis: 2²¹ cubes of 0.3 m are 629 km."""
+"""Bits of a voxel's place along each axis: 2²¹ voxels of 0.3 m are 629 km."""
 SCALE = 65535
 """Of a probability in a vote, which is kept as uint16."""
 
@@ -29,11 +29,11 @@ Votes = npt.NDArray[np.uint16]
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Votes of one scan in the cubes of one size that it sees, V of them."""
+    """Votes of one scan in the voxels of one size that it sees, V of them."""
 
     keys: Keys  # (V,) ascending
     votes: Votes  # (V, C): mean softmax × `SCALE`
-    cube_of_point: npt.NDArray[np.int32]  # (N,): index in `keys`, -1 for a point without a vote
+    voxel_of_point: npt.NDArray[np.int32]  # (N,): index in `keys`, -1 for a point without a vote
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,40 +53,40 @@ def view_of(
     """Gather the votes of a scan.
 
     `points`: (N, 3) float64 metres in the frame of the drive; `probabilities`: (N, C) float32;
-    `voting`: (N,) whose points have a vote; `size`: edge of a cube in metres.
+    `voting`: (N,) whose points have a vote; `size`: edge of a voxel in metres.
     """
     keys = keys_of(points[voting], size)
     order = np.argsort(keys, kind="stable")
     first = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    cube = np.repeat(np.arange(len(first)), np.diff(first, append=len(keys)))
-    cube_of_point = np.full(len(points), -1, np.int32)
-    cube_of_point[np.flatnonzero(voting)[order]] = cube
+    voxel = np.repeat(np.arange(len(first)), np.diff(first, append=len(keys)))
+    voxel_of_point = np.full(len(points), -1, np.int32)
+    voxel_of_point[np.flatnonzero(voting)[order]] = voxel
     votes = np.empty((len(first), probabilities.shape[1]), np.uint16)
     rows = np.flatnonzero(voting)[order]
-    _mean_of_cubes(argument(probabilities, np.float32), rows, np.append(first, len(keys)), votes)
-    return View(keys[order][first], votes, cube_of_point)
+    _mean_of_voxels(argument(probabilities, np.float32), rows, np.append(first, len(keys)), votes)
+    return View(keys[order][first], votes, voxel_of_point)
 
 
 def keys_of(points: npt.NDArray[np.float64], size: float) -> Keys:
-    """Return the key (N,) of the cube of a size in metres that each point (N, 3) is in."""
+    """Return the key (N,) of the voxel of a size in metres that each point (N, 3) is in."""
     cells = np.floor(points / size).astype(np.int64) + (1 << (KEY_BITS - 1))
     keys: Keys = (cells[:, 0] << (2 * KEY_BITS)) | (cells[:, 1] << KEY_BITS) | cells[:, 2]
     return keys
 
 
 @compiled
-def _mean_of_cubes(probabilities: Float, rows: Keys, borders: Keys, votes: Votes) -> None:
-    """Write the mean softmax of the points ``rows[borders[v]:borders[v + 1]]`` of each cube."""
+def _mean_of_voxels(probabilities: Float, rows: Keys, borders: Keys, votes: Votes) -> None:
+    """Write the mean softmax of the points ``rows[borders[v]:borders[v + 1]]`` of each voxel."""
     classes = probabilities.shape[1]
     total = np.empty(classes, np.float32)
-    for cube in range(len(borders) - 1):
+    for voxel in range(len(borders) - 1):
         total[:] = 0
-        for place in range(borders[cube], borders[cube + 1]):
+        for place in range(borders[voxel], borders[voxel + 1]):
             for c in range(classes):
                 total[c] += probabilities[rows[place], c]
-        count = borders[cube + 1] - borders[cube]
+        count = borders[voxel + 1] - borders[voxel]
         for c in range(classes):
-            votes[cube, c] = np.uint16(total[c] / count * 65535 + 0.5)
+            votes[voxel, c] = np.uint16(total[c] / count * SCALE + 0.5)
 
 
 def tally(own: View, others: Iterable[tuple[View, npt.NDArray[np.uint8]]]) -> Tally:
@@ -95,7 +95,7 @@ def tally(own: View, others: Iterable[tuple[View, npt.NDArray[np.uint8]]]) -> Ta
     Of each class it is the mean over the scans whose votes for it count, so that scans that have no
     say about it are not against it; then the classes are scaled to add up to 1.
 
-    `others`: views of the same cubes, and (C,) whether the votes of each for a class count.
+    `others`: views of the same voxels, and (C,) whether the votes of each for a class count.
     """
     total = own.votes.astype(np.uint32)
     counts = np.ones(total.shape, np.uint16)
@@ -104,11 +104,11 @@ def tally(own: View, others: Iterable[tuple[View, npt.NDArray[np.uint8]]]) -> Ta
         work = partial(_add_slice, own.keys, view, counted, total, counts, seen)
         parallel_for_slices(work, len(own.keys))
     means = total / counts
-    # The last row is of points without a vote, whose cube is -1.
+    # The last row is of points without a vote, whose voxel is -1.
     shares = np.zeros((len(total) + 1, total.shape[1]), np.float32)
     shares[:-1] = means / np.maximum(means.sum(axis=1, keepdims=True), 1)
     views = np.append(seen, np.uint16(0))
-    return Tally(shares[own.cube_of_point], views[own.cube_of_point])
+    return Tally(shares[own.voxel_of_point], views[own.voxel_of_point])
 
 
 def _add_slice(
@@ -133,7 +133,7 @@ def _add(
     counts: npt.NDArray[np.uint16],
     seen: npt.NDArray[np.uint16],
 ) -> None:
-    """Add the votes of another scan in the cubes that both see; both keys ascend."""
+    """Add the votes of another scan in the voxels that both see; both keys ascend."""
     if len(own) == 0:
         return
     there = np.searchsorted(keys, own[0])

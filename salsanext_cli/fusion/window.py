@@ -10,7 +10,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.fusion.poses import Poses, segments
-from salsanext_cli.fusion.votes import CUBE_SIZES_M, Tally, View, tally, view_of
+from salsanext_cli.fusion.votes import VOXEL_SIZES_M, Tally, View, tally, view_of
 from salsanext_cli.options import FusionReach
 from salsanext_cli.records import Float, Scan
 
@@ -77,10 +77,10 @@ class FusionWindow:
             try:
                 points, softmax, voting = self.drive.read(index)
                 pose = self.drive.poses[index]
-                # Far from its origin, a frame of the world leaves no digits for cubes.
+                # Far from its origin, a frame of the world leaves no digits for voxels.
                 place = pose[:3, 3] - self.drive.poses[0, :3, 3]
                 placed = points.astype(np.float64) @ pose[:3, :3].T + place
-                views = [view_of(placed, softmax, voting, size) for size in CUBE_SIZES_M]
+                views = [view_of(placed, softmax, voting, size) for size in VOXEL_SIZES_M]
                 self.views[index] = views
             except SalsanextError as error:
                 self.views[index] = error

@@ -19,7 +19,7 @@ from salsanext_cli.fusion.drive_map import (
     MERGED_POINTS,
     Columns,
     MapTask,
-    one_per_cube,
+    one_per_voxel,
     poses_of_map,
 )
 from salsanext_cli.fusion.poses import POSES
@@ -34,7 +34,7 @@ from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 
 FORMATS = ("ply", "las", "laz")
-MIN_CUBE_M, MAX_CUBE_M = 0.01, 10.0
+MIN_VOXEL_M, MAX_VOXEL_M = 0.01, 10.0
 
 log = logging.getLogger(__name__)
 
@@ -89,7 +89,7 @@ def export_ply(
     scale: tuple[float, float] | None = None,
     max_error: float | None = None,
     form: str = "ply",
-    cube: float | None = None,
+    voxel: float | None = None,
     dataset: Path | None = None,
     space: LabelSpace | None = None,
     classes: LabelSpace | None = None,
@@ -103,9 +103,9 @@ def export_ply(
 
     `colour`: one of `COLOURS`; `scale`: values at the ends of the colour map, the same for all
     scans, otherwise what most points of the first scans span; `max_error`: points whose error, 0…1,
-    is above it are written as unlabelled; `form`: of `FORMATS`; `cube`: instead of scans, the
+    is above it are written as unlabelled; `form`: of `FORMATS`; `voxel`: instead of scans, the
     map of each drive with fused labels goes to `OUT/sequences/<seq>/map.ply`, with one point in
-    each cube of such an edge in metres, in the frame of the poses; `space`, `classes`: as for
+    each voxel of such an edge in metres, in the frame of the poses; `space`, `classes`: as for
     `ResultFolder.predicted`.
     """
     results = ResultFolder(out, dataset)
@@ -116,11 +116,11 @@ def export_ply(
         raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
     if form != "ply":
         import_laspy(f"--format {form}", compressed=form == "laz")
-    if cube is not None:
+    if voxel is not None:
         if max_error is not None or options.shard.count > 1 or colour in ("truth", "wrong"):
             raise UsageError("--map", "with --max-error, --shard or the truth", "none of these")
-        if not MIN_CUBE_M <= cube <= MAX_CUBE_M:
-            raise UsageError("--map-cube", f"{cube:g}", f"{MIN_CUBE_M} to {MAX_CUBE_M} metres")
+        if not MIN_VOXEL_M <= voxel <= MAX_VOXEL_M:
+            raise UsageError("--map-voxel", f"{voxel:g}", f"{MIN_VOXEL_M} to {MAX_VOXEL_M} metres")
     chosen = results.chosen(selection, space, classes)
     scans, space = chosen.scans, chosen.space
     if max_error is not None:
@@ -129,9 +129,11 @@ def export_ply(
         colour = results.meant_uncertainty(scans)
     results.require_column(colour, scans)
     sensor = results.sensor()
-    if cube is not None:
+    if voxel is not None:
         ends = scale or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
-        return _export_maps(results, chosen, PointColours(colour, ends, space), form, cube, options)
+        return _export_maps(
+            results, chosen, PointColours(colour, ends, space), form, voxel, options
+        )
     stage, folder = _place(out, colour, form)
     made_of, earlier = results.origins(LABELLING_STAGES), results.settings(stage)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
@@ -177,7 +179,7 @@ def _export_maps(
     chosen: ChosenResults,
     colours: PointColours,
     form: str,
-    cube: float,
+    voxel: float,
     options: RunOptions,
 ) -> Outcome:
     """Write the map of each drive, in the place of an earlier one."""
@@ -186,7 +188,7 @@ def _export_maps(
     for name, group in groupby(scans, lambda file: file.sequence):
         files, path = tuple(group), results.root / "sequences" / name / f"map.{form}"
         folder.require_own([path])
-        columns, added = map_of_drive(results, files, colours.space, cube, options)
+        columns, added = map_of_drive(results, files, colours.space, voxel, options)
         failures, done = outcome.failures + added.failures, outcome.done + added.done
         seconds = outcome.seconds + added.seconds
         outcome = replace(outcome, failures=failures, done=done, seconds=seconds)
@@ -203,7 +205,7 @@ def map_of_drive(
     results: ResultFolder,
     files: tuple[ScanFile, ...],
     space: LabelSpace,
-    cube: float,
+    voxel: float,
     options: RunOptions,
 ) -> tuple[Columns, Outcome]:
     """Return the map of scans of a sequence with fused labels; no columns if none can be read."""
@@ -218,8 +220,8 @@ def map_of_drive(
         parts.append(columns)
         first, *waiting = (len(part["x"]) for part in parts)
         if sum(waiting) > max(first, MERGED_POINTS):
-            parts[:] = [one_per_cube(parts, cube, origin)]
+            parts[:] = [one_per_voxel(parts, voxel, origin)]
 
-    task = MapTask(results, files, poses, space, cube)
+    task = MapTask(results, files, poses, space, voxel)
     outcome = run_over_scans(task, files, options, on_result=add)
-    return one_per_cube(parts, cube, origin) if parts else {}, outcome
+    return one_per_voxel(parts, voxel, origin) if parts else {}, outcome

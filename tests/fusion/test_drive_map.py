@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli import Scan
-from salsanext_cli.fusion.drive_map import one_per_cube
+from salsanext_cli.fusion.drive_map import one_per_voxel
 from salsanext_cli.fusion.window import fuse
 
 ORIGIN = np.array([4e5, 5e6, 30.0])
@@ -20,28 +20,28 @@ def columns(seed, count, spread=2.0):
 
 
 @given(st.lists(st.integers(1, 60), min_size=1, max_size=4))
-def test_each_cube_keeps_its_nearest_point(counts):
+def test_each_voxel_keeps_its_nearest_point(counts):
     parts = [columns(seed, count) for seed, count in enumerate(counts)]
     best = {}
     for part in parts:
         for i in range(len(part["x"])):
             place = np.array([part[axis][i] for axis in "xyz"]) - ORIGIN
-            cube = tuple(np.floor(place / 0.5).astype(int))
+            voxel = tuple(np.floor(place / 0.5).astype(int))
             point = (part["range"][i], part["scan"][i])
-            best[cube] = min(best.get(cube, point), point)
-    found = one_per_cube(parts, 0.5, ORIGIN)
+            best[voxel] = min(best.get(voxel, point), point)
+    found = one_per_voxel(parts, 0.5, ORIGIN)
     assert len(found["x"]) == len(best)
     for i in range(len(found["x"])):
         place = np.array([found[axis][i] for axis in "xyz"]) - ORIGIN
-        cube = tuple(np.floor(place / 0.5).astype(int))
-        assert best[cube] == (found["range"][i], found["scan"][i])
+        voxel = tuple(np.floor(place / 0.5).astype(int))
+        assert best[voxel] == (found["range"][i], found["scan"][i])
 
 
 def test_the_order_of_scans_and_merging_in_between_change_nothing():
     parts = [columns(seed, 500) for seed in range(4)]
-    whole = one_per_cube(parts, 0.5, ORIGIN)
-    bit_by_bit = one_per_cube(
-        [parts[3], one_per_cube(parts[:2], 0.5, ORIGIN), parts[2]], 0.5, ORIGIN
+    whole = one_per_voxel(parts, 0.5, ORIGIN)
+    bit_by_bit = one_per_voxel(
+        [parts[3], one_per_voxel(parts[:2], 0.5, ORIGIN), parts[2]], 0.5, ORIGIN
     )
     for name, values in whole.items():
         np.testing.assert_array_equal(values, bit_by_bit[name])
@@ -50,7 +50,7 @@ def test_the_order_of_scans_and_merging_in_between_change_nothing():
 def test_what_not_every_scan_knows_is_left_out():
     lacking = columns(1, 9)
     del lacking["label"]
-    assert "label" not in one_per_cube([columns(0, 9), lacking], 0.5, ORIGIN)
+    assert "label" not in one_per_voxel([columns(0, 9), lacking], 0.5, ORIGIN)
 
 
 @pytest.mark.parametrize("far", [0.0, 6e6])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli.fusion.top_classes import KEPT, LEVELS, softmax_of, top_classes
-from salsanext_cli.fusion.votes import CUBE_SIZES_M, SCALE
+from salsanext_cli.fusion.votes import SCALE, VOXEL_SIZES_M
 from salsanext_cli.fusion.window import disagreement, fuse, fused_labels, movable_classes
 from salsanext_cli.options import FusionReach
 
@@ -39,28 +39,28 @@ def slowly(scans, softmax, poses, reach, movable):
     """Add up votes in dictionaries."""
     results = []
     for index in range(len(scans)):
-        shares = np.zeros((len(CUBE_SIZES_M), len(scans[index].points), CLASSES))
-        for which, size in enumerate(CUBE_SIZES_M):
+        shares = np.zeros((len(VOXEL_SIZES_M), len(scans[index].points), CLASSES))
+        for which, size in enumerate(VOXEL_SIZES_M):
             views = []
             for scan, of_points, pose in zip(scans, softmax, poses, strict=True):
-                cubes = defaultdict(list)
+                voxels = defaultdict(list)
                 world = scan.points.astype(float) @ pose[:3, :3].T + pose[:3, 3]
                 for place, probabilities in zip(world, of_points, strict=True):
                     if probabilities[0] < 1:
-                        cubes[tuple(np.floor(place / size))].append(probabilities)
-                views.append({cube: np.mean(all_, axis=0) for cube, all_ in cubes.items()})
+                        voxels[tuple(np.floor(place / size))].append(probabilities)
+                views.append({voxel: np.mean(all_, axis=0) for voxel, all_ in voxels.items()})
             world = scans[index].points.astype(float) @ poses[index][:3, :3].T + poses[index][:3, 3]
             seen = np.zeros(len(world), int)
             for number, place in enumerate(world):
-                cube = tuple(np.floor(place / size))
+                voxel = tuple(np.floor(place / size))
                 if softmax[index][number, 0] == 1:
                     continue
                 total, counts = np.zeros(CLASSES), np.zeros(CLASSES)
                 for other, view in enumerate(views):
                     away = abs(other - index)
-                    if away <= reach.reach and cube in view:
+                    if away <= reach.reach and voxel in view:
                         counted = (away <= reach.movable_reach) | ~movable
-                        total += view[cube] * counted
+                        total += view[voxel] * counted
                         counts += counted
                         seen[number] += 1
                 shares[which, number] = total / counts

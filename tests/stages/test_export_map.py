@@ -84,7 +84,7 @@ def fused(world):
 
 
 def export(world, **options):
-    return export_ply(world.out / "fused", **{"cube": 0.1} | options)
+    return export_ply(world.out / "fused", **{"voxel": 0.1} | options)
 
 
 def map_of(world, form="ply"):
@@ -141,14 +141,14 @@ def test_what_has_no_map_is_said(fused):
     for wrong in (
         {"max_error": 0.1},
         {"options": RunOptions(shard=Shard(1, 2))},
-        {"cube": 0.0},
-        {"cube": float("nan")},
+        {"voxel": 0.0},
+        {"voxel": float("nan")},
         {"colour": "truth"},
     ):
         with pytest.raises(UsageError, match="--map"):
             export(fused, **wrong)
     with pytest.raises(NoInputError, match="salsanext fuse"):
-        export_ply(fused.out, cube=0.1)
+        export_ply(fused.out, voxel=0.1)
     assert not [*fused.out.rglob("map.*")]
 
 
@@ -160,7 +160,7 @@ def test_a_scan_that_cannot_be_read_is_named_and_left_out(fused):
 
 
 def test_the_command_writes_a_map(fused):
-    words = ["export-ply", str(fused.out / "fused"), "--map", "--map-cube", "1"]
+    words = ["export-ply", str(fused.out / "fused"), "--map", "--map-voxel", "1"]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
     assert "map.ply" in result.output
