@@ -10,9 +10,10 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError
+from salsanext_cli.files.json_files import read_json
 from salsanext_cli.files.reading import present
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.fusion.poses import POSES, Poses, read_fused_poses, segments
+from salsanext_cli.fusion.poses import DRIVE, POSES, Poses, read_fused_poses, segments
 from salsanext_cli.fusion.votes import keys_of
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.geometry.projection import measured_ranges, project
@@ -34,12 +35,11 @@ Columns = dict[str, npt.NDArray[Any]]
 
 def poses_of_map(results: ResultFolder, files: Sequence[ScanFile]) -> Poses | None:
     """Return the poses by which `fuse` wrote the labels of scans of a sequence, None without."""
-    path = results.root / "sequences" / files[0].sequence / POSES
-    record = results.record("fuse")
-    if record is None or files[0].sequence not in record.scans or not present(path):
+    folder = results.root / "sequences" / files[0].sequence
+    record = read_json(folder / DRIVE)
+    if record is None or not present(folder / POSES):
         return None
-    fused = sorted(record.scans[files[0].sequence].stems)
-    return read_fused_poses(path, fused, [file.stem for file in files])
+    return read_fused_poses(folder / POSES, record["scans"], [file.stem for file in files])
 
 
 def one_per_voxel(parts: Sequence[Columns], size: float, origin: Poses) -> Columns:
@@ -68,6 +68,7 @@ class MapTask:
     poses: Poses
     space: LabelSpace
     size: float  # Edge of a voxel, metres
+    max_chunk_scans: int = 400  # Neighbours share what they read
 
     def open(self) -> Any:
         """Return the function that works on scans; the window moves from one to the next."""
@@ -76,8 +77,9 @@ class MapTask:
     def _attempts(self, files: Iterable[ScanFile]) -> Iterator[tuple[ScanFile, Any, Any]]:
         sensor, parts, reach = self.results.sensor(), segments(self.poses), FusionReach().reach
         window: dict[int, SeenScan | SalsanextError] = {}
+        numbers = {file: number for number, file in enumerate(self.files)}
         for file in files:
-            index = self.files.index(file)
+            index = numbers[file]
             near = range(max(0, index - reach), min(len(parts), index + reach + 1))
             members = [each for each in near if parts[each] == parts[index]]
             known = {each: window[each] for each in members if each in window}

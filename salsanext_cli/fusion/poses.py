@@ -15,7 +15,7 @@ Points = npt.NDArray[np.float64] | Float
 """(N, 3), metres."""
 Poses = npt.NDArray[np.float64]
 """(N, 4, 4), or (4, 4) of one: from the frame of each scan to that of the drive, metres."""
-POSES, CALIBRATION = "poses.txt", "calib.txt"
+POSES, CALIBRATION, DRIVE = "poses.txt", "calib.txt", "drive.json"
 KITTI_NUMBERS, TUM_NUMBERS = 12, 8
 MAX_SHEAR = 1e-2
 """Largest difference of a rotation times its transpose from 1."""
@@ -131,7 +131,7 @@ def encode_poses(poses: Poses) -> bytes:
 
 
 def segments(poses: Poses) -> npt.NDArray[np.int64]:
-    """Return the part of a drive (N,) that each scan is of; a step out of sight ends one."""
+    """Return the part of a drive (N,) that each scan is of; too long a step begins another."""
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     # A drive may stand most of the time.
     usual = float(np.percentile(steps, 90)) if len(steps) else 0.0

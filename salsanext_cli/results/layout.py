@@ -2,11 +2,13 @@
 """Layout of scans, labels and results: the folders of SemanticKITTI, and plain ones."""
 
 import os
+import re
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 from salsanext_cli.errors import NoInputError, OutputError, first_few
 from salsanext_cli.files.reading import is_folder, present, reason
@@ -129,6 +131,12 @@ class ScanFile:
             return folder.parent / "labels" / name
         nested = folder / "labels" / name
         return nested if present(nested) else folder / name
+
+
+def drive_order(file: ScanFile) -> tuple[Any, ...]:
+    """Return a key by which scan 10 of a drive comes after scan 9."""
+    words = re.split(r"(\d+)", file.stem)
+    return file.sequence, [int(word) if word.isdecimal() else word for word in words], file.stem
 
 
 def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[ScanFile]:

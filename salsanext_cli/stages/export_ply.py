@@ -26,7 +26,7 @@ from salsanext_cli.fusion.poses import POSES
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
-from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile
+from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile, drive_order
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, scalar_columns
@@ -209,6 +209,7 @@ def map_of_drive(
     options: RunOptions,
 ) -> tuple[Columns, Outcome]:
     """Return the map of scans of a sequence with fused labels; no columns if none can be read."""
+    files = tuple(sorted(files, key=drive_order))
     poses = poses_of_map(results, files)
     if poses is None:
         path = results.root / "sequences" / files[0].sequence / POSES

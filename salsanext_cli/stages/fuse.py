@@ -4,7 +4,6 @@
 import hashlib
 import logging
 import os
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -32,6 +31,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array, read_probabilities
 from salsanext_cli.fusion.poses import (
+    DRIVE,
     POSES,
     Poses,
     encode_poses,
@@ -61,6 +61,7 @@ from salsanext_cli.results.layout import (
     FUSED_STAGES,
     SCAN_FOLDER,
     ScanFile,
+    drive_order,
     find_scans,
     output_path,
     with_outputs,
@@ -122,7 +123,7 @@ class FuseTask:
         def read(index: int) -> tuple[Float, Float, Any]:
             file = drive.files[index]
             points = read_scan(file.path, self.sensor).points
-            softmax = read_softmax(self.single.root, file, len(points), self.space)
+            softmax = kept_softmax(self.single.root, file, len(points), self.space)
             return points, softmax, voting(softmax)
 
         return FusionWindow(Drive(drive.poses, read), self.reach, movable_classes(self.space))
@@ -141,7 +142,7 @@ class FuseTask:
         return ScanSummary.of_labels(file, fused, self.space)
 
 
-def read_softmax(out: Path, file: ScanFile, count: int, space: LabelSpace) -> Float:
+def kept_softmax(out: Path, file: ScanFile, count: int, space: LabelSpace) -> Float:
     """Read the softmax (N, C) float32 that `predict` kept of a scan's points, or its votes."""
     path = output_path(out, file.sequence, "probabilities", file.stem)
     if present(path):
@@ -195,7 +196,7 @@ def fuse_results(
     missing = MissingResults(tuple(file for file in wanted if file not in set(known)), 0)
     missing.log_error(len(wanted), "softmax and labels")
     members: dict[str, list[ScanFile]] = {}
-    for file in sorted(known, key=_natural_order):
+    for file in sorted(known, key=drive_order):
         members.setdefault(file.sequence, []).append(file)
     chosen = dict.fromkeys(file.sequence for file in scans)
     if poses is not None and len(chosen) > 1:
@@ -237,12 +238,6 @@ def fuse_results(
     return replace(outcome, summary=summary, missing=missing if missing.scans else None)
 
 
-def _natural_order(file: ScanFile) -> tuple[Any, ...]:
-    """Return a key by which scan 10 comes after scan 9."""
-    words = re.split(r"(\d+)", file.stem)
-    return file.sequence, [int(word) if word.isdecimal() else word for word in words], file.stem
-
-
 def require_fusable(source: Path | Sequence[Path], out: Path, shard: Shard) -> None:
     """Refuse to predict and fuse a share, or without the package for poses that scans lack."""
     if shard.count > 1:
@@ -264,7 +259,7 @@ def _given(path: Path | None, files: Sequence[ScanFile], sensor: Sensor) -> Pose
     """Read the poses of scans, if there are any, and look whether they fit the scans."""
     if path is None:
         return None
-    beside = sorted(find_scans(files[0].path.parent), key=_natural_order)
+    beside = sorted(find_scans(files[0].path.parent), key=drive_order)
     stems, wanted = ([file.stem for file in each] for each in (beside, files))
     poses = read_poses(path, stems, wanted)
     require_fitting(path, poses, segments(poses), lambda index: _points(files[index], sensor))
@@ -287,10 +282,10 @@ def _drive(
     """Return a sequence with poses, computed if not given, and record both."""
     name, stems = files[0].sequence, [file.stem for file in files]
     folder = output.root / "sequences" / name
-    used, record = folder / POSES, folder / "drive.json"
+    used, record = folder / POSES, folder / DRIVE
     before, edited = read_json(record), bool(output.others([used]))
-    recorded: dict[str, Any] = {"scans": len(stems), "names": _digest("\n".join(stems).encode())}
-    known = before is not None and {key: before.get(key) for key in recorded} == recorded
+    recorded: dict[str, Any] = {"scans": stems}
+    known = before is not None and before.get("scans") == stems
     if before is not None and not known and not output.overwrite:
         raise _other_drive(record, before, len(stems))
     if poses is None and present(used) and (edited or (known and not output.overwrite)):
@@ -302,7 +297,7 @@ def _drive(
         log.log(NOTICE, "sequence %s: no %s, computing poses of its scans", name, POSES)
         poses = register(_points(file, sensor) for file in files)
     content = encode_poses(poses)
-    recorded["poses"] = _digest(content)
+    recorded["poses"] = hashlib.sha256(content).hexdigest()
     if before not in (None, recorded) and not output.overwrite:
         raise _other_drive(record, before or {}, len(stems))
     if not edited:
@@ -311,14 +306,10 @@ def _drive(
     return DriveScans(tuple(files), poses, {file: number for number, file in enumerate(files)})
 
 
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
-
-
 def _other_drive(record: Path, before: Mapping[str, Any], scans: int) -> OutputError:
     """Return the error of results that have votes of other scans, or by other poses."""
-    fused = f"{before.get('scans')} scans"
-    found = f"fused of {fused}, now {scans}" if before.get("scans") != scans else "other poses"
+    fused = len(before.get("scans", ()))
+    found = f"fused of {fused} scans, now {scans}" if fused != scans else "other scans or poses"
     remedy = "fuse the sequence anew with --overwrite"
     return OutputError(record, found, "the same scans and poses for all of it", remedy)
 

@@ -32,7 +32,7 @@ from salsanext_cli.report.page.run_results import (
 )
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.report.scan_pictures import NARROW_PX, REACH_M, TITLES, scan_picture
-from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile
+from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile, drive_order
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import MissingResults, evenly_spaced, space_of_labels
@@ -133,7 +133,8 @@ def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[
     maps, reasons = dict[str, bytes](), list[str]()
     space, results = run.reader.space, ResultFolder(run.reader.out)
     for name, group in groupby((row.file for row in run.rows), lambda file: file.sequence):
-        files = tuple(evenly_spaced(results.with_column("label", [*group]), MAP_SCANS))
+        in_order = sorted(results.with_column("label", [*group]), key=drive_order)
+        files = tuple(evenly_spaced(in_order, MAP_SCANS))
         try:
             if not files or (poses := poses_of_map(results, files)) is None:
                 continue

@@ -2,6 +2,7 @@
 import shutil
 
 import numpy as np
+import plyfile
 import pytest
 from command_line import only_json
 from scans import files_below
@@ -17,6 +18,7 @@ from salsanext_cli.options import FusionReach, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.fuse import fuse_results
 from salsanext_cli.stages.predict import predict_scans
 
@@ -137,6 +139,23 @@ def test_votes_of_other_scans_are_not_mixed(drive):
     with pytest.raises(OutputError, match="fused of 2 scans, now 3"):
         fuse_results(drive.out)
     assert fuse_results(drive.out, options=RunOptions(overwrite=True)).done == 3
+
+
+def test_unpadded_numbers_are_in_order_for_labels_and_map(world):
+    folder = write_drive(world, 3)
+    for name, number in zip(STEMS, ("9", "10", "11"), strict=True):
+        for kind, suffix in (("velodyne", "bin"), ("labels", "label")):
+            (folder / f"{kind}/{name}.{suffix}").rename(folder / f"{kind}/{number}.{suffix}")
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[2, 0, 3] = 500
+    (folder / "poses.txt").write_bytes(encode_poses(poses))
+    predict_scans(folder, world.out, network=world.network, extras=("votes",))
+    fuse_results(world.out)
+    views = {n: np.load(fused_folder(world) / f"views/{n}.npy").max() for n in ("9", "10", "11")}
+    assert views == {"9": 2, "10": 2, "11": 1}
+    export_ply(world.out / "fused", voxel=0.1)
+    points = plyfile.PlyData.read(fused_folder(world) / "map.ply")["vertex"]
+    assert ((points["x"] > 300) == (points["scalar_scan"] == 2)).all()
 
 
 def test_a_drive_in_parts_is_a_finding(drive):
