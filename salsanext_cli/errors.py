@@ -7,6 +7,7 @@ Anything else that escapes is a bug and keeps its traceback.
 
 import logging
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, ClassVar
 
 # Who uses the package says where its warnings go.
@@ -168,6 +169,12 @@ class MissingDependency(SalsanextError):  # noqa: N818 - the name says what is w
     """An optional package or a system library is absent."""
 
     code = "missing-dependency"
+
+
+@cache
+def warn_once(log: logging.Logger, message: str) -> None:
+    """Log a warning that this process has not had yet."""
+    log.warning("%s", message)
 
 
 def out_of_memory(error: BaseException) -> bool:

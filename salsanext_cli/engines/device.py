@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from salsanext_cli.errors import MissingDependency, UsageError, error_text
+from salsanext_cli.errors import MissingDependency, UsageError, error_text, warn_once
 
 if TYPE_CHECKING:
     import openvino
@@ -74,7 +74,7 @@ def choose_engine(name: str, device: str) -> str:
         return "openvino"
     if name == "openvino":
         raise MissingDependency(name, failure, remedy="install it again, or --engine torch")
-    _warn_once(failure)
+    warn_once(log, f"openvino {failure}; computing with torch, which is slower")
     return "torch"
 
 
@@ -108,11 +108,6 @@ def _openvino_fails() -> str:
         if not known:
             del sys.modules[CONVERTER]
     return ""
-
-
-@cache
-def _warn_once(failure: str) -> None:
-    log.warning("openvino %s; computing with torch, which is slower", failure)
 
 
 def choose_precision(name: str, device: str) -> str:

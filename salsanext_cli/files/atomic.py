@@ -40,7 +40,8 @@ def writing(
     called with the status of the complete file.
     """
     path = Path(path)
-    temporary = _temporary(path)
+    # A process id would not do: machines of a cluster share the folder, not the ids.
+    temporary = path.with_name(f".{MARK.get()}{uuid.uuid4().hex}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("xb") as file:
@@ -59,11 +60,6 @@ def writing(
         if isinstance(error, OSError):
             raise refusal(path, error) from error
         raise
-
-
-def _temporary(path: Path) -> Path:
-    # A process id would not do: machines of a cluster share the folder, not the ids.
-    return path.with_name(f".{MARK.get()}{uuid.uuid4().hex}.part")
 
 
 def _keep_names(folder: Path) -> None:

@@ -5,12 +5,11 @@ import errno
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from salsanext_cli.errors import OutputError
+from salsanext_cli.errors import OutputError, warn_once
 from salsanext_cli.files.atomic import refusal
 from salsanext_cli.files.reading import reason
 
@@ -41,7 +40,8 @@ def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[N
     except OSError as error:
         if error.errno not in UNSUPPORTED:
             raise refusal(path, error) from error
-        _warn_unlocked(reason(error))
+        why = f"output folders are not locked ({reason(error)})"
+        warn_once(log, f"{why}: do not run two stages in one at a time")
         yield
         return
     try:
@@ -51,8 +51,3 @@ def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[N
         with suppress(OSError):
             path.unlink()
         lock.release()
-
-
-@cache
-def _warn_unlocked(why: str) -> None:
-    log.warning("output folders are not locked (%s): do not run two stages in one at a time", why)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Opening of files and tests for their presence, where names may be anything."""
 
-import errno
 import os
 import stat
 from collections.abc import Iterator
@@ -63,14 +62,14 @@ def read_values(
 
 
 def present(path: Path) -> bool:
-    """Return whether a name exists, as one of a link to itself does, which its reader refuses."""
+    """Return whether a name exists; `FormatError` where the system does not say."""
     return _status(path) is not None
 
 
 def filled(path: Path) -> bool:
     """Return whether a name is that of a file with content; a power cut can leave it empty."""
     status = _status(path)
-    return status is not None and not stat.S_ISLNK(status.st_mode) and status.st_size > 0
+    return status is not None and status.st_size > 0
 
 
 def _status(path: Path) -> os.stat_result | None:
@@ -79,8 +78,6 @@ def _status(path: Path) -> os.stat_result | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
-        if error.errno == errno.ELOOP:
-            return path.lstat() if path.is_symlink() else None
         raise FormatError(path, f"cannot be read: {reason(error)}", "a readable file") from error
 
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.files.reading import present, reading
+from salsanext_cli.fusion.votes import keys_of
 from salsanext_cli.records import Float
 
 Points = npt.NDArray[np.float64] | Float
@@ -148,8 +149,9 @@ def overlap(points: Points, others: Points, pose: Poses) -> float:
     upright = _upright(points)
     if not len(upright):
         return 0.0
-    keys = _voxels(upright @ pose[:3, :3].T + pose[:3, 3])
-    return float(np.isin(keys, np.unique(_voxels(others))).mean())
+    keys = keys_of(upright @ pose[:3, :3].T + pose[:3, 3], OVERLAP_VOXEL_M)
+    occupied = np.unique(keys_of(others.astype(np.float64), OVERLAP_VOXEL_M))
+    return float(np.isin(keys, occupied).mean())
 
 
 def _upright(points: Points) -> Poses:
@@ -159,12 +161,6 @@ def _upright(points: Points) -> Poses:
         return near
     upright: Poses = near[near[:, 2] > np.percentile(near[:, 2], 40) + ABOVE_GROUND_M]
     return upright
-
-
-def _voxels(points: Points) -> npt.NDArray[np.int64]:
-    cell = np.floor(points.astype(np.float64) / OVERLAP_VOXEL_M).astype(np.int64) + (1 << 20)
-    keys: npt.NDArray[np.int64] = (cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2]
-    return keys
 
 
 def require_fitting(

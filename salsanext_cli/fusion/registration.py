@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.files.optional_packages import import_extra
-from salsanext_cli.fusion.poses import MIN_OVERLAP, Points, Poses, overlap
+from salsanext_cli.fusion.poses import MIN_OVERLAP, Poses, overlap
 from salsanext_cli.records import Float
 
 MIN_RANGE_M = 2.0
@@ -39,8 +39,13 @@ def register(scans: Iterable[Float]) -> Poses:
     before, step = np.zeros((0, 3)), np.eye(4)
     for points in scans:
         far = points[np.linalg.norm(points, axis=1) > MIN_RANGE_M].astype(np.float64)
-        cloud = _downsampled(small_gicp, far) if len(far) >= MIN_POINTS else None
+        cloud: Any = None
         pose: Poses | None = None
+        if len(far) >= MIN_POINTS:
+            # With the covariances of the points' neighbourhoods.
+            cloud, _ = small_gicp.preprocess_points(
+                far, downsampling_resolution=DOWNSAMPLED_M, num_threads=1
+            )
         if cloud is not None and target is not None:
             for guess in (step, *OTHER_STEPS):
                 pose = _aligned(small_gicp, target, cloud, poses[-1] @ guess)
@@ -60,14 +65,6 @@ def register(scans: Iterable[Float]) -> Poses:
         poses.append(pose)
         before = far
     return np.array(poses).reshape(-1, 4, 4)
-
-
-def _downsampled(small_gicp: Any, points: Points) -> Any:
-    """Return a cloud of fewer points, with the covariances of their neighbourhoods."""
-    cloud, _ = small_gicp.preprocess_points(
-        points, downsampling_resolution=DOWNSAMPLED_M, num_threads=1
-    )
-    return cloud
 
 
 def _aligned(small_gicp: Any, target: Any, cloud: Any, guess: Poses) -> Poses:

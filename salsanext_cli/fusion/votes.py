@@ -8,7 +8,6 @@ from afar with one, and what the network gets wrong from one place, it gets righ
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -101,26 +100,18 @@ def tally(own: View, others: Iterable[tuple[View, npt.NDArray[np.uint8]]]) -> Ta
     counts = np.ones(total.shape, np.uint16)
     seen = np.ones(len(own.keys), np.uint16)
     for view, counted in others:
-        work = partial(_add_slice, own.keys, view, counted, total, counts, seen)
-        parallel_for_slices(work, len(own.keys))
+
+        def add(part: slice, view: View = view, counted: npt.NDArray[np.uint8] = counted) -> None:
+            sums = total[part], counts[part], seen[part]
+            _add(own.keys[part], view.keys, view.votes, counted, *sums)
+
+        parallel_for_slices(add, len(own.keys))
     means = total / counts
     # The last row is of points without a vote, whose voxel is -1.
     shares = np.zeros((len(total) + 1, total.shape[1]), np.float32)
     shares[:-1] = means / np.maximum(means.sum(axis=1, keepdims=True), 1)
     views = np.append(seen, np.uint16(0))
     return Tally(shares[own.voxel_of_point], views[own.voxel_of_point])
-
-
-def _add_slice(
-    own: Keys,
-    view: View,
-    counted: npt.NDArray[np.uint8],
-    total: npt.NDArray[np.uint32],
-    counts: npt.NDArray[np.uint16],
-    seen: npt.NDArray[np.uint16],
-    part: slice,
-) -> None:
-    _add(own[part], view.keys, view.votes, counted, total[part], counts[part], seen[part])
 
 
 @compiled

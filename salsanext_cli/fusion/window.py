@@ -2,7 +2,6 @@
 """Fusion of the softmax of scans that see the same places, in a window along the drive."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -21,13 +20,9 @@ MOVABLE_WORDS = (
 """Words in the names of classes of what may move."""
 
 
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """Scans of a sequence whose poses are known."""
-
-    poses: Poses  # (S, 4, 4)
-    # Reads the points (N, 3) of a scan, its softmax (N, C) float32, and which of them vote (N,)
-    read: Callable[[int], tuple[Float, Float, npt.NDArray[np.bool_]]]
+ReadScan = Callable[[int], tuple[Float, Float, npt.NDArray[np.bool_]]]
+"""Function from the number of a scan in its drive to its points (N, 3), their softmax (N, C)
+float32, and which of them vote (N,)."""
 
 
 def movable_classes(space: LabelSpace) -> npt.NDArray[np.bool_]:
@@ -41,12 +36,16 @@ def movable_classes(space: LabelSpace) -> npt.NDArray[np.bool_]:
 
 
 class FusionWindow:
-    """Views of the scans around one, which are read once while the window moves on."""
+    """Views of the scans around one of a drive, each read once while the window moves on.
 
-    def __init__(self, drive: Drive, reach: FusionReach, movable: npt.NDArray[np.bool_]) -> None:
-        self.drive = drive
-        self.reach = reach
-        self.parts = segments(drive.poses)
+    `poses`: (S, 4, 4) of the drive; `movable`: (C,) which classes may move.
+    """
+
+    def __init__(
+        self, poses: Poses, read: ReadScan, reach: FusionReach, movable: npt.NDArray[np.bool_]
+    ) -> None:
+        self.poses, self.read, self.reach = poses, read, reach
+        self.parts = segments(poses)
         self.counted = {True: np.ones(len(movable), np.uint8), False: (~movable).astype(np.uint8)}
         self.views: dict[int, list[View] | SalsanextError] = {}
 
@@ -75,10 +74,10 @@ class FusionWindow:
     def _views(self, index: int) -> list[View] | SalsanextError:
         if index not in self.views:
             try:
-                points, softmax, voting = self.drive.read(index)
-                pose = self.drive.poses[index]
+                points, softmax, voting = self.read(index)
+                pose = self.poses[index]
                 # Far from its origin, a frame of the world leaves no digits for voxels.
-                place = pose[:3, 3] - self.drive.poses[0, :3, 3]
+                place = pose[:3, 3] - self.poses[0, :3, 3]
                 placed = points.astype(np.float64) @ pose[:3, :3].T + place
                 views = [view_of(placed, softmax, voting, size) for size in VOXEL_SIZES_M]
                 self.views[index] = views
@@ -137,7 +136,7 @@ def fuse(
         return scans[index].points, softmax, voting(softmax)
 
     movable = movable_classes(space or label_space("semantic-kitti"))
-    window = FusionWindow(Drive(np.asarray(poses, np.float64), read), reach, movable)
+    window = FusionWindow(np.asarray(poses, np.float64), read, reach, movable)
     return [window.tally(index) for index in range(len(scans))]
 
 

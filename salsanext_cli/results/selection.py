@@ -5,7 +5,6 @@ import logging
 import os
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, is_merged
-from salsanext_cli.errors import NOTICE, NoInputError, UsageError, first_few
+from salsanext_cli.errors import NOTICE, NoInputError, UsageError, first_few, warn_once
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.options import ScanSelection
@@ -165,16 +164,11 @@ def with_splits_and_alternatives(space: LabelSpace, root: Path) -> LabelSpace:
     except UsageError as error:
         if not space.splits:
             raise
-        _warn_once(f"{error}: label space {space.name} is taken without it")
+        warn_once(log, f"{error}: label space {space.name} is taken without it")
         return space
     if own is not None and is_merged(space, own):
         space = ClassMerging.between(own, space).space
     return _with_splits_of(own, space)
-
-
-@cache
-def _warn_once(message: str) -> None:
-    log.warning("%s", message)
 
 
 def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> LabelSpace:

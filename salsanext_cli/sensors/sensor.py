@@ -6,15 +6,15 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields, replace
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.errors import UsageError, error_text, quoted, shortened
+from salsanext_cli.errors import UsageError, quoted, shortened
 from salsanext_cli.files.yaml_toml import are_numbers, read_toml, refuse_unknown
 
 MAX_PIXELS = 1 << 21
@@ -23,13 +23,12 @@ BYTES_PER_PIXEL = 1000
 """Approximate memory of a network per pixel."""
 MAX_NUMBER = 1e6
 """Bound of means, deviations and scales, in metres and units of intensity, and of their inverse."""
-SCALES = f"numbers from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
+SCALES = f"from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
 NOISE = ("range_noise", "intensity_noise")
 MIN_LENGTH = 1e-3
 """Least length of a vector that tells a direction."""
 INTENSITY_LEVELS = 65
 """Quantiles of intensity, evenly spaced from the smallest to the largest value."""
-POSSIBLE = "a possible sensor"
 BOX_EXPECTED = "six numbers in metres, the least x, y, z and then the largest, or none"
 MAX_BEAMS = 256
 BEAMS_EXPECTED = f"2 to {MAX_BEAMS} elevations in degrees that fall from 90 to -90"
@@ -58,8 +57,6 @@ OPTIONAL = (
     *("row_gaps", "min_range", "ego_box"),
 )
 """Fields that are written only where a sensor has another value than their default."""
-NUMBERS = ("fov_up", "fov_down", "height", "width", "intensity_scale")
-LISTS = ("means", "stds")
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,10 +129,20 @@ class Sensor:
     ego_box: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        for found, expected in _faults(
-            {field.name: getattr(self, field.name) for field in fields(self)}
-        ):
-            raise UsageError(f"sensor {shortened(self.name)}", found, expected)
+        subject = f"sensor {shortened(self.name)}"
+        for field in fields(self):
+            value = getattr(self, field.name)
+            is_possible, expected = POSSIBLE[field.name]
+            if value != field.default and not is_possible(value):
+                raise UsageError(subject, f"{field.name} {quoted(value)}", expected)
+        if self.fov_up <= self.fov_down:
+            raise UsageError(subject, f"fov_up {self.fov_up} ≤ fov_down {self.fov_down}")
+        if (pixels := self.height * self.width) > MAX_PIXELS:
+            size = f"size {shortened(self.height)}×{shortened(self.width)}"
+            memory = f"{shortened(pixels * BYTES_PER_PIXEL // 10**9, 12)} GB"
+            found = f"{size}, of which an image takes {memory} in a network"
+            expected = f"at most {MAX_PIXELS} pixels, such as 64×{MAX_PIXELS // 64}"
+            raise UsageError(subject, found, expected)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data that `from_dict` accepts, without the defaults of `OPTIONAL`."""
@@ -148,22 +155,11 @@ class Sensor:
     def from_dict(cls, data: Mapping[str, Any], source: object = "sensor") -> Sensor:
         """Build a sensor from plain data; an unknown or missing key raises `UsageError`."""
         refuse_unknown(data, cls, source)
-        expected = "a sensor with fov_up, fov_down, height, width"
         if missing := [f.name for f in fields(cls) if f.default is MISSING and f.name not in data]:
             remedy = "`salsanext inspect SCANS --fit FILE.toml` finds the view of scans"
+            expected = "a sensor with fov_up, fov_down, height, width"
             raise UsageError(source, f"lacks {', '.join(missing)}", expected, remedy)
-        for key in (*NUMBERS, *LISTS, *(noise for noise in NOISE if data.get(noise) is not None)):
-            several = key in LISTS
-            if key in data and not are_numbers(data[key] if several else [data[key]]):
-                wanted = "5 numbers" if several else "a number"
-                raise UsageError(source, f"{key} is {quoted(data[key])}", wanted)
-        values: dict[str, Any] = {
-            key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
-        }
-        try:
-            return cls(**values)
-        except (TypeError, OverflowError) as error:
-            raise UsageError(source, error_text(error), expected) from error
+        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in data.items()})
 
     def to_toml(self, *, images: bool = True) -> str:
         """Return the text of a TOML file that `sensor` reads; the file's name is the sensor's.
@@ -208,70 +204,56 @@ def are_columns(names: tuple[str, ...]) -> bool:
     return complete and plain and len(set(used)) == len(used) and len(names) <= MAX_COLUMNS
 
 
-def is_box(values: Sequence[float]) -> bool:
+def is_box(values: Any) -> bool:
     """Return whether these are the least and the largest coordinates of a box, or nothing."""
-    lowest, highest = values[:3], values[3:]
-    return not values or (
-        len(values) == 6
-        and all(-MAX_NUMBER <= a < b <= MAX_NUMBER for a, b in zip(lowest, highest, strict=True))
+    if values == ():
+        return True
+    return _are_in(values, count=6) and all(
+        a < b for a, b in zip(values[:3], values[3:], strict=True)
     )
 
 
-def _faults(sensor: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield what was found and what was expected of each impossible value of a sensor's fields.
+def _are_in(
+    values: Any, least: float = -MAX_NUMBER, most: float = MAX_NUMBER, *, count: int
+) -> bool:
+    """Say whether values are so many numbers within bounds."""
+    return are_numbers(values) and len(values) == count and all(least <= v <= most for v in values)
 
-    Only the first is meaningful: later ones take earlier values to be right.
-    """
-    shown = {key: shortened(value) for key, value in sensor.items()}
-    if not isinstance(sensor["name"], str):
-        yield "a name that is no text", POSSIBLE
-    up, down, height, width = (sensor[key] for key in ("fov_up", "fov_down", "height", "width"))
-    if not (math.isfinite(up) and math.isfinite(down)):
-        yield "fov not finite", POSSIBLE
-    if not up > down:
-        yield f"fov_up {shown['fov_up']} ≤ fov_down {shown['fov_down']}", POSSIBLE
-    size = f"size {shown['height']}×{shown['width']}"
-    if not all(type(length) is int and length >= 1 for length in (height, width)):
-        yield size, POSSIBLE
-    if height * width > MAX_PIXELS:
-        memory = f"{shortened(height * width * BYTES_PER_PIXEL // 10**9, 12)} GB"
-        found = f"{size}, of which an image takes {memory} in a network"
-        yield found, f"at most {MAX_PIXELS} pixels, such as 64×{MAX_PIXELS // 64}"
-    if not len(sensor["means"]) == len(sensor["stds"]) == 5:
-        yield "means and stds are not 5 numbers each", POSSIBLE
-    if not all(abs(mean) <= MAX_NUMBER for mean in sensor["means"]):
-        yield f"means {shown['means']}", f"numbers up to {MAX_NUMBER:g}"
-    if not all(1 / MAX_NUMBER <= std <= MAX_NUMBER for std in sensor["stds"]):
-        yield f"stds {shown['stds']}", SCALES
-    if sensor["out_of_view"] not in ("clamp", "drop"):
-        yield f"out_of_view {shown['out_of_view']}", POSSIBLE
-    if not 1 / MAX_NUMBER <= sensor["intensity_scale"] <= MAX_NUMBER:
-        yield f"intensity_scale {shown['intensity_scale']}", SCALES
-    if not (len(sensor["up"]) == 3 and MIN_LENGTH < math.hypot(*sensor["up"]) < math.inf):
-        yield f"up {shown['up']}", "a direction, three numbers"
-    if not (len(sensor["origin"]) == 3 and math.hypot(*sensor["origin"]) < MAX_NUMBER):
-        yield f"origin {shown['origin']}", "a place, three numbers in metres"
-    quantiles = sensor["intensity_quantiles"]
-    if not (
-        len(quantiles) in (0, INTENSITY_LEVELS)
-        and list(quantiles) == sorted(quantiles)
-        and all(abs(value) <= MAX_NUMBER for value in quantiles)
-    ):
-        expected = f"{INTENSITY_LEVELS} numbers that rise, up to {MAX_NUMBER:g}"
-        yield f"intensity_quantiles {shown['intensity_quantiles']}", expected
-    for name in NOISE:
-        if not (sensor[name] is None or 0 <= sensor[name] < math.inf):
-            yield f"{name} {shown[name]}", POSSIBLE
-    if not are_columns(sensor["columns"]):
-        yield f"columns {shown['columns']}", COLUMNS_EXPECTED
-    if not are_beams(sensor["beams"]):
-        yield f"beams {shown['beams']}", BEAMS_EXPECTED
-    if not 0 <= (sensor["row_gaps"] or 0) <= 1:
-        yield f"row_gaps {shown['row_gaps']}", "a share"
-    if not 0 <= (sensor["min_range"] or 0) <= MAX_NUMBER:
-        yield f"min_range {shown['min_range']}", "a range in metres"
-    if not is_box(sensor["ego_box"] or ()):
-        yield f"ego_box {shown['ego_box']}", BOX_EXPECTED
+
+def _is_in(value: object, least: float = -MAX_NUMBER, most: float = MAX_NUMBER) -> bool:
+    return _are_in((value,), least, most, count=1)
+
+
+def _are_quantiles(values: Any) -> bool:
+    return _are_in(values, count=INTENSITY_LEVELS) and list(values) == sorted(values)
+
+
+def _is_direction(values: Any) -> bool:
+    return _are_in(values, count=3) and math.hypot(*values) > MIN_LENGTH
+
+
+POSSIBLE: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "name": (lambda name: isinstance(name, str), "a text"),
+    "fov_up": (_is_in, "a number of degrees"),
+    "fov_down": (_is_in, "a number of degrees"),
+    "height": (lambda length: type(length) is int and length >= 1, "a number of pixels"),
+    "width": (lambda length: type(length) is int and length >= 1, "a number of pixels"),
+    "means": (partial(_are_in, count=5), f"5 numbers up to {MAX_NUMBER:g}"),
+    "stds": (partial(_are_in, least=1 / MAX_NUMBER, count=5), f"5 numbers {SCALES}"),
+    "out_of_view": (lambda value: value in ("clamp", "drop"), "clamp or drop"),
+    "intensity_scale": (partial(_is_in, least=1 / MAX_NUMBER), f"a number {SCALES}"),
+    "range_noise": (partial(_is_in, least=0), "a deviation in metres"),
+    "intensity_noise": (partial(_is_in, least=0), "a deviation"),
+    "columns": (are_columns, COLUMNS_EXPECTED),
+    "up": (_is_direction, "a direction, three numbers"),
+    "origin": (partial(_are_in, count=3), "a place, three numbers in metres"),
+    "intensity_quantiles": (_are_quantiles, f"{INTENSITY_LEVELS} numbers that rise"),
+    "beams": (are_beams, BEAMS_EXPECTED),
+    "row_gaps": (partial(_is_in, least=0, most=1), "a share"),
+    "min_range": (partial(_is_in, least=0), "a range in metres"),
+    "ego_box": (is_box, BOX_EXPECTED),
+}
+"""Test and description of the possible values of each field of a sensor, its default aside."""
 
 
 @cache

@@ -43,7 +43,6 @@ from salsanext_cli.fusion.poses import (
 from salsanext_cli.fusion.registration import register
 from salsanext_cli.fusion.top_classes import KEPT, softmax_of
 from salsanext_cli.fusion.window import (
-    Drive,
     FusionWindow,
     disagreement,
     fused_labels,
@@ -126,7 +125,7 @@ class FuseTask:
             softmax = kept_softmax(self.single.root, file, len(points), self.space)
             return points, softmax, voting(softmax)
 
-        return FusionWindow(Drive(drive.poses, read), self.reach, movable_classes(self.space))
+        return FusionWindow(drive.poses, read, self.reach, movable_classes(self.space))
 
     def _fuse(self, file: ScanFile, window: FusionWindow) -> ScanSummary:
         self.single.require_replaceable(file)

@@ -51,7 +51,10 @@ class UncertaintyMethod:
 
     def settings(self, sensor: Sensor) -> dict[str, Any]:
         """Return what the results depend on besides the network and what it sees."""
-        numbers = _numbers(self.method, self.aleatoric)
+        if self.method == "sampling":
+            numbers: tuple[str, ...] = ("samples", "seed")
+        else:
+            numbers = ("seed",) if self.aleatoric == "copies" else ()
         noise = {"noise": noise_of(sensor)} if self.aleatoric != "none" else {}
         names = ("method", "aleatoric", *numbers)
         return {name: getattr(self, name) for name in names} | noise
@@ -75,10 +78,3 @@ class UncertaintyMethod:
         noise = noise_variance(network, image, seed) if of_copies else aleatoric(network, image)
         own = replace(found.uncertainty, aleatoric=noise.mean(axis=0))
         return replace(found, uncertainty=own)
-
-
-def _numbers(method: str, aleatoric: str) -> tuple[str, ...]:
-    """Return the names of the numbers that matter."""
-    if method == "sampling":
-        return ("samples", "seed")
-    return ("seed",) if aleatoric == "copies" else ()

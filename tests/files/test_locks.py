@@ -9,8 +9,7 @@ from pathlib import Path
 import filelock
 import pytest
 
-from salsanext_cli.errors import OutputError
-from salsanext_cli.files import locks
+from salsanext_cli.errors import OutputError, warn_once
 from salsanext_cli.files.locks import locked
 
 HOLD = "import sys; from pathlib import Path; from salsanext_cli.files.locks import locked\n"
@@ -62,7 +61,7 @@ def test_without_locks_it_goes_on_and_says_so_once(
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(filelock.FileLock, "_acquire", refuse)
-    locks._warn_unlocked.cache_clear()
+    warn_once.cache_clear()
     ran = 0
     with caplog.at_level(logging.WARNING):
         for _ in range(2):
