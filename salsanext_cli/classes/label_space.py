@@ -166,19 +166,19 @@ class LabelSpace:
     def differences(self, other: LabelSpace) -> list[str]:
         """Name what another label space has otherwise, the classes first."""
         pairs = zip_longest(self._described(), other._described(), fillvalue="none")
-        found = [f"train id {i}: {a} ≠ {b}" for i, (a, b) in enumerate(pairs) if a != b]
+        differing = [f"train id {i}: {a} ≠ {b}" for i, (a, b) in enumerate(pairs) if a != b]
         for field_name, words in COMPARED.items():
             own, others = getattr(self, field_name), getattr(other, field_name)
-            found += [
+            differing += [
                 f"{words} {key}: {_words(own.get(key))} ≠ {_words(others.get(key))}"
                 for key in sorted(own.keys() | others)
                 if own.get(key) != others.get(key)
             ]
         if self.colours.tolist() != other.colours.tolist():
-            found.append("colours")
+            differing.append("colours")
         if self.name != other.name:
-            found.append(f"name: {self.name} ≠ {other.name}")
-        return found
+            differing.append(f"name: {self.name} ≠ {other.name}")
+        return differing
 
     def _described(self) -> list[str]:
         named = zip(self.names, self.learning_map_inv.values(), self.ignored, strict=True)

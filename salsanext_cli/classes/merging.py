@@ -50,8 +50,8 @@ class ClassMerging:
         """Merge classes as `between`; None if no others are given or they are the same."""
         if merged is None or (own.fits(merged) and own.learning_map == merged.learning_map):
             return None
-        found = cls.between(own, merged)
-        return None if own.fits(merged) else found
+        merging = cls.between(own, merged)
+        return None if own.fits(merged) else merging
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
@@ -122,14 +122,14 @@ def _alternatives(
     own: LabelSpace, merged: LabelSpace, targets: Sequence[int]
 ) -> dict[int, tuple[int, ...]]:
     """Return what the alternatives become; several that become one class are none any more."""
-    found = {
+    merged_ids = {
         raw: {
             merged.learning_map[raw],
             *(targets[i] for i in several if i != own.learning_map[raw]),
         }
         for raw, several in own.alternatives.items()
     }
-    return {raw: tuple(sorted(several)) for raw, several in found.items() if len(several) > 1}
+    return {raw: tuple(sorted(several)) for raw, several in merged_ids.items() if len(several) > 1}
 
 
 def _named(space: LabelSpace, raw: int) -> str:

@@ -85,9 +85,9 @@ class PooledStatistics:
 
     def add(self, channels: Float, source: object = "a scan") -> None:
         """Add a scan; parameters and errors as of `statistics_of_scan`."""
-        found = statistics_of_scan(self.network, channels, self.share, source)
+        own = statistics_of_scan(self.network, channels, self.share, source)
         before = self._pooled
-        self._pooled = {name: before[name] + new if before else new for name, new in found.items()}
+        self._pooled = {name: before[name] + new if before else new for name, new in own.items()}
 
     def moved(self) -> dict[str, Statistics]:
         """Return the statistics of the network, moved by the share towards those of the scans."""

@@ -161,7 +161,7 @@ def fit_scans(
     """
     method, trained = _method(settings, network), network.card.sensor
     if sample.image_of is None:
-        view = _fitted_view(sample, network.sensor, earlier, view=settings.fits_view)
+        view = fitted_view(sample, network.sensor, earlier, view=settings.fits_view)
         network = network.for_sensor(view)
     known = [sensor for sensor in (earlier, settings.named_sensor()) if sensor]
     quantiles: tuple[float, ...] = ()
@@ -187,18 +187,13 @@ def fit_scans(
 
 
 def fitted_view(
-    files: Scans, sensor: Sensor, earlier: Sensor | None = None, *, view: bool = True
+    scans: Scans | ScanSample, sensor: Sensor, earlier: Sensor | None = None, *, view: bool = True
 ) -> Sensor:
     """Return the sensor as `fit_view` fits it to scans, evenly spaced, and say so.
 
     Without `view`, only as `fit_ego` does. That of earlier results in the same folder stays.
     """
-    return _fitted_view(ScanSample(files, sensor), sensor, earlier, view=view)
-
-
-def _fitted_view(
-    sample: ScanSample, sensor: Sensor, earlier: Sensor | None, *, view: bool
-) -> Sensor:
+    sample = scans if isinstance(scans, ScanSample) else ScanSample(scans, sensor)
     sought = [name for name in EGO if getattr(sensor, name) is None]
     if not (view or sought):
         return sensor
@@ -207,8 +202,8 @@ def _fitted_view(
         return replace(sensor, **{name: getattr(earlier, name) for name in names})
     fitted = fit_view(sample.scans, sensor) if view else fit_ego(sample.scans, sensor)
     if replace(fitted, **{name: getattr(sensor, name) for name in EGO}) != sensor:
-        scans = counted(len(sample.scans), "scan")
-        log.log(NOTICE, "sensor fitted to %s: %s", scans, view_text(fitted))
+        count = counted(len(sample.scans), "scan")
+        log.log(NOTICE, "sensor fitted to %s: %s", count, view_text(fitted))
     return fitted
 
 

@@ -3,6 +3,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,9 +14,9 @@ from salsanext_cli.errors import SalsanextError
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.files.reading import present
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.fusion.poses import DRIVE, POSES, Poses, read_fused_poses, segments
+from salsanext_cli.fusion.poses import DRIVE, POSES, Poses, read_fused_poses
 from salsanext_cli.fusion.votes import keys_of
-from salsanext_cli.fusion.window import movable_classes
+from salsanext_cli.fusion.window import DriveWindow, movable_classes
 from salsanext_cli.geometry.projection import measured_ranges, project
 from salsanext_cli.options import FusionReach
 from salsanext_cli.records import Float, Scan
@@ -75,26 +76,21 @@ class MapTask:
         return self._attempts
 
     def _attempts(self, files: Iterable[ScanFile]) -> Iterator[tuple[ScanFile, Any, Any]]:
-        sensor, parts, reach = self.results.sensor(), segments(self.poses), FusionReach().reach
-        window: dict[int, SeenScan | SalsanextError] = {}
+        sensor = self.results.sensor()
+        window = DriveWindow(self.poses, FusionReach().reach, partial(self._seen, sensor=sensor))
         numbers = {file: number for number, file in enumerate(self.files)}
         for file in files:
-            index = numbers[file]
-            near = range(max(0, index - reach), min(len(parts), index + reach + 1))
-            members = [each for each in near if parts[each] == parts[index]]
-            known = {each: window[each] for each in members if each in window}
-            window = known | {i: self._seen(i, sensor) for i in members if i not in known}
-            own = window.pop(index)
-            if isinstance(own, SalsanextError):
-                yield file, None, own
+            try:
+                own, others = window.around(numbers[file])
+            except SalsanextError as error:
+                yield file, None, error
                 continue
             columns = one_per_voxel([own.columns], self.size, self.poses[0, :3, 3])
-            kept = self._standing(columns, window, sensor)
-            window[index] = own
-            yield file, {name: values[kept] for name, values in columns.items()}, None
+            stays = self._standing(columns, others, sensor)
+            yield file, {name: values[stays] for name, values in columns.items()}, None
 
     def _standing(
-        self, columns: Columns, others: Mapping[int, SeenScan | SalsanextError], sensor: Sensor
+        self, columns: Columns, others: Mapping[int, SeenScan], sensor: Sensor
     ) -> npt.NDArray[np.bool_]:
         """Return which points (N,) are of what stands still.
 
@@ -104,34 +100,30 @@ class MapTask:
         places = np.stack([columns[axis] for axis in "xyz"], axis=1)
         there, through = np.zeros((2, len(places)), np.int32)
         for index, seen in others.items():
-            if isinstance(seen, SeenScan):
-                pose = self.poses[index]
-                points = ((places - pose[:3, 3]) @ pose[:3, :3]).astype(np.float32)
-                scan = Scan(points, np.zeros(len(points), np.float32))
-                image = project(scan, replace(sensor, out_of_view="drop"))
-                pixel = image.pixel_of_point
-                behind = np.where(pixel >= 0, seen.ranges[pixel], np.nan) - image.point_range
-                there += np.abs(behind) <= SAME_PLACE_M
-                through += behind > SAME_PLACE_M + GRAZING * image.point_range
+            pose = self.poses[index]
+            points = ((places - pose[:3, 3]) @ pose[:3, :3]).astype(np.float32)
+            scan = Scan(points, np.zeros(len(points), np.float32))
+            image = project(scan, replace(sensor, out_of_view="drop"))
+            pixel = image.pixel_of_point
+            behind = np.where(pixel >= 0, seen.ranges[pixel], np.nan) - image.point_range
+            there += np.abs(behind) <= SAME_PLACE_M
+            through += behind > SAME_PLACE_M + GRAZING * image.point_range
         labels = self.space.to_train(columns["label"], strict=False)
         movable = movable_classes(self.space)[labels]
         return np.where(movable, through < there, through <= 2 * there)
 
-    def _seen(self, index: int, sensor: Sensor) -> SeenScan | SalsanextError:
+    def _seen(self, index: int, sensor: Sensor) -> SeenScan:
         file, pose = self.files[index], self.poses[index]
-        try:
-            found = self.results.read(file, sensor, self.space)
-            columns = scalar_columns(found, self.space)
-            views = output_path(self.results.root, file.sequence, "views", file.stem)
-            columns["views"] = read_array(views, "uint16", (len(found.scan),))
-        except SalsanextError as error:
-            return error
-        placed = found.scan.points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        cloud = self.results.read(file, sensor, self.space)
+        columns = scalar_columns(cloud, self.space)
+        views = output_path(self.results.root, file.sequence, "views", file.stem)
+        columns["views"] = read_array(views, "uint16", (len(cloud.scan),))
+        placed = cloud.scan.points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
         columns |= dict(zip("xyz", placed.T, strict=True))
         columns["scan"] = np.full(len(placed), index, np.int32)
         labels = self.space.to_train(columns["label"], strict=False)
-        kept = measured_ranges(found.scan.points)[1] & (labels > 0)
-        image = project(found.scan, sensor)
+        is_shown = measured_ranges(cloud.scan.points)[1] & (labels > 0)
+        image = project(cloud.scan, sensor)
         ranges = np.where(image.point_of_pixel >= 0, image.channels[0], np.float32(np.nan))
-        columns = {name: values[kept] for name, values in columns.items()}
+        columns = {name: values[is_shown] for name, values in columns.items()}
         return SeenScan(columns, ranges.ravel())

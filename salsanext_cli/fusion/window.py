@@ -2,6 +2,7 @@
 """Fusion of the softmax of scans that see the same places, in a window along the drive."""
 
 from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +21,7 @@ MOVABLE_WORDS = (
 """Words in the names of classes of what may move."""
 
 
+Content = TypeVar("Content")
 ReadScan = Callable[[int], tuple[Float, Float, npt.NDArray[np.bool_]]]
 """Function from the number of a scan in its drive to its points (N, 3), their softmax (N, C)
 float32, and which of them vote (N,)."""
@@ -35,8 +37,37 @@ def movable_classes(space: LabelSpace) -> npt.NDArray[np.bool_]:
     return movable
 
 
+class DriveWindow(Generic[Content]):
+    """Content of the scans around one of a drive, each read once while the window moves on."""
+
+    def __init__(self, poses: Poses, reach: int, read: Callable[[int], Content]) -> None:
+        self.parts, self.reach, self.read = segments(poses), reach, read
+        self.contents: dict[int, Content | SalsanextError] = {}
+
+    def around(self, index: int) -> tuple[Content, dict[int, Content]]:
+        """Return the content of a scan, and of the others in reach in its part of the drive.
+
+        One of the others that cannot be read is left out: its own turn says why.
+        """
+        near = range(max(0, index - self.reach), min(len(self.parts), index + self.reach + 1))
+        members = [each for each in near if self.parts[each] == self.parts[index]]
+        before = self.contents
+        self.contents = {i: before[i] if i in before else self._read(i) for i in members}
+        own = self.contents[index]
+        if isinstance(own, SalsanextError):
+            raise own
+        others = {i: each for i, each in self.contents.items() if i != index}
+        return own, {i: e for i, e in others.items() if not isinstance(e, SalsanextError)}
+
+    def _read(self, index: int) -> Content | SalsanextError:
+        try:
+            return self.read(index)
+        except SalsanextError as error:
+            return error
+
+
 class FusionWindow:
-    """Views of the scans around one of a drive, each read once while the window moves on.
+    """Votes of the scans around one of a drive.
 
     `poses`: (S, 4, 4) of the drive; `movable`: (C,) which classes may move.
     """
@@ -45,45 +76,29 @@ class FusionWindow:
         self, poses: Poses, read: ReadScan, reach: FusionReach, movable: npt.NDArray[np.bool_]
     ) -> None:
         self.poses, self.read, self.reach = poses, read, reach
-        self.parts = segments(poses)
+        self.window = DriveWindow(poses, reach.reach, self._views)
         self.counted = {True: np.ones(len(movable), np.uint8), False: (~movable).astype(np.uint8)}
-        self.views: dict[int, list[View] | SalsanextError] = {}
 
     def tally(self, index: int) -> Tally:
         """Return what the scans of the window say about the places of a scan's points."""
-        last = min(len(self.parts) - 1, index + self.reach.reach)
-        wanted = range(max(0, index - self.reach.reach), last + 1)
-        members = [each for each in wanted if self.parts[each] == self.parts[index]]
-        self.views = {each: view for each, view in self.views.items() if each in wanted}
-        own = self._views(index)
-        if isinstance(own, SalsanextError):
-            raise own
+        own, others = self.window.around(index)
         tallies = []
         for size, view in enumerate(own):
-            others = []
-            for each in members:
-                views = self._views(each)
-                # One that cannot be read has no vote; its own turn says why.
-                if each != index and not isinstance(views, SalsanextError):
-                    near = abs(each - index) <= self.reach.movable_reach
-                    others.append((views[size], self.counted[near]))
-            tallies.append(tally(view, others))
+            votes = []
+            for each, views in others.items():
+                near = abs(each - index) <= self.reach.movable_reach
+                votes.append((views[size], self.counted[near]))
+            tallies.append(tally(view, votes))
         mean = np.mean([each.probabilities for each in tallies], axis=0)
         return Tally(mean, tallies[-1].views)
 
-    def _views(self, index: int) -> list[View] | SalsanextError:
-        if index not in self.views:
-            try:
-                points, softmax, voting = self.read(index)
-                pose = self.poses[index]
-                # Far from its origin, a frame of the world leaves no digits for voxels.
-                place = pose[:3, 3] - self.poses[0, :3, 3]
-                placed = points.astype(np.float64) @ pose[:3, :3].T + place
-                views = [view_of(placed, softmax, voting, size) for size in VOXEL_SIZES_M]
-                self.views[index] = views
-            except SalsanextError as error:
-                self.views[index] = error
-        return self.views[index]
+    def _views(self, index: int) -> list[View]:
+        points, softmax, voting = self.read(index)
+        pose = self.poses[index]
+        # Far from its origin, a frame of the world leaves no digits for voxels.
+        place = pose[:3, 3] - self.poses[0, :3, 3]
+        placed = points.astype(np.float64) @ pose[:3, :3].T + place
+        return [view_of(placed, softmax, voting, size) for size in VOXEL_SIZES_M]
 
 
 def fused_labels(tally: Tally, labels: TrainIds) -> TrainIds:

@@ -78,12 +78,12 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
     high[alone] = np.where(index < 0, -1, highest[used][index]).max(axis=1, initial=-1)
     of_points, first = np.unique(place, return_index=True)
     distances = _nearest(cloud[~np.isin(place_of_cloud, of_points)], wanted[first])
-    found = np.zeros(len(points), np.uint32)
+    transferred = np.zeros(len(points), np.uint32)
     known, ambiguous, exact = np.zeros((3, len(points)), bool)
     known[finite], ambiguous[finite], exact[finite] = low == high, low < high, ~alone
-    found[known] = low[low == high]
+    transferred[known] = low[low == high]
     unmatched = distances[distances > TOLERANCE_M]
-    return LabelTransfer(found, known, ambiguous, exact, unmatched, len(cloud))
+    return LabelTransfer(transferred, known, ambiguous, exact, unmatched, len(cloud))
 
 
 def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTransfer:

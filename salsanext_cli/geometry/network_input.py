@@ -172,9 +172,9 @@ def without_intensity(points: Float, intensity: Float) -> str:
         "order": np.arange(len(values)),
     }
     ranks = _ranks(values)
-    found = {name: dependence(ranks, other) for name, other in others.items()}
-    most = max(found, key=lambda name: found[name])
-    if found[most] > LARGEST_DEPENDENCE:
+    dependences = {name: dependence(ranks, other) for name, other in others.items()}
+    most = max(dependences, key=lambda name: dependences[name])
+    if dependences[most] > LARGEST_DEPENDENCE:
         return f"no intensity: its values follow the {most} of the points"
     return ""
 

@@ -159,7 +159,10 @@ class Sensor:
             remedy = "`salsanext inspect SCANS --fit FILE.toml` finds the view of scans"
             expected = "a sensor with fov_up, fov_down, height, width"
             raise UsageError(source, f"lacks {', '.join(missing)}", expected, remedy)
-        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in data.items()})
+        values: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
+        }
+        return cls(**values)
 
     def to_toml(self, *, images: bool = True) -> str:
         """Return the text of a TOML file that `sensor` reads; the file's name is the sensor's.

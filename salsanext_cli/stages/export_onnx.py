@@ -72,7 +72,7 @@ def export_onnx(
     model = exported(module, card, dynamic_width=dynamic_width)
     content = model.SerializeToString()
     width = "any" if dynamic_width else card.sensor.width
-    found = {
+    report = {
         "stage": "export-onnx",
         "opset": OPSET,
         "input": [1, 5, card.sensor.height, width],
@@ -84,9 +84,9 @@ def export_onnx(
         network = network_of_module(module, card, "cpu")
         network = fit_scans(settings, network, ScanSample(scans, card.sensor))
         content, share = _int8(model, network, scans)
-        found |= {"scans": len(scans), "equal_labels": share}
+        report |= {"scans": len(scans), "equal_labels": share}
     write_bytes(target, content, durable=True)
-    return found | {"bytes": len(content)}
+    return report | {"bytes": len(content)}
 
 
 def _int8(model: Any, network: Network, scans: list[ScanFile]) -> tuple[bytes, float]:

@@ -50,7 +50,7 @@ class Inspection:
             "stage": "inspect",
             "sensor": self.sensor.to_dict(),
             "total": self.total.to_dict(),
-            "sequences": {name: found.to_dict() for name, found in self.sequences.items()},
+            "sequences": {name: survey.to_dict() for name, survey in self.sequences.items()},
             "failures": [failure.to_dict() for failure in self.failures],
             "warnings": self.warnings,
         }
@@ -99,8 +99,8 @@ def inspect(
         first = _inspect(scans, sensor, space, options, checked=False)
         if first.total.pixels:
             sensor = _with_field_of_view(sensor, first.total)
-    found = _inspect(scans, sensor, space, options, checked=True)
-    return replace(found, seen=seen if fit else None)
+    inspection = _inspect(scans, sensor, space, options, checked=True)
+    return replace(inspection, seen=seen if fit else None)
 
 
 def _inspect(
@@ -115,9 +115,9 @@ def _inspect(
     summary = RunSummary(sensor)
 
     def add(result: tuple[Survey, ScanSummary]) -> None:
-        found, scan = result
+        of_scan, scan = result
         name = scan.file.sequence
-        sequences[name] = sequences.get(name, Survey()) + found
+        sequences[name] = sequences.get(name, Survey()) + of_scan
         if checked:
             summary.add(scan)
 
@@ -137,8 +137,8 @@ def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[Survey, ScanSummary]:
     plain = replace(sensor, intensity_quantiles=())
     check = check_scan(file.path, scan, plain, plain, fitting=False)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
-    found = survey(without_ego(scan, sensor), project(scan, sensor), raw)
-    return found, ScanSummary(file, check)
+    counts = survey(without_ego(scan, sensor), project(scan, sensor), raw)
+    return counts, ScanSummary(file, check)
 
 
 def _require_fit(name: str, found: Survey) -> None:

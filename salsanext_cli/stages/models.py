@@ -29,12 +29,12 @@ def models() -> list[dict[str, Any]]:
     `multiply_accumulates` of the convolutions, `receptive_field` in rows and columns, figures of
     the `paper`, and whether its number of parameters `agrees` to the digit.
     """
-    found = []
+    costs = []
     for name in ARCHITECTURES:
         with torch.device("meta"):
             module = build({"name": name}).eval()
         parameters, paper = parameter_count(module), PAPERS[name]
-        found.append(
+        costs.append(
             {
                 "name": name,
                 "parameters": parameters,
@@ -44,7 +44,7 @@ def models() -> list[dict[str, Any]]:
                 "agrees": agrees(parameters, paper.parameters),
             }
         )
-    return found
+    return costs
 
 
 def describe_weights(path: Path) -> Mapping[str, Any]:

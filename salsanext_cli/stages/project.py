@@ -43,11 +43,11 @@ def project_scans(
     `fit`: whether view and direction up of the sensor are those of the scans where they differ
     much; what it does not tell of housing and vehicle is found either way.
     """
-    found = scans_of(source)
-    scans = choose(found, selection, space_of(found), source)
+    listed = scans_of(source)
+    scans = choose(listed, selection, space_of(listed), source)
     recorded = None if options.overwrite else StageRecords(out).settings("project")
     earlier = Sensor.from_dict(recorded.table("sensor"), recorded.path) if recorded else None
-    sensor = fitted_view(found, sensor, earlier, view=fit)
+    sensor = fitted_view(listed, sensor, earlier, view=fit)
     settings, summary = {"sensor": sensor.to_dict()}, RunSummary.of_scans(scans, sensor)
     overwrite = options.overwrite
     run = output_run(out, "project", settings, FOLDERS, scans, overwrite=overwrite)

@@ -78,12 +78,12 @@ def uncertainty(
     labels there already: those stay.
     """
     loaded = network.load()
-    found = scans_of(source)
-    scans = choose(found, selection, space_of(found, loaded.card.space), source)
+    listed = scans_of(source)
+    scans = choose(listed, selection, space_of(listed, loaded.card.space), source)
     # Labels of another stage stay, and with them what they were made with.
     labels_too = StageRecords(out).owner("predictions") in (None, "uncertainty")
     overwrite = options.overwrite and labels_too
-    network, loaded = network_of_run(network, loaded, found, out, overwrite=overwrite)
+    network, loaded = network_of_run(network, loaded, listed, out, overwrite=overwrite)
     method.require(loaded)
     settings = network.record(loaded) | {"knn": asdict(knn)} | method.settings(loaded.sensor)
     kinds = tuple(f"uncertainty/{kind}" for kind in method.kinds)

@@ -32,18 +32,18 @@ def label_support(image: RangeImage, probabilities: Float, labels: TrainIds, pix
     """
     ranges, softmax = argument(image.channels[0], np.float32), argument(probabilities, np.float32)
     labels, pixels = argument(labels, np.uint8), argument(pixels, np.int32)
-    found = np.empty(len(labels), np.float32)
+    support = np.empty(len(labels), np.float32)
 
     def describe(part: slice) -> None:
-        mean_in_windows(ranges, softmax, labels[part], pixels[part], found[part])
+        mean_in_windows(ranges, softmax, labels[part], pixels[part], support[part])
 
     parallel_for_slices(describe, len(labels), COST)
-    return found
+    return support
 
 
 @compiled
 def mean_in_windows(
-    ranges: Float, probabilities: Float, labels: TrainIds, pixels: Int, found: Float
+    ranges: Float, probabilities: Float, labels: TrainIds, pixels: Int, support: Float
 ) -> None:
     """Write what `label_support` returns."""
     height, width = ranges.shape
@@ -60,7 +60,7 @@ def mean_in_windows(
                     if ranges[row, column] > 0 and abs(ranges[row, column] - own) <= most:
                         count += 1
                         total += of_label[row, column]
-        found[i] = total / count
+        support[i] = total / count
 
 
 def region_means(image: RangeImage, classes: TrainIds, values: Float) -> Float:
@@ -77,7 +77,7 @@ def region_means(image: RangeImage, classes: TrainIds, values: Float) -> Float:
 
 @compiled
 def mean_of_regions(
-    occupied: npt.NDArray[np.bool_], classes: TrainIds, values: Float, found: Float
+    occupied: npt.NDArray[np.bool_], classes: TrainIds, values: Float, means: Float
 ) -> None:
     """Write what `region_means` returns: a union-find over the pixels, the lowest is the root."""
     height, width = occupied.shape
@@ -105,7 +105,7 @@ def mean_of_regions(
         count[parent[i]] += 1
         total[parent[i]] += values[i // width, i % width]
     for i in range(parent.size):
-        found[i // width, i % width] = total[parent[i]] / count[parent[i]]
+        means[i // width, i % width] = total[parent[i]] / count[parent[i]]
 
 
 FEATURES = (
@@ -130,23 +130,23 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
     """
     # Most points have the label of their pixel: described once per pixel, the others on their own.
     classes, table = _of_pixels(image, probabilities)
-    found = np.empty((len(labels), len(FEATURES)), np.float32)
+    features = np.empty((len(labels), len(FEATURES)), np.float32)
     differs = np.empty(len(labels), bool)
 
     def gather(part: slice) -> None:
         pixels, log_range = image.pixel_of_point[part], _log_range(image.point_range[part])
-        table.take(pixels, 0, found[part], "clip")
-        found[part, 6] = log_range - found[part, 7]
-        found[part, 7] = log_range
+        table.take(pixels, 0, features[part], "clip")
+        features[part, 6] = log_range - features[part, 7]
+        features[part, 7] = log_range
         differs[part] = labels[part] != classes.take(pixels, mode="clip")
 
     parallel_for_slices(gather, len(labels))
     other = np.flatnonzero(differs & (image.pixel_of_point >= 0))
     own, pixels = labels[other], image.pixel_of_point[other]
-    found[other, 0] = probabilities.reshape(len(probabilities), -1)[own, pixels]
-    found[other, 4] = label_support(image, probabilities, own, pixels)
-    found[image.pixel_of_point < 0] = np.nan
-    return found
+    features[other, 0] = probabilities.reshape(len(probabilities), -1)[own, pixels]
+    features[other, 4] = label_support(image, probabilities, own, pixels)
+    features[image.pixel_of_point < 0] = np.nan
+    return features
 
 
 def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float]:

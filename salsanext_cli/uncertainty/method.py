@@ -69,12 +69,12 @@ class UncertaintyMethod:
         """Return the prediction for a scan and the uncertainty of its pixels."""
         seed = scan_seed(self.seed, scan.sequence, scan.stem)
         if self.method == "sampling":
-            found = sample(network, image, samples=self.samples, seed=seed)
+            estimate = sample(network, image, samples=self.samples, seed=seed)
         else:
-            found = propagate_dropout(network, image)
+            estimate = propagate_dropout(network, image)
         if self.aleatoric == "none":
-            return found
+            return estimate
         of_copies = self.aleatoric == "copies"
         noise = noise_variance(network, image, seed) if of_copies else aleatoric(network, image)
-        own = replace(found.uncertainty, aleatoric=noise.mean(axis=0))
-        return replace(found, uncertainty=own)
+        own = replace(estimate.uncertainty, aleatoric=noise.mean(axis=0))
+        return replace(estimate, uncertainty=own)
