@@ -28,17 +28,13 @@ def import_open3d() -> Any:
 
 def import_extra(name: str, extra: str) -> Any:
     """Import a package that comes with an extra of this one."""
-    return import_package(name, f"'salsanext[{extra}]'")
-
-
-def import_package(name: str, install: str) -> Any:
-    """Import a package, for whose lack the error says what to install."""
     try:
         return import_module(name)
     except ImportError as error:
         missing = error.name in (name, name.partition(".")[0])
         found = "not installed" if missing else f"cannot be imported: {error}"
-        raise MissingDependency(name, found, remedy=f"pip install {install}") from error
+        remedy = f"pip install 'salsanext[{extra}]'"
+        raise MissingDependency(name, found, remedy=remedy) from error
 
 
 def require_rosbags() -> None:

@@ -13,7 +13,7 @@ from salsanext_cli.fitting.mounting_fit import (
     find_origin,
     fit_mounting,
 )
-from salsanext_cli.fitting.view_fit import fit_view, view_text
+from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.geometry.projection import in_sensor_frame, upright_rotation
 
 HEIGHT = 1.7
@@ -96,8 +96,3 @@ def test_the_mounting_of_other_scans_is_forgotten(other):
         assert (
             fit_mounting(scans, replace(SMALL, **other)).origin == fit_mounting(scans, SMALL).origin
         )
-
-
-def test_an_origin_is_said():
-    sensor = replace(SMALL, origin=(0.9, 0.0, 1.75))
-    assert view_text(sensor) == "view +3° to -25°, origin (0.9, 0.0, 1.75)"
