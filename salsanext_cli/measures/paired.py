@@ -42,13 +42,14 @@ def paired_differences(sums: Counts, held: Mask) -> list[Difference]:
     for _ in range(RESAMPLES if len(sums) >= MIN_SCANS else 0):
         drawn = np.bincount(random.integers(len(sums), size=len(sums)), minlength=len(sums))
         totals.append(drawn @ flat)
-    found = _scores(np.array(totals).reshape(-1, *sums.shape[1:]), held)
-    of_sample, *of_resamples = found[:, 1] - found[:, 0]
+    scores = _scores(np.array(totals).reshape(-1, *sums.shape[1:]), held)
+    difference = scores[:, 1] - scores[:, 0]
+    bounds, resampled = np.full((2, difference.shape[1]), np.nan), difference[1:]
     # A class that a resample lacks has no difference there.
-    known = [[each for each in column if not math.isnan(each)] for column in zip(*of_resamples)]  # noqa: B905
-    bounds = [np.percentile(each, (2.5, 97.5)) if each else (math.nan,) * 2 for each in known]
-    columns = zip(*found[0], of_sample, bounds or [(math.nan,) * 2] * len(of_sample), strict=True)
-    return [Difference(*map(float, (*scores, *bound))) for *scores, bound in columns]
+    known = ~np.isnan(resampled).all(axis=0)
+    if known.any():
+        bounds[:, known] = np.nanpercentile(resampled[:, known], (2.5, 97.5), axis=0)
+    return [Difference(*row) for row in np.vstack([scores[0], difference[0], bounds]).T.tolist()]
 
 
 def _scores(sums: Counts, held: Mask) -> Ratios:

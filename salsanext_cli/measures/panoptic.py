@@ -15,6 +15,8 @@ from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.measures.scores import EPSILON, Mask, Ratios
 
 MIN_SEGMENT_POINTS = 50
+SEGMENT_COUNTS = 5
+"""Sum of IoU, matches, false alarms, misses and true objects, of each class."""
 COLUMNS = ("pq", "sq", "rq", "matches", "false_alarms", "misses")
 
 
@@ -23,7 +25,7 @@ def count_segments(
 ) -> Ratios:
     """Match the segments of a scan, of train ids and of raw ids with instances, (N,) each.
 
-    Returns sum of IoU, matches, false alarms, misses, true objects of each class, (C, 5) float64.
+    Returns `SEGMENT_COUNTS` of each class, (C, 5) float64.
     """
     kept = scored[truth[0]]
     (true, of_true, true_sizes), (found, of_found, found_sizes) = (

@@ -152,7 +152,7 @@ def evaluate(
     if not counts.scans:
         raise _no_input(counts, out, outcome.failures)
     panoptic = None
-    if counts.segments is not None and counts.segments[:, -1].any():
+    if counts.segments[:, -1].any():
         panoptic = panoptic_quality(counts.segments, space, movable_classes(space))
     rings = zip(RING_NAMES, counts.rings, strict=by_distance)
     evaluation = Evaluation(
