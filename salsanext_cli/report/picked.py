@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
@@ -31,7 +30,7 @@ from salsanext_cli.report.colours import (
     value_colours,
     value_range,
 )
-from salsanext_cli.report.tables import ABSENT, number_table
+from salsanext_cli.report.tables import ABSENT, table_of
 from salsanext_cli.results.layout import ScanFile
 
 STRIP_WIDTH_PX, STRIP_HEIGHT_PX = 1024, 96
@@ -113,17 +112,12 @@ def picked_scans(
 
 def picked_table(picked: Sequence[PickedScan]) -> Table:
     """Return a table with a row per picked scan, the one most worth labelling first."""
-    table = number_table("rank")
-    table.columns[0].justify = "right"
-    table.add_column("scan", overflow="fold")
-    table.add_column("uncertainty, nats", justify="right")
-    table.add_column("distance", justify="right")
-    table.add_column("reason", overflow="fold")
+    rows = []
     for each in picked:
         distance = ABSENT if each.distance is None else f"{each.distance:.2f}"
-        name, words = escape(printable(each.name)), escape(printable(each.reason))
-        table.add_row(str(each.rank), name, f"{each.uncertainty:.4f}", distance, words)
-    return table
+        rows.append((str(each.rank), each.name, f"{each.uncertainty:.4f}", distance, each.reason))
+    headings = ("rank", "scan", "uncertainty,\nnats", "distance", "reason")
+    return table_of(headings, rows, texts=("scan", "reason"))
 
 
 def picked_csv(picked: Sequence[PickedScan]) -> bytes:
