@@ -122,17 +122,12 @@ class ScanCounts:
             )
 
 
-@dataclass(slots=True)
 class CountsApart:
     """Counts of scans that the weights were trained on, apart from those of others."""
 
-    others: ScanCounts
-    trained_on: ScanCounts
-
-    @classmethod
-    def none(cls, space: LabelSpace, by_distance: bool) -> CountsApart:
-        """Return the counts of no scan at all."""
-        return cls(ScanCounts.none(space, by_distance), ScanCounts.none(space, by_distance))
+    def __init__(self, space: LabelSpace, by_distance: bool) -> None:
+        self.others = ScanCounts.none(space, by_distance)
+        self.trained_on = ScanCounts.none(space, by_distance)
 
     def add(self, other: ScanCounts) -> None:
         """Add the counts of one scan, which are used up."""

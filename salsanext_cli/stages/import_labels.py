@@ -26,8 +26,8 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.formats.label_scalars import LabelIds
 from salsanext_cli.formats.recordings import recording_of
+from salsanext_cli.geometry.label_transfer import LabelTransfer
 from salsanext_cli.labelling.edited_files import (
-    FileLabels,
     ScanNames,
     UnknownIds,
     edited_labels,
@@ -145,7 +145,7 @@ class _Work:
     ) -> None:
         """Write the labels of a scan, merged from those of some files that were edited."""
         points = read_scan(scan.path, self.sensor).points
-        read: dict[Path, FileLabels] = {}
+        read: dict[Path, tuple[LabelTransfer, str]] = {}
         unknown: dict[Path, Counter[int]] = {}
         for path in paths:
             try:
@@ -164,7 +164,7 @@ class _Work:
         edited = {
             path: part
             for path, part in read.items()
-            if self.is_named or not is_guess(part.found.filled(none))
+            if self.is_named or not is_guess(part[0].filled(none))
         }
         labels = edited_labels(edited, space, none) if edited else None
         if labels and is_guess(labels.raw):
