@@ -138,12 +138,12 @@ class LabelRecords:
 def first_guesses(scans: Iterable[ScanFile]) -> list[ScanFile]:
     """Return the scans whose label file is still the first guess of a network."""
     records: dict[Path, LabelRecords] = {}
-    found = []
+    guesses = []
     for scan in scans:
         root = labels_root(scan)
         if records.setdefault(root, LabelRecords(root)).holds_guess(scan):
-            found.append(scan)
-    return found
+            guesses.append(scan)
+    return guesses
 
 
 def require_truth(scans: Iterable[ScanFile]) -> None:
@@ -162,5 +162,5 @@ def digest_of_file(path: Path) -> str:
 
 
 def _table(path: Path, key: str) -> dict[str, Any]:
-    found = (read_json(path) or {}).get(key)
-    return dict(found) if isinstance(found, Mapping) else {}
+    table = (read_json(path) or {}).get(key)
+    return dict(table) if isinstance(table, Mapping) else {}

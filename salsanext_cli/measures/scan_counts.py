@@ -229,11 +229,11 @@ def count_scan(
 
 
 def read_softmax(
-    path: Path, wanted: Mask, space: LabelSpace, merging: ClassMerging | None
+    path: Path, selected: Mask, space: LabelSpace, merging: ClassMerging | None
 ) -> npt.NDArray[Any]:
-    """Read the probabilities of the wanted points, those of merged classes added; NaN for none."""
+    """Read the probabilities of selected points, those of merged classes added; NaN for none."""
     count = space.class_count if merging is None else len(merging.targets)
-    softmax = read_probabilities(path, len(wanted), count)[wanted]
+    softmax = read_probabilities(path, len(selected), count)[selected]
     if not space.scored[0]:
         # `predict` marks points without a pixel as certainly unlabelled; no softmax is that.
         softmax[softmax[:, 0] == 1] = np.nan

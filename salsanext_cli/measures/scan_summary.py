@@ -178,11 +178,11 @@ class RunSummary:
             yield
         finally:
             self.finished()
-            found: dict[str, list[Texts]] = {}
+            texts_of_scan: dict[str, list[Texts]] = {}
             for name, finding in chain.from_iterable(self.findings.values()):
                 texts = (finding.code, finding.found, finding.remedy)
-                found.setdefault(name, []).append(texts)
-            earlier = run.keep_findings(found, self.looked_at)
+                texts_of_scan.setdefault(name, []).append(texts)
+            earlier = run.keep_findings(texts_of_scan, self.looked_at)
             for name in earlier.keys() & {file.name for file in scans if run.is_there(file)}:
                 for texts in earlier[name]:
                     self.findings.setdefault(texts[0], []).append((name, Finding(*texts)))

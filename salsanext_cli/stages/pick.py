@@ -153,21 +153,21 @@ def _described(
     task: NetworkTask, scans: Sequence[ScanFile], options: RunOptions, summary: RunSummary
 ) -> tuple[list[ScanDescription], tuple[Failure, ...]]:
     """Describe all scans that can be read, in their order."""
-    found: dict[ScanFile, ScanDescription] = {}
+    described: dict[ScanFile, ScanDescription] = {}
 
     def keep(scan: ScanDescription) -> None:
-        found[scan.file] = scan
+        described[scan.file] = scan
         summary.add(ScanSummary(scan.file, scan.check))
 
     failures = run_over_scans(task, scans, options, on_result=keep).failures
     summary.finished()
-    return [found[scan] for scan in scans if scan in found], failures
+    return [described[scan] for scan in scans if scan in described], failures
 
 
 def _chosen(
     described: Sequence[ScanDescription], count: int, strategy: str, seed: int, done: set[ScanFile]
 ) -> list[PickedScan]:
-    labelled = [place for place, scan in enumerate(described) if scan.file in done]
+    labelled = [index for index, scan in enumerate(described) if scan.file in done]
     if count > (left := len(described) - len(labelled)):
         log.log(NOTICE, "only %s: all are picked", counted(left, "scan"))
     features = np.stack([scan.features for scan in described])

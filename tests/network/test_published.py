@@ -15,7 +15,7 @@ from salsanext_cli import load_network, sensor
 from salsanext_cli.errors import OutputError, WeightsError
 from salsanext_cli.network import published
 from salsanext_cli.network.card import read_card
-from salsanext_cli.network.published import our_name, read_published
+from salsanext_cli.network.published import read_published
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import load_tensors, read_weights, save_with_card
 from salsanext_cli.stages.import_weights import import_weights
@@ -162,13 +162,6 @@ def test_rubbish_is_refused(tmp_path, content):
     path.write_bytes(cut_off if content is None else content)
     with pytest.raises(WeightsError, match=r"SalsaNext · "):
         read_published(path)
-
-
-def test_names():
-    assert our_name("downCntx3.bn2.running_var") == "context.2.dilated.2.running_var"
-    for unknown in ("upBlock1.bn9.bias", "resBlock.conv1.weight", "logits.running_mean", ""):
-        with pytest.raises(WeightsError, match="unknown tensor"):
-            our_name(unknown, "file")
 
 
 @pytest.fixture
