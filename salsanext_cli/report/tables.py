@@ -106,12 +106,13 @@ def uncertainty_tables(evaluation: UncertaintyEvaluation) -> list[Table]:
 
 
 def _calibration_table(softmax: CalibrationResult | None, error: RankingResult | None) -> Table:
-    rows, caption = [], ""
+    rows: list[Sequence[str]] = []
+    caption = ""
     if softmax:
         scores = softmax.scores
         likelihood = (_number(scores.nll), _number(scores.brier))
-        errors = (percent(each, 2) for each in (scores.ece, softmax.ece_per_scan, scores.ace))
-        rows.append(("softmax", *likelihood, *errors, f"{softmax.scans:,}", f"{scores.points:,}"))
+        shares = (percent(each, 2) for each in (scores.ece, softmax.ece_per_scan, scores.ace))
+        rows.append(("softmax", *likelihood, *shares, f"{softmax.scans:,}", f"{scores.points:,}"))
     if error and error.ece is not None:
         counts = (f"{error.scans:,}", f"{error.scores.points:,}")
         rows.append(("error", "", "", percent(error.ece, 2), "", "", *counts))
@@ -128,8 +129,8 @@ def _ranking_table(kinds: Mapping[str, RankingResult]) -> Table:
         wrong = scores.wrong / scores.points if scores.points else math.nan
         areas = (percent(scores.auroc), percent(scores.aupr), percent(scores.aurc, 2))
         rows.append((kind, *areas, _number(scores.ause), percent(wrong), f"{scores.points:,}"))
-    areas = ("AUROC\n%", "AUPR\n%", "AURC\n%", "AUSE")
-    return table_of(("uncertainty", *areas, "wrong\n%", "points"), rows)
+    headings = ("AUROC\n%", "AUPR\n%", "AURC\n%", "AUSE", "wrong\n%", "points")
+    return table_of(("uncertainty", *headings), rows)
 
 
 def _number(value: float) -> str:
