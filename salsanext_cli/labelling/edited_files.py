@@ -159,53 +159,49 @@ class EditedLabels:
         return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "raw"}
 
 
-@dataclass(frozen=True, slots=True)
-class FileLabels:
-    """Labels of the points of a scan in one file, and the name of the scalar that holds them."""
-
-    found: LabelTransfer
-    scalar: str
-
-
 def read_file_labels(
     path: Path, points: Float, meanings: LabelIds, scalar: str | None = None
-) -> FileLabels:
-    """Read the labels that a tool wrote for points (N, 3), matched by place or by order."""
+) -> tuple[LabelTransfer, str]:
+    """Read the labels that a tool wrote for points (N, 3), matched by place or by order.
+
+    Returns them and the name of the scalar that holds them.
+    """
     has_points = path.suffix.lower() in READERS
     cloud = read_labelled_cloud(path, scalar) if has_points else _of_all_points(path, points)
     if unknown := meanings.unknown(cloud.ids):
         raise UnknownIds(path, Counter(unknown), meanings)
     raw, every = meanings.to_raw(cloud.ids), np.ones(len(points), bool)
-    if not has_points:
+    if has_points:
+        transfer = transfer_labels(points, cloud.points, raw)
+        _require_same_scan(path, transfer)
+    else:
         transfer = LabelTransfer(raw, every, ~every, every, np.empty(0), len(points))
-        return FileLabels(transfer, cloud.scalar)
-    transfer = transfer_labels(points, cloud.points, raw)
-    _require_same_scan(path, transfer)
-    return FileLabels(transfer, cloud.scalar)
+    return transfer, cloud.scalar
 
 
 def edited_labels(
-    parts: Mapping[Path, FileLabels], space: LabelSpace, unlabelled: int
+    parts: Mapping[Path, tuple[LabelTransfer, str]], space: LabelSpace, unlabelled: int
 ) -> EditedLabels:
     """Return the labels that files hold of a scan; points without one get the unlabelled raw id."""
-    found = merged_transfers([part.found for part in parts.values()], unlabelled)
-    alone = np.any([part.found.ambiguous for part in parts.values()], axis=0)
-    scalar = ", ".join(sorted({part.scalar for part in parts.values()}))
-    raw = found.filled(unlabelled)
+    transfers = [transfer for transfer, _ in parts.values()]
+    merged = merged_transfers(transfers, unlabelled)
+    in_one_file = np.any([transfer.ambiguous for transfer in transfers], axis=0)
+    scalar = ", ".join(sorted({scalar for _, scalar in parts.values()}))
+    raw = merged.filled(unlabelled)
     labelled = int(space.scored[space.to_train(raw, strict=False)].sum())
     if not labelled:
         text = f"{scalar}: none of the {counted(len(raw), 'point')} has a class that counts"
         remedy = "label some, or name the scalar with --scalar"
         raise LabelError(first_few([*parts]), text, "at least one", remedy)
     return EditedLabels(
-        raw,
-        labelled,
-        int(found.known.sum()) - labelled,
-        int(found.ambiguous.sum()),
-        int(found.missing.sum()),
-        len(found.unmatched),
-        int((found.ambiguous & ~alone).sum()),
-        scalar,
+        raw=raw,
+        labelled=labelled,
+        unlabelled=int(merged.known.sum()) - labelled,
+        ambiguous=int(merged.ambiguous.sum()),
+        missing=int(merged.missing.sum()),
+        unmatched=len(merged.unmatched),
+        contradicted=int((merged.ambiguous & ~in_one_file).sum()),
+        scalar=scalar,
     )
 
 
@@ -221,18 +217,18 @@ def _of_all_points(path: Path, points: Float) -> LabelledCloud:
     return LabelledCloud(points, whole_numbers(values, path, "label"), "labels")
 
 
-def _require_same_scan(path: Path, found: LabelTransfer) -> None:
+def _require_same_scan(path: Path, transfer: LabelTransfer) -> None:
     """Refuse a cloud of which too many points are none of the scan's."""
-    count = len(found.unmatched)
-    if count <= MAX_UNMATCHED * found.cloud_points:
+    count = len(transfer.unmatched)
+    if count <= MAX_UNMATCHED * transfer.cloud_points:
         return
-    distance = float(np.median(found.unmatched))
+    distance = float(np.median(transfer.unmatched))
     cause = "it is of another scan, or its coordinates were shifted, turned or scaled"
     if distance < ROUNDED_M:
         cause = "its coordinates were rounded or moved: save it with more digits"
     raise LabelError(
         path,
-        f"{count:,} of its {found.cloud_points:,} points are none of the scan's, but "
+        f"{count:,} of its {transfer.cloud_points:,} points are none of the scan's, but "
         f"{distance:.3g} m from the nearest (median)",
         f"all within {1000 * TOLERANCE_M:g} mm of one",
         cause,

@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import LabelError, SalsanextError, counted
 from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.files.reading import present, reading
+from salsanext_cli.measures.scan_summary import largest_classes
+from salsanext_cli.measures.scores import Counts
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder, States
 from salsanext_cli.results.selection import data_set_of
@@ -30,8 +31,6 @@ PICKED, GUESSES = "pick.json", "guesses"
 """Record of `pick`, and its key for the digests."""
 STAGE = "import-labels"
 IMPORTED = f"{STAGE}.json"
-LARGEST_CLASSES = 5
-"""Classes that the result of an import names."""
 
 
 @dataclass(slots=True)
@@ -39,7 +38,7 @@ class LabelImport:
     """Result of an import of labels."""
 
     space: LabelSpace  # Classes of the labels
-    class_points: npt.NDArray[np.int64]  # (C,) int64: number of imported points by train id
+    class_points: Counts  # (C,) int64: number of imported points by train id
     # Of each imported scan: `scan` as sequence/stem, its `files`, `scalar`, number of `points`,
     # `labelled`, `unlabelled`, `ambiguous`, `missing` and `unmatched`, as `EditedLabels` has them
     scans: list[dict[str, Any]] = field(default_factory=list)
@@ -53,9 +52,7 @@ class LabelImport:
 
     def largest_classes(self) -> dict[str, float]:
         """Return the share of the labelled points, 0…1, of the largest classes, by name."""
-        points = np.where(self.space.scored, self.class_points, 0)
-        largest = np.argsort(-points, kind="stable")[:LARGEST_CLASSES]
-        return {self.space.names[i]: float(points[i] / points.sum()) for i in largest if points[i]}
+        return largest_classes(self.space, np.where(self.space.scored, self.class_points, 0))
 
     def fail(self, files: Iterable[Path], error: SalsanextError) -> None:
         """Note files that are not imported."""
@@ -141,12 +138,12 @@ class LabelRecords:
 def first_guesses(scans: Iterable[ScanFile]) -> list[ScanFile]:
     """Return the scans whose label file is still the first guess of a network."""
     records: dict[Path, LabelRecords] = {}
-    found = []
+    guesses = []
     for scan in scans:
         root = labels_root(scan)
         if records.setdefault(root, LabelRecords(root)).holds_guess(scan):
-            found.append(scan)
-    return found
+            guesses.append(scan)
+    return guesses
 
 
 def require_truth(scans: Iterable[ScanFile]) -> None:
@@ -165,5 +162,5 @@ def digest_of_file(path: Path) -> str:
 
 
 def _table(path: Path, key: str) -> dict[str, Any]:
-    found = (read_json(path) or {}).get(key)
-    return dict(found) if isinstance(found, Mapping) else {}
+    table = (read_json(path) or {}).get(key)
+    return dict(table) if isinstance(table, Mapping) else {}

@@ -81,11 +81,11 @@ class PickRecord:
             raise OutputError(path, f"not what `{STAGE}` writes", remedy=remedy) from error
 
 
-def pose_lines(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> bytes:
-    """Return the lines of the wanted ones of all scans of a sequence, sorted stems."""
+def pose_lines(path: Path, scans: Sequence[str], picked: Sequence[str]) -> bytes:
+    """Return the lines of the picked ones of all scans of a sequence, sorted stems."""
     with reading(path) as file:
         lines = [line.strip() for line in file.read().splitlines() if line.strip()]
-    numbers = line_numbers(path, len(lines), scans, wanted)
+    numbers = line_numbers(path, len(lines), scans, picked)
     return b"".join(lines[number] + b"\n" for number in numbers)
 
 
@@ -194,8 +194,8 @@ class PickedDataSet(OwnedFolder):
         self.begin(record.to_dict(), self._files(earlier) if earlier else [])
 
     def _record(self) -> PickRecord | None:
-        found = self.recorded()
-        return None if found is None else PickRecord.from_dict(found, self.record_path)
+        data = self.recorded()
+        return None if data is None else PickRecord.from_dict(data, self.record_path)
 
     def _certain_files(self, record: PickRecord) -> list[Path]:
         files = [self.root / name for name in (LABEL_SPACE, TABLE, SHEET)]

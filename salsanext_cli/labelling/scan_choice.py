@@ -59,8 +59,8 @@ def choose_scans(
     points, before = standardised(features), list(labelled)
     total = min(len(before) + count, len(weights))
     if strategy == "random":
-        drawn = np.random.default_rng(seed).permutation(len(weights)).tolist()
-        order = [*before, *(scan for scan in drawn if scan not in before)][:total]
+        permuted = np.random.default_rng(seed).permutation(len(weights)).tolist()
+        order = [*before, *(scan for scan in permuted if scan not in before)][:total]
     else:
         order = _greedy(points, weights, total, strategy, before)
     ranks = np.empty(len(weights), np.intp)
@@ -97,8 +97,8 @@ def standardised(features: npt.ArrayLike) -> Double:
 
 def distances(points: Double, scan: int) -> Double:
     """Return the distance of every scan from one, (S,)."""
-    found: Double = np.linalg.norm(points - points[scan], axis=1)
-    return found
+    lengths: Double = np.linalg.norm(points - points[scan], axis=1)
+    return lengths
 
 
 def spread(points: Double, count: int) -> float:
@@ -129,12 +129,12 @@ def _greedy(
     left = np.ones(len(weights), bool)
     left[order] = False
     while len(order) < count:
-        others = left & (apart > 0)
+        unlike = left & (apart > 0)
         scores = {"both": worth * apart, "uncertainty": worth, "diverse": apart}
         # Scans equal to chosen ones come last, and differ by their uncertainty only.
-        score = scores[strategy] if others.any() else worth
+        score = scores[strategy] if unlike.any() else worth
         # Rounding may hide the one that must be far enough.
-        levels = (others & (apart >= least), others, left)
+        levels = (unlike & (apart >= least), unlike, left)
         eligible = next(level for level in levels if level.any())
         scan = int(np.where(eligible, score, -math.inf).argmax())
         order.append(scan)
@@ -148,5 +148,5 @@ def _nearest(points: Double, scan: int, earlier: Sequence[int]) -> tuple[float, 
     if not earlier:
         return math.nan, None
     apart = np.linalg.norm(points[list(earlier)] - points[scan], axis=1)
-    place = int(apart.argmin())
-    return float(apart[place]), earlier[place]
+    nearest = int(apart.argmin())
+    return float(apart[nearest]), earlier[nearest]

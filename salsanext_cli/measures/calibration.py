@@ -69,8 +69,8 @@ def reliability(counts: Counts, bin_count: int = POOLED_BINS) -> Reliability:
     """Sum up counts by confidence in bins of equal width."""
     values = CONFIDENCES.astype(np.float64)
     # The product is exact: a float16 has 11 binary digits.
-    place = np.maximum(np.ceil(values * bin_count).astype(np.intp) - 1, 0)
-    starts = np.searchsorted(place, np.arange(bin_count))
+    bin_of = np.maximum(np.ceil(values * bin_count).astype(np.intp) - 1, 0)
+    starts = np.searchsorted(bin_of, np.arange(bin_count))
     points = np.add.reduceat(counts.sum(axis=0), starts)
     hits = np.add.reduceat(counts[0], starts)
     confidence = np.add.reduceat(counts.sum(axis=0) * values, starts)

@@ -40,15 +40,16 @@ def paired_differences(sums: Counts, held: Mask) -> list[Difference]:
     random, flat = np.random.default_rng(SEED), sums.reshape(len(sums), -1)
     totals = [flat.sum(axis=0)]
     for _ in range(RESAMPLES if len(sums) >= MIN_SCANS else 0):
-        drawn = np.bincount(random.integers(len(sums), size=len(sums)), minlength=len(sums))
-        totals.append(drawn @ flat)
-    found = _scores(np.array(totals).reshape(-1, *sums.shape[1:]), held)
-    of_sample, *of_resamples = found[:, 1] - found[:, 0]
+        times_drawn = np.bincount(random.integers(len(sums), size=len(sums)), minlength=len(sums))
+        totals.append(times_drawn @ flat)
+    scores = _scores(np.array(totals).reshape(-1, *sums.shape[1:]), held)
+    difference = scores[:, 1] - scores[:, 0]
+    bounds, resampled = np.full((2, difference.shape[1]), np.nan), difference[1:]
     # A class that a resample lacks has no difference there.
-    known = [[each for each in column if not math.isnan(each)] for column in zip(*of_resamples)]  # noqa: B905
-    bounds = [np.percentile(each, (2.5, 97.5)) if each else (math.nan,) * 2 for each in known]
-    columns = zip(*found[0], of_sample, bounds or [(math.nan,) * 2] * len(of_sample), strict=True)
-    return [Difference(*map(float, (*scores, *bound))) for *scores, bound in columns]
+    known = ~np.isnan(resampled).all(axis=0)
+    if known.any():
+        bounds[:, known] = np.nanpercentile(resampled[:, known], (2.5, 97.5), axis=0)
+    return [Difference(*row) for row in np.vstack([scores[0], difference[0], bounds]).T.tolist()]
 
 
 def _scores(sums: Counts, held: Mask) -> Ratios:
@@ -114,8 +115,10 @@ class RunComparison:
         held = self.sums[:, 1:, 0, 1].sum(axis=0) > 0
         same = held[held.any(axis=1)].all(axis=0)
         rings = zip(RING_NAMES, np.moveaxis(self.sums[:, 1:], 1, 0), held, strict=False)
-        found = {name: paired_differences(s, same)[:2] for name, s, any_ in rings if any_.any()}
-        return {name: (accuracy, mean) for name, (accuracy, mean) in found.items()}
+        differences = {
+            name: paired_differences(s, same)[:2] for name, s, any_ in rings if any_.any()
+        }
+        return {name: (accuracy, mean) for name, (accuracy, mean) in differences.items()}
 
     @cached_property
     def turned(self) -> Counts:
@@ -135,8 +138,10 @@ class RunComparison:
 
     def most_changed(self) -> list[ScanPair]:
         """Return the scans that changed most, those first."""
-        found = (pair for pair in self.pairs if changed(pair.turned))
-        return sorted(found, key=lambda pair: (-changed(pair.turned), pair.file))[:NAMED]
+        pairs_that_differ = (pair for pair in self.pairs if changed(pair.turned))
+        return sorted(pairs_that_differ, key=lambda pair: (-changed(pair.turned), pair.file))[
+            :NAMED
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""

@@ -15,6 +15,8 @@ from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.measures.scores import EPSILON, Mask, Ratios
 
 MIN_SEGMENT_POINTS = 50
+SEGMENT_COUNTS = 5
+"""Sum of IoU, matches, false alarms, misses and true objects, of each class."""
 COLUMNS = ("pq", "sq", "rq", "matches", "false_alarms", "misses")
 
 
@@ -23,21 +25,21 @@ def count_segments(
 ) -> Ratios:
     """Match the segments of a scan, of train ids and of raw ids with instances, (N,) each.
 
-    Returns sum of IoU, matches, false alarms, misses, true objects of each class, (C, 5) float64.
+    Returns `SEGMENT_COUNTS` of each class, (C, 5) float64.
     """
-    kept = scored[truth[0]]
-    (true, of_true, true_sizes), (found, of_found, found_sizes) = (
-        np.unique((train.astype(np.int64) << 16 | raw >> 16)[kept], False, True, True)
+    judged = scored[truth[0]]
+    (true, of_true, true_sizes), (guessed, of_guessed, guessed_sizes) = (
+        np.unique((train.astype(np.int64) << 16 | raw >> 16)[judged], False, True, True)
         for train, raw in (truth, predicted)
     )
-    pairs, common = np.unique(of_true * len(found) + of_found, return_counts=True)
-    a, b = np.divmod(pairs, max(len(found), 1))
-    iou = common / (true_sizes[a] + found_sizes[b] - common)
-    hit = (true[a] >> 16 == found[b] >> 16) & (iou > 0.5)
+    pairs, common = np.unique(of_true * len(guessed) + of_guessed, return_counts=True)
+    a, b = np.divmod(pairs, max(len(guessed), 1))
+    iou = common / (true_sizes[a] + guessed_sizes[b] - common)
+    hit = (true[a] >> 16 == guessed[b] >> 16) & (iou > 0.5)
     a, b = a[hit], b[hit]
-    misses, false_alarms = (sizes >= MIN_SEGMENT_POINTS for sizes in (true_sizes, found_sizes))
+    misses, false_alarms = (sizes >= MIN_SEGMENT_POINTS for sizes in (true_sizes, guessed_sizes))
     misses[a] = false_alarms[b] = False
-    segments = (true[a], true[a], found[false_alarms], true[misses], true[true & 0xFFFF > 0])
+    segments = (true[a], true[a], guessed[false_alarms], true[misses], true[true & 0xFFFF > 0])
     weights = (iou[hit], None, None, None, None)
     by_class = [
         np.bincount(each >> 16, weight, len(scored))

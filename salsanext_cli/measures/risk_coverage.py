@@ -71,13 +71,13 @@ def auroc(right: Counts, wrong: Counts) -> float:
 
 def average_precision(right: Counts, wrong: Counts) -> float:
     """Return Σ_t (recall_t − recall_{t−1}) precision_t over thresholds t, descending."""
-    found = wrong[::-1].cumsum()
-    flagged = found + right[::-1].cumsum()
+    true_positives = wrong[::-1].cumsum()
+    flagged = true_positives + right[::-1].cumsum()
     held = flagged > 0
     if not wrong.any():
         return math.nan
-    precision = found[held] / flagged[held]
-    return float(wrong[::-1][held] @ precision / found[-1])
+    precision = true_positives[held] / flagged[held]
+    return float(wrong[::-1][held] @ precision / true_positives[-1])
 
 
 def aurc(right: Counts, wrong: Counts) -> float:
@@ -167,8 +167,8 @@ def kept_points(kind: str, histogram: Histogram) -> KeptPoints:
     held = np.flatnonzero(tied)
     if risk_of_all in (0, 1) or len(held) == 1:
         return KeptPoints(kind, points, risk_of_all)
-    place = np.abs(100 * reached[held[:-1]] - PERCENT_KEPT * points).argmin()
-    last, following = held[place : place + 2]
+    nearest = np.abs(100 * reached[held[:-1]] - PERCENT_KEPT * points).argmin()
+    last, following = held[nearest : nearest + 2]
     return KeptPoints(
         kind=kind,
         points=points,
@@ -206,6 +206,6 @@ def spearman(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
 
 def _centred_ranks(values: npt.NDArray[Any]) -> Ratios:
     """Return ranks whose mean is 0, so that those of equal values are exactly 0."""
-    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
-    ranks: Ratios = (count.cumsum() - (count + len(values)) / 2)[place]
+    _, rank_of, count = np.unique(values, return_inverse=True, return_counts=True)
+    ranks: Ratios = (count.cumsum() - (count + len(values)) / 2)[rank_of]
     return ranks

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from operator import iadd
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from salsanext_cli.measures.histograms import (
     softmax_errors,
     uncertainty_histogram,
 )
-from salsanext_cli.measures.panoptic import count_segments
+from salsanext_cli.measures.panoptic import SEGMENT_COUNTS, count_segments
 from salsanext_cli.measures.scores import Confusion, Mask, Ratios, scores
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Scan
@@ -61,6 +62,7 @@ class ScanCounts:
     """Counts over scans."""
 
     confusion: Confusion  # Counts of all points
+    segments: Ratios  # As `count_segments` returns, where objects were predicted
     rings: tuple[Confusion, ...] = ()  # One per name in `RING_NAMES`; empty if not requested
     # Number of points by raw id that the label space does not know
     unknown_truth: Counter[int] = field(default_factory=Counter)
@@ -78,36 +80,25 @@ class ScanCounts:
     histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)
     by_sequence: dict[str, Confusion] = field(default_factory=dict)
     by_scan: dict[str, dict[str, Any]] = field(default_factory=dict)  # Some scores, by name
-    segments: Ratios | None = None  # As `count_segments` returns, where objects were predicted
 
     @classmethod
     def none(cls, space: LabelSpace, by_distance: bool) -> ScanCounts:
         """Return the counts of no scan at all."""
-        rings = tuple(Confusion(space.class_count) for _ in RING_NAMES)
-        return cls(Confusion(space.class_count), rings if by_distance else ())
+        classes = space.class_count
+        rings = tuple(Confusion(classes) for _ in RING_NAMES) if by_distance else ()
+        return cls(Confusion(classes), np.zeros((classes, SEGMENT_COUNTS)), rings)
 
     def add(self, other: ScanCounts) -> None:
         """Add the counts of other scans, which are used up."""
-        self.confusion += other.confusion
-        self.rings = tuple(a + b for a, b in zip(self.rings, other.rings, strict=True))
-        self.unknown_truth += other.unknown_truth
-        self.unknown_predictions += other.unknown_predictions
-        self.scans += other.scans
-        self.trained_on += other.trained_on
-        self.missing += other.missing
-        self.files += other.files
-        self.kept |= other.kept
-        self.calibration_errors += other.calibration_errors
-        self.by_scan |= other.by_scan
-        for name, confusion in other.by_sequence.items():
-            known = self.by_sequence.get(name)
-            self.by_sequence[name] = known + confusion if known else confusion
-        if other.segments is not None:
-            known_segments = 0 if self.segments is None else self.segments
-            self.segments = known_segments + other.segments
-        for key, histogram in other.histograms.items():
-            if self.histograms.setdefault(key, histogram) is not histogram:
-                self.histograms[key] += histogram
+        for name in (each.name for each in fields(self)):
+            own, added = getattr(self, name), getattr(other, name)
+            if isinstance(own, dict):
+                for key, value in added.items():
+                    own[key] = iadd(own[key], value) if key in own else value
+            elif isinstance(own, tuple):
+                setattr(self, name, tuple(map(iadd, own, added)))
+            else:
+                setattr(self, name, iadd(own, added))
 
     def label_warnings(self, space: LabelSpace) -> Iterator[str]:
         """Yield what the scores do not tell, or may tell wrongly, in words."""
@@ -131,17 +122,12 @@ class ScanCounts:
             )
 
 
-@dataclass(slots=True)
 class CountsApart:
     """Counts of scans that the weights were trained on, apart from those of others."""
 
-    others: ScanCounts
-    trained_on: ScanCounts
-
-    @classmethod
-    def none(cls, space: LabelSpace, by_distance: bool) -> CountsApart:
-        """Return the counts of no scan at all."""
-        return cls(ScanCounts.none(space, by_distance), ScanCounts.none(space, by_distance))
+    def __init__(self, space: LabelSpace, by_distance: bool) -> None:
+        self.others = ScanCounts.none(space, by_distance)
+        self.trained_on = ScanCounts.none(space, by_distance)
 
     def add(self, other: ScanCounts) -> None:
         """Add the counts of one scan, which are used up."""
@@ -243,11 +229,11 @@ def count_scan(
 
 
 def read_softmax(
-    path: Path, wanted: Mask, space: LabelSpace, merging: ClassMerging | None
+    path: Path, selected: Mask, space: LabelSpace, merging: ClassMerging | None
 ) -> npt.NDArray[Any]:
-    """Read the probabilities of the wanted points, those of merged classes added; NaN for none."""
+    """Read the probabilities of selected points, those of merged classes added; NaN for none."""
     count = space.class_count if merging is None else len(merging.targets)
-    softmax = read_probabilities(path, len(wanted), count)[wanted]
+    softmax = read_probabilities(path, len(selected), count)[selected]
     if not space.scored[0]:
         # `predict` marks points without a pixel as certainly unlabelled; no softmax is that.
         softmax[softmax[:, 0] == 1] = np.nan

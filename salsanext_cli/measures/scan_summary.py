@@ -28,6 +28,7 @@ from salsanext_cli.fitting.scan_checks import (
     ScanTraits,
 )
 from salsanext_cli.geometry.network_input import INTENSITY_FACTOR
+from salsanext_cli.measures.scores import Counts
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.results.owned_folder import Texts
@@ -66,7 +67,7 @@ class ScanSummary:
 
     file: ScanFile
     check: ScanCheck = UNCHECKED  # Reasons to doubt the scan or its labels
-    class_points: tuple[int, ...] = ()  # Number of points by predicted train id, if any
+    class_points: Counts | None = None  # (C,): number of points by predicted train id, if any
     rejected_points: int = 0  # Number of points unlabelled for their error
     confidence: float = math.nan  # Mean of the largest probabilities of the points, if any are
 
@@ -84,7 +85,7 @@ class ScanSummary:
         points = np.bincount(labels, minlength=space.class_count)
         findings = (*check.findings, *_label_findings(points, confidence, space))
         check = replace(check, findings=findings)
-        return cls(file, check, tuple(points.tolist()), rejected_points)
+        return cls(file, check, points, rejected_points)
 
     @classmethod
     def of_scan(
@@ -96,9 +97,7 @@ class ScanSummary:
         return cls.of_labels(scan.file, scan.labels, space, scan.check, rejected_points, mean)
 
 
-def _label_findings(
-    points: npt.NDArray[np.int64], confidence: float, space: LabelSpace
-) -> Iterator[Finding]:
+def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Iterator[Finding]:
     """Doubt labels by the number of points of each class (C,) and their mean probability."""
     few = space.class_count <= FEW_CLASSES
     if space.class_count >= FEWEST_CLASSES:
@@ -118,7 +117,7 @@ class RunSummary:
 
     sensor: Sensor  # Sensor that the scans were projected for
     space: LabelSpace | None = None  # Classes of the predicted points, if any are predicted
-    class_points: list[int] = field(default_factory=list)  # Number of points by predicted train id
+    class_points: Counts | None = None  # (C,): number of points by predicted train id
     # Names of the scans by code of what was found, in the order in which it was found first
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)  # Traits of the sensor by scan
@@ -151,19 +150,17 @@ class RunSummary:
             self.add_finding(scan.file, finding)
         if scan.check.traits is not None:
             self.traits[scan.file] = scan.check.traits
-        if scan.class_points:
-            before = self.class_points or [0] * len(scan.class_points)
-            self.class_points = [a + b for a, b in zip(before, scan.class_points, strict=True)]
+        if scan.class_points is not None:
+            before = 0 if self.class_points is None else self.class_points
+            self.class_points = before + scan.class_points
 
     def add_finding(self, file: ScanFile, finding: Finding) -> None:
         """Add a reason to doubt a scan; say it at once if it is the first of its kind."""
-        name = file.name
         if finding.code not in self.findings:
-            words = f"{finding.found}; {finding.remedy}"
             # Handlers of other programs may not take what is no text.
-            shown = name.encode(errors="backslashreplace").decode()
-            log.warning("%s: %s (%s)", shown, words, finding.code)
-        self.findings.setdefault(finding.code, []).append((name, finding))
+            name = file.name.encode(errors="backslashreplace").decode()
+            log.warning("%s: %s; %s (%s)", name, finding.found, finding.remedy, finding.code)
+        self.findings.setdefault(finding.code, []).append((file.name, finding))
 
     def finished(self, *, selectable: bool = True) -> RunSummary:
         """Compare the scans with each other, at the end of the run; return itself."""
@@ -181,11 +178,11 @@ class RunSummary:
             yield
         finally:
             self.finished()
-            found: dict[str, list[Texts]] = {}
+            texts_of_scan: dict[str, list[Texts]] = {}
             for name, finding in chain.from_iterable(self.findings.values()):
                 texts = (finding.code, finding.found, finding.remedy)
-                found.setdefault(name, []).append(texts)
-            earlier = run.keep_findings(found, self.looked_at)
+                texts_of_scan.setdefault(name, []).append(texts)
+            earlier = run.keep_findings(texts_of_scan, self.looked_at)
             for name in earlier.keys() & {file.name for file in scans if run.is_there(file)}:
                 for texts in earlier[name]:
                     self.findings.setdefault(texts[0], []).append((name, Finding(*texts)))
@@ -218,11 +215,15 @@ class RunSummary:
 
     def largest_classes(self) -> dict[str, float]:
         """Return the share of the points, 0…1, of the largest predicted classes, by name."""
-        if self.space is None or not (points := sum(self.class_points)):
+        if self.space is None or self.class_points is None:
             return {}
-        shares = {n: c / points for n, c in zip(self.space.names, self.class_points, strict=True)}
-        largest = sorted(shares, key=lambda name: -shares[name])[:LARGEST_CLASSES]
-        return {name: shares[name] for name in largest if shares[name]}
+        return largest_classes(self.space, self.class_points)
+
+
+def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:
+    """Return the share of points (C,) by train id, 0…1, of the largest classes, by name."""
+    largest = np.argsort(-points, kind="stable")[:LARGEST_CLASSES]
+    return {space.names[i]: float(points[i] / points.sum()) for i in largest if points[i]}
 
 
 def mixed_sensors(
@@ -258,7 +259,7 @@ def mixed_sensors(
     return findings
 
 
-def _groups(values: npt.NDArray[Any], factor: float) -> npt.NDArray[np.int64]:
+def _groups(values: npt.NDArray[Any], factor: float) -> Counts:
     """Return the numbers (F,) of the groups of values that gaps of a factor divide, from 0.
 
     A value of 0 is unknown and in the first group.

@@ -112,24 +112,19 @@ def evaluate_uncertainty(counts: ScanCounts, space: LabelSpace) -> UncertaintyEv
     for folder in (SOFTMAX, *(f"uncertainty/{kind}" for kind in UNCERTAINTY)):
         if 0 < counts.files[folder] < counts.scans:
             log.warning("%s of %d of %d scans only", folder, counts.files[folder], counts.scans)
-    found = _evaluated(counts, space)
-    error, softmax = found.kinds.get("error"), found.calibration
-    confidence = found.kinds.get("confidence") or found.kinds.get("least_confidence")
+    kinds = {
+        kind: _ranking_result(counts, kind, space)
+        for kind in EVALUATED_KINDS
+        if (kind, CLASS) in counts.histograms
+    }
+    has_softmax = (SOFTMAX, CLASS) in counts.histograms
+    softmax = _calibration_result(counts, space) if has_softmax else None
+    error, confidence = kinds.get("error"), kinds.get("confidence") or kinds.get("least_confidence")
     if error and confidence and error.scores.aurc > confidence.scores.aurc:
         log.warning("the error ranks labels worse than the confidence: use --reject with care")
     if error and error.ece and softmax and error.ece > softmax.scores.ece:
         log.warning("the error is calibrated worse than the softmax: do not read it as a share")
-    return found
-
-
-def _evaluated(counts: ScanCounts, space: LabelSpace) -> UncertaintyEvaluation:
-    has_softmax = (SOFTMAX, CLASS) in counts.histograms
-    kinds = [kind for kind in EVALUATED_KINDS if (kind, CLASS) in counts.histograms]
-    return UncertaintyEvaluation(
-        calibration=_calibration_result(counts, space) if has_softmax else None,
-        kinds={kind: _ranking_result(counts, kind, space) for kind in kinds},
-        kept=_kept(counts),
-    )
+    return UncertaintyEvaluation(softmax, kinds, _kept(counts))
 
 
 def _kept(counts: ScanCounts) -> KeptPoints | None:

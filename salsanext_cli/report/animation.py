@@ -107,9 +107,9 @@ def encode_gif(pictures: Sequence[Path], frames_per_second: float, kept: Colours
     from PIL import Image
 
     exact = list(dict.fromkeys(map(tuple, kept.tolist())))[:MOST_KEPT]
-    others = next(frames(pictures)).quantize(PALETTE - len(exact)).getpalette() or []
+    rest = next(frames(pictures)).quantize(PALETTE - len(exact)).getpalette() or []
     palette = Image.new("P", (1, 1))
-    palette.putpalette([value for colour in exact for value in colour] + others)
+    palette.putpalette([value for colour in exact for value in colour] + rest)
     # Without dithering what does not move stays as it is.
     still = Image.Dither.NONE
     reduced = (frame.quantize(palette=palette, dither=still) for frame in frames(pictures))

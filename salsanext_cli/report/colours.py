@@ -86,13 +86,13 @@ def common_scales(
         known = folder.with_column(colour, scans)
         for file in known[:: -(-len(known) // SCANS_FOR_SCALE) or 1]:
             sampled.setdefault(file, []).append(colour)
-    for file, wanted in sampled.items():
+    for file, known_colours in sampled.items():
         # A scan that cannot be read is named when it is worked on.
         with suppress(SalsanextError):
             columns = scalar_columns(folder.read(file, sensor), space)
-            for colour in wanted:
+            for colour in known_colours:
                 values[colour].append(columns[colour])
-    return {colour: value_range(np.concatenate(found)) for colour, found in values.items()}
+    return {colour: value_range(np.concatenate(samples)) for colour, samples in values.items()}
 
 
 def require_colouring(colours: Iterable[str], scale: tuple[float, float] | None) -> None:
@@ -133,9 +133,9 @@ def screen_colours(space: LabelSpace) -> Colours:
     apart = _spread(len(own))
     colours, differences = own.copy(), colour_difference(own[:, None], apart)
     for _ in own:
-        i, place = np.unravel_index(differences.argmin(), differences.shape)
-        colours[i] = apart[place]
-        differences[i] = differences[:, place] = np.inf
+        i, closest = np.unravel_index(differences.argmin(), differences.shape)
+        colours[i] = apart[closest]
+        differences[i] = differences[:, closest] = np.inf
     for each, colour in enumerate(own):
         if colour_difference(colour, np.delete(colours, each, axis=0)).min() >= LEAST_DIFFERENCE:
             colours[each] = colour

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from html import escape as escape_html
 
 import numpy as np
-from rich.console import Console, Group, RenderableType
-from rich.markup import escape
+from rich.console import Console, Group
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, printable
@@ -16,7 +15,7 @@ from salsanext_cli.geometry.projection import in_sensor_frame
 from salsanext_cli.measures.paired import Difference, RunComparison, ScanPair, changed
 from salsanext_cli.report.colours import legend_of, screen_colours
 from salsanext_cli.report.scan_pictures import scan_picture
-from salsanext_cli.report.tables import ABSENT, number_table, percent
+from salsanext_cli.report.tables import ABSENT, percent, table_of
 from salsanext_cli.results.result_folder import ScanResults
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -32,41 +31,45 @@ body{{background:#16181d;color:#e8e8ea;font:15px sans-serif;margin:2em}}img{{max
 DIFFERENCE = ("before %", "after %", "difference", "95 % interval")
 
 
-def _cells(found: Difference) -> tuple[str, ...]:
-    points = [ABSENT if np.isnan(x) else f"{100 * x:+.1f}" for x in found[2:]]
-    clear = "*" * (found.low > 0 or found.high < 0)
-    interval = ABSENT if np.isnan(found.low) else f"{points[1]} … {points[2]}{clear:1}"
-    return percent(found.before), percent(found.after), points[0], interval
+def _signed(share: float) -> str:
+    return ABSENT if np.isnan(share) else f"{100 * share:+.1f}"
 
 
-def comparison_tables(found: RunComparison) -> Group:
+def _cells(score: Difference) -> tuple[str, ...]:
+    clear = "*" * (score.low > 0 or score.high < 0)
+    interval = f"{_signed(score.low)} … {_signed(score.high)}{clear:1}"
+    interval = ABSENT if np.isnan(score.low) else interval
+    return percent(score.before), percent(score.after), _signed(score.difference), interval
+
+
+def comparison_tables(compared: RunComparison) -> Group:
     """Return tables of the scores if there are any, of turned classes, and of changed scans."""
-    shown: list[RenderableType] = []
-    if found.scores:
-        scans = f"{counted(len(found.sums), 'scan')} with truth, not trained on"
-        table = number_table("score", *DIFFERENCE, title=scans, no_wrap=True)
-        table.caption = "* the interval, over scans, leaves out 0; score of a class: its IoU"
-        for name, each in found.scores.items():
-            table.add_row(escape(name), *_cells(each))
-        shown.append(table)
-    if found.rings:
-        table = number_table("distance", *DIFFERENCE, title="Mean IoU of the same classes")
-        for name, (_, mean) in found.rings.items():
-            table.add_row(name, *_cells(mean))
-        shown.append(table)
-    share = percent(1 - changed(found.turned))
-    title = f"Labels of {counted(len(found.pairs), 'scan')}: {share} % are the same"
-    table = number_table("before", "after", "points", "share %", title=title)
-    for before, after, points, part in found.turns():
-        table.add_row(escape(before), escape(after), f"{points:,}", percent(part))
-    shown.append(table)
-    table = number_table("scan", "changed %", "accuracy", title="Scans that changed most")
-    table.add_column("")
-    for pair in found.most_changed():
-        gain = ABSENT if np.isnan(pair.gain) else f"{100 * pair.gain:+.1f}"
-        mark = "trained on" * pair.trained_on
-        table.add_row(escape(printable(pair.file.name)), percent(changed(pair.turned)), gain, mark)
-    return Group(*shown, table)
+    tables = []
+    if compared.scores:
+        rows = [(name, *_cells(score)) for name, score in compared.scores.items()]
+        title = f"{counted(len(compared.sums), 'scan')} with truth, not trained on"
+        caption = "* the interval, over scans, leaves out 0; score of a class: its IoU"
+        tables.append(table_of(("score", *DIFFERENCE), rows, title=title, caption=caption))
+    if compared.rings:
+        rows = [(name, *_cells(mean)) for name, (_, mean) in compared.rings.items()]
+        title = "Mean IoU of the same classes"
+        tables.append(table_of(("distance", *DIFFERENCE), rows, title=title))
+    turns = (
+        (before, after, f"{points:,}", percent(share))
+        for before, after, points, share in compared.turns()
+    )
+    same = percent(1 - changed(compared.turned))
+    title = f"Labels of {counted(len(compared.pairs), 'scan')}: {same} % are the same"
+    headings = ("before", "after", "points", "share %")
+    scans = (
+        (p.file.name, percent(changed(p.turned)), _signed(p.gain), "trained on" * p.trained_on)
+        for p in compared.most_changed()
+    )
+    return Group(
+        *tables,
+        table_of(headings, turns, texts=["after"], title=title),
+        table_of(("scan", "changed %", "accuracy", ""), scans, title="Scans that changed most"),
+    )
 
 
 def change_picture(
@@ -91,10 +94,10 @@ def change_picture(
     return scan_picture(printable(heading), points, views, legend=legend)
 
 
-def comparison_page(found: RunComparison, title: str, pictures: Sequence[bytes]) -> bytes:
+def comparison_page(compared: RunComparison, title: str, pictures: Sequence[bytes]) -> bytes:
     """Return the tables, and pictures of scans, as one HTML file."""
     console = Console(record=True, file=io.StringIO(), width=110)
-    console.print(comparison_tables(found))
+    console.print(comparison_tables(compared))
     tables = console.export_html(inline_styles=True, code_format="<pre>{code}</pre>")
     images = (f'<p><img src="data:image/png;base64,{b64encode(p).decode()}">' for p in pictures)
     title = escape_html(printable(title))

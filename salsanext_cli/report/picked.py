@@ -10,10 +10,9 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
-from salsanext_cli.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.errors import counted, printable
 from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.formats.ply import encode_ply
@@ -31,7 +30,7 @@ from salsanext_cli.report.colours import (
     value_colours,
     value_range,
 )
-from salsanext_cli.report.tables import ABSENT, number_table
+from salsanext_cli.report.tables import ABSENT, table_of
 from salsanext_cli.results.layout import ScanFile
 
 STRIP_WIDTH_PX, STRIP_HEIGHT_PX = 1024, 96
@@ -42,20 +41,23 @@ NO_CLASS = 255
 """Train id of an empty pixel."""
 
 
-@dataclass(frozen=True, slots=True)
-class Preview:
-    """Classes and uncertainty of a scan in at most `STRIP_WIDTH_PX` columns."""
+@dataclass(frozen=True, slots=True, eq=False)
+class PickedLabels:
+    """Labels that the network guesses of a picked scan, and strips of at most `STRIP_WIDTH_PX`."""
 
+    file: ScanFile
+    raw: RawIds  # (N,) uint32
     classes: TrainIds  # (H, W) uint8: train ids, `NO_CLASS` where empty
     uncertainty: Float  # (H, W) float32: NaN where empty
 
     @classmethod
-    def of(cls, labelled: LabelledScan, uncertainty: Float) -> Preview:
+    def of(cls, labelled: LabelledScan, uncertainty: Float, space: LabelSpace) -> PickedLabels:
         """Take every so many columns of a scan's range image and of its pixels' uncertainty."""
         image, step = labelled.image, -(-labelled.image.width // STRIP_WIDTH_PX)
         classes = pixels_from_points(labelled.labels, image.point_of_pixel, NO_CLASS)
         values = np.where(image.point_of_pixel < 0, np.float32(np.nan), uncertainty)
-        return cls(classes[:, ::step].copy(), values[:, ::step].copy())
+        raw = space.to_raw(labelled.labels)
+        return cls(labelled.file, raw, classes[:, ::step].copy(), values[:, ::step].copy())
 
 
 def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) -> bytes:
@@ -113,17 +115,12 @@ def picked_scans(
 
 def picked_table(picked: Sequence[PickedScan]) -> Table:
     """Return a table with a row per picked scan, the one most worth labelling first."""
-    table = number_table("rank")
-    table.columns[0].justify = "right"
-    table.add_column("scan", overflow="fold")
-    table.add_column("uncertainty, nats", justify="right")
-    table.add_column("distance", justify="right")
-    table.add_column("reason", overflow="fold")
+    rows = []
     for each in picked:
         distance = ABSENT if each.distance is None else f"{each.distance:.2f}"
-        name, words = escape(printable(each.name)), escape(printable(each.reason))
-        table.add_row(str(each.rank), name, f"{each.uncertainty:.4f}", distance, words)
-    return table
+        rows.append((str(each.rank), each.name, f"{each.uncertainty:.4f}", distance, each.reason))
+    headings = ("rank", "scan", "uncertainty,\nnats", "distance", "reason")
+    return table_of(headings, rows, texts=("scan", "reason"))
 
 
 def picked_csv(picked: Sequence[PickedScan]) -> bytes:
@@ -137,28 +134,27 @@ def picked_csv(picked: Sequence[PickedScan]) -> bytes:
 
 
 def picked_sheet(
-    picked: Sequence[PickedScan], previews: Sequence[Preview], space: LabelSpace
+    picked: Sequence[PickedScan], labels: Sequence[PickedLabels], space: LabelSpace
 ) -> bytes:
     """Return a PNG: classes and uncertainty of the first picked scans, with ranks and reasons."""
-    drawn = list(zip(picked, previews, strict=True))[:MAX_ON_SHEET]
-    low, high = value_range(np.concatenate([p.uncertainty.ravel() for _, p in drawn]))
-    classes = [preview.classes[preview.classes != NO_CLASS] for _, preview in drawn]
+    labels = labels[:MAX_ON_SHEET]
+    low, high = value_range(np.concatenate([each.uncertainty.ravel() for each in labels]))
+    classes = [each.classes[each.classes != NO_CLASS] for each in labels]
     right = MARGIN_PX + STRIP_WIDTH_PX + MARGIN_PX
     width, row_px = right + STRIP_WIDTH_PX + MARGIN_PX, TITLE_PX + STRIP_HEIGHT_PX
-    height = HEAD_PX + len(drawn) * row_px + MARGIN_PX
+    height = HEAD_PX + len(labels) * row_px + MARGIN_PX
     figure = canvas.new_picture(width, height, legend_of(space, *classes), width - MARGIN_PX)
     canvas.text_at(figure, MARGIN_PX, HEAD_PX // 2, "labels", 18)
     _draw_scale(figure, low, high, right, width - MARGIN_PX)
     colours = np.full((NO_CLASS + 1, 3), EMPTY, np.uint8)
     colours[: space.class_count] = screen_colours(space)
-    for number, (each, preview) in enumerate(drawn):
-        top = HEAD_PX + number * row_px
+    for top, each, strips in zip(range(HEAD_PX, height, row_px), picked, labels, strict=False):
         title = printable(f"{each.rank}   {each.name}   {each.reason}")
         canvas.text_at(figure, MARGIN_PX, top + TITLE_PX // 2 + 2, title, 17)
-        values = value_colours(preview.uncertainty, low, high)
-        for left, strip in ((MARGIN_PX, colours[preview.classes]), (right, values)):
-            place = (left, top + TITLE_PX, STRIP_WIDTH_PX, STRIP_HEIGHT_PX)
-            canvas.show_pixels(figure, strip, *place)
+        values = value_colours(strips.uncertainty, low, high)
+        for left, strip in ((MARGIN_PX, colours[strips.classes]), (right, values)):
+            size = STRIP_WIDTH_PX, STRIP_HEIGHT_PX
+            canvas.show_pixels(figure, strip, left, top + TITLE_PX, *size)
     return canvas.png_of(figure)
 
 

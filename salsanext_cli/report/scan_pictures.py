@@ -100,31 +100,31 @@ def picture_of_results(
     """
     columns = scalar_columns(results, space)
     image = project(results.scan, sensor)
-    wanted = dict.fromkeys((*views, *strips))
-    seen: dict[str, Colours] = {}
-    drawn: list[Strip] = []
-    for colour in wanted:
+    shown = dict.fromkeys((*views, *strips))
+    of_views: dict[str, Colours] = {}
+    of_strips: list[Strip] = []
+    for colour in shown:
         scale = scales.get(colour)
         colours = PointColours(colour, scale or (0.0, 1.0), space, dark=True).of_points(columns)
         title = TITLES.get(colour, colour)
         if colour in views:
-            seen[title] = colours
+            of_views[title] = colours
         if colour in strips:
             pixels = pixels_from_points(colours, image.point_of_pixel, EMPTY)
-            drawn.append(Strip(title, pixels, scale, UNITS.get(colour, "")))
-    of_classes = [colour for colour in ("label", "truth") if colour in wanted]
+            of_strips.append(Strip(title, pixels, scale, UNITS.get(colour, "")))
+    of_classes = [colour for colour in ("label", "truth") if colour in shown]
     labels = [space.to_train(columns[colour], strict=False) for colour in of_classes]
     legend: list[tuple[str, tuple[int, int, int]]] = []
     absent: set[str] = set()
     if labels:
         legend += legend_of(space, np.arange(space.class_count))
         absent = {entry for entry, _ in legend} - {entry for entry, _ in legend_of(space, *labels)}
-    if "wrong" in wanted:
+    if "wrong" in shown:
         legend += OUTCOME_LEGEND
     classes = f"classes of {space.name}   " if labels else ""
     heading = f"{name}   {counted(len(results.scan), 'point')}   {classes}sensor {sensor.name}"
     points = in_sensor_frame(results.scan, sensor).points
-    return scan_picture(printable(heading), points, seen, drawn, legend, absent)
+    return scan_picture(printable(heading), points, of_views, of_strips, legend, absent)
 
 
 def known_views(columns: Collection[str]) -> list[str]:
@@ -187,9 +187,9 @@ def _draw_bar(figure: Figure, scale: tuple[float, float], unit: str, left: int, 
     canvas.show_pixels(figure, map_on_dark()[rows][:, None], left, top, 16, height)
     # Digits by the span of the scale: its lower end is "0" rather than "0.00035".
     digits = 2 - math.floor(math.log10(max(high - low, 1e-9)))
-    for value, place in ((high, 9), ((low + high) / 2, height // 2), (low, height - 9)):
+    for value, down in ((high, 9), ((low + high) / 2, height // 2), (low, height - 9)):
         text = f"{round(value, digits):.4g} {unit}".strip()
-        canvas.text_at(figure, left + 24, top + place, text, 15)
+        canvas.text_at(figure, left + 24, top + down, text, 15)
 
 
 def raster(points: Float, colours: Colours, reach: float, size: int, spread: int = 1) -> Colours:
@@ -231,10 +231,10 @@ def _draw_from_above(
     for radius in np.arange(step, reach * 2**0.5, step):
         axes.add_patch(Circle((0, 0), radius, fill=False, ec=canvas.FAINT, lw=0.6, alpha=0.55))
         if radius < reach:
-            place = radius * 0.5**0.5
+            diagonal = radius * 0.5**0.5
             axes.text(
-                -place,
-                place,
+                -diagonal,
+                diagonal,
                 f"{radius:g} m",
                 color=canvas.INK,
                 fontsize=8,

@@ -139,7 +139,7 @@ def evaluate(
     own_files = [folder / name for name in FILES]
     OwnedFolder(out).require_own(own_files)
     _require_labels(scans)
-    apart = CountsApart.none(space, by_distance)
+    apart = CountsApart(space, by_distance)
     count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
     count = partial(count, by_distance=by_distance, sensor=results.sensor())
     recorded = results.settings_of("predictions")
@@ -152,7 +152,7 @@ def evaluate(
     if not counts.scans:
         raise _no_input(counts, out, outcome.failures)
     panoptic = None
-    if counts.segments is not None and counts.segments[:, -1].any():
+    if counts.segments[:, -1].any():
         panoptic = panoptic_quality(counts.segments, space, movable_classes(space))
     rings = zip(RING_NAMES, counts.rings, strict=by_distance)
     evaluation = Evaluation(

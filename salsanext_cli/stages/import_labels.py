@@ -26,8 +26,8 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.formats.label_scalars import LabelIds
 from salsanext_cli.formats.recordings import recording_of
+from salsanext_cli.geometry.label_transfer import LabelTransfer
 from salsanext_cli.labelling.edited_files import (
-    FileLabels,
     ScanNames,
     UnknownIds,
     edited_labels,
@@ -78,27 +78,27 @@ def import_labels(
         raise UsageError("--label-space", found_space, own.name, remedy)
     space = space or own
     work = _Work(scalar, LabelIds.of_space(space, ids), sensor, overwrite, not is_folder(edited))
-    found = LabelImport(space, class_points=np.zeros(space.class_count, np.int64))
-    of_scan = _matched(_elsewhere(edited, scans), edited, scans, found)
+    imported = LabelImport(space, class_points=np.zeros(space.class_count, np.int64))
+    of_scan = _matched(_elsewhere(edited, scans), edited, scans, imported)
     records = {root: LabelRecords(root) for root in sorted({*map(labels_root, of_scan)})}
     with ExitStack() as held:
         for each in records.values():
             held.enter_context(each.owned.open())
         for done, (scan, paths) in enumerate(of_scan.items(), start=1):
             try:
-                work.import_scan(scan, paths, records[labels_root(scan)], found)
+                work.import_scan(scan, paths, records[labels_root(scan)], imported)
             except SalsanextError as error:
-                found.fail(paths, error)
+                imported.fail(paths, error)
             if progress:
                 progress(done, len(of_scan))
-    work.fail_together(found)
-    if found.unedited and not found.scans and not found.failures:
+    work.fail_together(imported)
+    if imported.unedited and not imported.scans and not imported.failures:
         text = "holds the first guess of `pick`, which nobody has corrected"
         remedy = "save the corrected labels; to take the guess as it is, name its file"
         raise NoInputError(edited, text, "edited labels", remedy)
-    found.kept = len(scans) - len(of_scan)
-    found.first_guesses = [scan.name for scan in first_guesses(scans)]
-    return found
+    imported.kept = len(scans) - len(of_scan)
+    imported.first_guesses = [scan.name for scan in first_guesses(scans)]
+    return imported
 
 
 def _elsewhere(edited: Path, scans: Sequence[ScanFile]) -> list[Path]:
@@ -115,7 +115,7 @@ def _elsewhere(edited: Path, scans: Sequence[ScanFile]) -> list[Path]:
 
 
 def _matched(
-    files: Sequence[Path], edited: Path, scans: Sequence[ScanFile], found: LabelImport
+    files: Sequence[Path], edited: Path, scans: Sequence[ScanFile], imported: LabelImport
 ) -> dict[ScanFile, list[Path]]:
     """Return the files of each scan that has some; the others are failures."""
     of_scan: dict[ScanFile, list[Path]] = {}
@@ -124,7 +124,7 @@ def _matched(
         try:
             of_scan.setdefault(scan_of_edited(path, edited, names), []).append(path)
         except LabelError as error:
-            found.fail([path], error)
+            imported.fail([path], error)
     return {scan: of_scan[scan] for scan in scans if scan in of_scan}
 
 
@@ -141,11 +141,11 @@ class _Work:
     refused: dict[Path, Path] = field(default_factory=dict)
 
     def import_scan(
-        self, scan: ScanFile, paths: Sequence[Path], records: LabelRecords, found: LabelImport
+        self, scan: ScanFile, paths: Sequence[Path], records: LabelRecords, imported: LabelImport
     ) -> None:
         """Write the labels of a scan, merged from those of some files that were edited."""
         points = read_scan(scan.path, self.sensor).points
-        read: dict[Path, FileLabels] = {}
+        read: dict[Path, tuple[LabelTransfer, str]] = {}
         unknown: dict[Path, Counter[int]] = {}
         for path in paths:
             try:
@@ -156,7 +156,7 @@ class _Work:
             # No scan is imported in part: its other files fail too.
             self.unknown.update({path: unknown.get(path, Counter()) for path in paths})
             return
-        none, space = self.meanings.unlabelled, found.space
+        none, space = self.meanings.unlabelled, imported.space
 
         def is_guess(raw: RawIds) -> bool:
             return records.is_guess(scan, hashlib.sha256(encode_labels(raw)).hexdigest())
@@ -164,7 +164,7 @@ class _Work:
         edited = {
             path: part
             for path, part in read.items()
-            if self.is_named or not is_guess(part.found.filled(none))
+            if self.is_named or not is_guess(part[0].filled(none))
         }
         labels = edited_labels(edited, space, none) if edited else None
         if labels and is_guess(labels.raw):
@@ -173,7 +173,7 @@ class _Work:
             else:
                 # Parts of it that nobody corrected.
                 edited = {}
-        found.unedited += [str(path) for path in paths if path not in edited]
+        imported.unedited += [str(path) for path in paths if path not in edited]
         if not (edited and labels):
             return
         if labels.contradicted:
@@ -187,17 +187,17 @@ class _Work:
             return
         about = {"files": [*map(str, edited)], "points": len(points), **labels.numbers()}
         records.write(scan, encode_labels(labels.raw), about)
-        found.scans.append({"scan": scan.name, **about})
+        imported.scans.append({"scan": scan.name, **about})
         train = space.to_train(labels.raw, strict=False)
-        found.class_points += np.bincount(train, minlength=space.class_count)
+        imported.class_points += np.bincount(train, minlength=space.class_count)
 
-    def fail_together(self, found: LabelImport) -> None:
+    def fail_together(self, imported: LabelImport) -> None:
         """Add one failure for all files with unknown ids, and one for all that were refused."""
         if self.unknown:
             total = sum(self.unknown.values(), Counter[int]())
             wrong = [path for path, points in self.unknown.items() if points]
             error = UnknownIds(first_few(wrong), total, self.meanings)
-            found.fail(self.unknown, error)
+            imported.fail(self.unknown, error)
         if self.refused:
             there = first_few([*dict.fromkeys(self.refused.values())])
             text = (
@@ -205,4 +205,4 @@ class _Work:
                 "contradict each other"
             )
             remedy = "leave out older files, move the labels, or replace them with --overwrite"
-            found.fail(self.refused, OutputError(there, text, remedy=remedy))
+            imported.fail(self.refused, OutputError(there, text, remedy=remedy))

@@ -30,7 +30,7 @@ from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, NetworkTask, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.picked import (
-    Preview,
+    PickedLabels,
     picked_cloud,
     picked_csv,
     picked_scans,
@@ -69,25 +69,15 @@ class Picking:
         }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Guess:
-    """Picked scan that was written, but for its labels: these, as a file has them, and pictures."""
-
-    file: ScanFile
-    labels: bytes
-    preview: Preview
-
-
 def write_scan(
     file: ScanFile, network: Network, samples: int, seed: int, data_set: PickedDataSet
-) -> Guess:
+) -> PickedLabels:
     """Write a picked scan, and a coloured cloud with the labels that the network guesses."""
-    found, information = label_sampled(file, network, samples, seed)
-    space = network.space
+    labelled, information = label_sampled(file, network, samples, seed)
     data_set.write_points(file, network.sensor)
-    cloud = picked_cloud(found, information, space)
+    cloud = picked_cloud(labelled, information, network.space)
     data_set.write_missing(data_set.paths(file.sequence, file.stem).cloud, cloud)
-    return Guess(file, encode_labels(space.to_raw(found.labels)), Preview.of(found, information))
+    return PickedLabels.of(labelled, information, network.space)
 
 
 def pick(
@@ -114,17 +104,17 @@ def pick(
     require_choice(count, strategy, seed)
     loaded = network.load()
     require_sampling(loaded, SAMPLES)
-    found, data_set = scans_of(source), PickedDataSet(out)
-    data_set.require_apart(found)
-    space = space_of(found, loaded.space)
-    chosen = choose(found, replace(selection, limit=None), space, source)
-    scans = evenly_spaced(chosen, selection.limit or 0)
+    every, data_set = scans_of(source), PickedDataSet(out)
+    data_set.require_apart(every)
+    space = space_of(every, loaded.space)
+    selected = choose(every, replace(selection, limit=None), space, source)
+    scans = evenly_spaced(selected, selection.limit or 0)
     known = {scan.name for path in labelled for scan in find_scans(path)}
     done = {scan for scan in scans if scan.name in known}
     if len(done) == len(scans):
         raise NoInputError(source, "every scan is labelled already", "others to pick")
     with data_set.open():
-        loaded = fit_scans(network, loaded, ScanSample(found, loaded.sensor))
+        loaded = fit_scans(network, loaded, ScanSample(every, loaded.sensor))
         choice = {"strategy": strategy, "count": count, "seed": seed, "scans": _digest(scans)}
         if labelled:
             choice["labelled"] = _digest(sorted(done))
@@ -163,21 +153,21 @@ def _described(
     task: NetworkTask, scans: Sequence[ScanFile], options: RunOptions, summary: RunSummary
 ) -> tuple[list[ScanDescription], tuple[Failure, ...]]:
     """Describe all scans that can be read, in their order."""
-    found: dict[ScanFile, ScanDescription] = {}
+    described: dict[ScanFile, ScanDescription] = {}
 
     def keep(scan: ScanDescription) -> None:
-        found[scan.file] = scan
+        described[scan.file] = scan
         summary.add(ScanSummary(scan.file, scan.check))
 
     failures = run_over_scans(task, scans, options, on_result=keep).failures
     summary.finished()
-    return [found[scan] for scan in scans if scan in found], failures
+    return [described[scan] for scan in scans if scan in described], failures
 
 
 def _chosen(
     described: Sequence[ScanDescription], count: int, strategy: str, seed: int, done: set[ScanFile]
 ) -> list[PickedScan]:
-    labelled = [place for place, scan in enumerate(described) if scan.file in done]
+    labelled = [index for index, scan in enumerate(described) if scan.file in done]
     if count > (left := len(described) - len(labelled)):
         log.log(NOTICE, "only %s: all are picked", counted(left, "scan"))
     features = np.stack([scan.features for scan in described])
@@ -195,22 +185,22 @@ def _written(
     space: LabelSpace,
 ) -> Outcome:
     """Write what is missing of a data set of picked scans."""
-    files, guesses = {scan.name: scan for scan in scans}, dict[str, Guess]()
+    files, guesses = {scan.name: scan for scan in scans}, dict[str, PickedLabels]()
 
-    def keep(guess: Guess) -> None:
+    def keep(guess: PickedLabels) -> None:
         guesses[guess.file.name] = guess
 
     picked = [files[each.name] for each in record.picked if each.name in files]
     outcome = run_over_scans(task, picked, options, on_result=keep)
-    data_set.write_guesses({guess.file: guess.labels for guess in guesses.values()})
+    data_set.write_guesses({each.file: encode_labels(each.raw) for each in guesses.values()})
     written = [each for each in record.picked if each.name in guesses]
     data_set.write_label_space(space, record.picked)
     data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))
     if len(written) == len(record.picked):
         # Poses and pictures of a part would stay: what is there is not written again.
         data_set.write_poses(guesses[each.name].file for each in written)
-        previews = [guesses[each.name].preview for each in written]
-        data_set.write_missing(data_set.root / SHEET, picked_sheet(written, previews, space))
+        labels = [guesses[each.name] for each in written]
+        data_set.write_missing(data_set.root / SHEET, picked_sheet(written, labels, space))
     return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
 
 

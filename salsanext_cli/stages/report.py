@@ -269,7 +269,7 @@ def _rows(
 ) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
     """Read the results of all scans; count those with labels."""
     rows: list[ScanRow] = []
-    counts = CountsApart.none(reader.space, by_distance)
+    counts = CountsApart(reader.space, by_distance)
     trained_on: set[ScanRow] = set()
 
     def keep(found: tuple[ScanRow, ScanCounts | None]) -> None:

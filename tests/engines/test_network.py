@@ -81,12 +81,6 @@ def test_batches_stay_as_small_as_memory_had_room_for(weights, monkeypatch):
     assert sizes == [5, 2, 2, 1, 2, 2, 1]
 
 
-def test_weights_may_be_named_by_text_and_must_exist(weights, tmp_path):
-    assert load_network(str(weights), "cpu").card.description == "random"
-    with pytest.raises(WeightsError):
-        load_network(tmp_path / "nothing", "cpu")
-
-
 @pytest.mark.parametrize("trained", [0.0, 0.2])
 def test_another_dropout_rate_shares_the_weights(tmp_path, trained):
     network = load_network(write_weights(tmp_path / "w.safetensors", dropout=trained), "cpu")

@@ -68,22 +68,6 @@ def test_it_is_what_a_loop_over_all_pairs_gives(seed, count, size, jitter, share
     require_same(points, cloud, labels)
 
 
-@given(seed=st.integers(0, 1 << 30), jitter=st.floats(0, 0.0004), kept=st.floats(0, 1))
-def test_a_cloud_in_another_order_cut_and_moved_a_little_gives_its_labels_back(seed, jitter, kept):
-    random = np.random.default_rng(seed)
-    # Places a centimetre apart, so that none has two points within a millimetre.
-    points = (random.permutation(8000)[:300, None] // [1, 20, 400] % 20 * 0.01).astype(np.float32)
-    truth = random.integers(1, 1 << 32, len(points), dtype=np.uint32)
-    order = random.permutation(len(points))[: int(kept * len(points))]
-    doubled = np.concatenate([order, order[::3]])
-    moved = points[doubled] + random.uniform(-jitter, jitter, (len(doubled), 3))
-    found = transfer_labels(points, moved.astype(np.float32), truth[doubled])
-    assert found.known.sum() == len(order) == len(points) - found.missing.sum()
-    np.testing.assert_array_equal(found.labels[order], truth[order])
-    assert not found.ambiguous.any()
-    assert not len(found.unmatched)
-
-
 def slow_merge(points, clouds, unlabelled):
     """Return the label of each point by a loop over all places of all clouds."""
 

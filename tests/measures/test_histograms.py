@@ -19,10 +19,3 @@ def test_confident_points_differ_although_float16_rounds_them_to_1():
     rows = np.array([[1 - 1e-4, 1e-4], [1 - 1e-5, 1e-5]], np.float16)
     assert (rows[:, 0] == 1).all()
     np.testing.assert_allclose(lack_of_confidence(rows), [1e-4, 1e-5], rtol=5e-3)
-
-
-def test_points_without_a_softmax_have_none():
-    nothing = np.full((1, 3), np.nan, np.float16)
-    assert np.isnan(lack_of_confidence(nothing)).all()
-    assert np.isnan(softmax_entropy(nothing)).all()
-    assert lack_of_confidence(np.zeros((0, 3), np.float16)).shape == (0,)

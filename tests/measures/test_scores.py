@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import confusion_matrix
 
-from salsanext_cli import label_space, read_labels
 from salsanext_cli.measures.scores import Confusion, scores
 
 SPACE = small_space("unlabelled", "car", "on: road", "tree")
@@ -57,17 +56,6 @@ def test_invalid_train_ids_are_refused_and_nothing_is_counted(truth, predicted, 
     with pytest.raises(ValueError, match=message):
         confusion.update(truth, predicted)
     assert not confusion.matrix.any()
-
-
-@pytest.mark.real
-def test_scores_are_the_official_evaluators_to_the_last_digit(real_data):
-    space = label_space()
-    confusion = Confusion(space.class_count)
-    for path in sorted((real_data / "golden/evaluation").rglob("*.label")):
-        truth = real_data / "data/semantickitti/sequences/08/labels" / path.name
-        confusion.update(space.to_train(read_labels(truth)), space.to_train(read_labels(path)))
-    expected = (real_data / "golden/evaluation/scores.txt").read_text()
-    assert scores(confusion, space).official_yaml() == expected
 
 
 @given(PAIRS)

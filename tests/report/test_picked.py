@@ -21,7 +21,7 @@ from salsanext_cli.report.picked import (
     STRIP_HEIGHT_PX,
     STRIP_WIDTH_PX,
     TITLE_PX,
-    Preview,
+    PickedLabels,
     picked_csv,
     picked_scans,
     picked_sheet,
@@ -59,11 +59,11 @@ def preview(seed=0, sensor=SMALL):
     file = ScanFile("00", "000000", Path("000000.bin"))
     softmax = np.empty((0, *image.point_of_pixel.shape), np.float32)
     labelled = LabelledScan(file, scan, image, UNCHECKED, softmax, labels)
-    return image, labels, values, Preview.of(labelled, values)
+    return PickedLabels.of(labelled, values, SPACE)
 
 
 def test_the_sheet_shows_both_pictures_of_every_scan():
-    previews = [preview(seed)[-1] for seed in range(3)]
+    previews = [preview(seed) for seed in range(3)]
     png = picked_sheet(PICKED, previews, SPACE)
     pixels = (matplotlib.image.imread(io.BytesIO(png))[..., :3] * 255).round().astype(np.uint8)
     for number, each in enumerate(previews):

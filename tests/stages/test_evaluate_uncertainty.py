@@ -7,13 +7,9 @@ import re
 import numpy as np
 import pytest
 from evaluated import CAR, ROAD, SPACE, World
-from hypothesis import given
-from hypothesis import strategies as st
 from scans import write_array
 from sklearn.metrics import average_precision_score, log_loss, roc_auc_score
 
-from salsanext_cli.measures.calibration import reliability
-from salsanext_cli.measures.histograms import error_histogram
 from salsanext_cli.measures.scan_counts import EVALUATED_KINDS, ScanCounts, count_scan
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
@@ -232,22 +228,6 @@ def test_the_report_does_not_depend_on_jobs_or_order(world):
 
 
 # Probability of error, which is a kind of uncertainty too
-
-
-def slow_ece(error, wrong) -> float:
-    """Return the mean gap between the share of wrong points and the mean error in 15 bins."""
-    gaps = np.zeros(15)
-    for probability, is_wrong in zip(error, wrong, strict=True):
-        place = max(int(np.ceil(float(probability) * 15)) - 1, 0)
-        gaps[place] += is_wrong - float(probability)
-    return np.abs(gaps).sum() / len(wrong)
-
-
-@given(st.lists(st.tuples(st.floats(0, 1, width=16), st.booleans()), min_size=1, max_size=50))
-def test_calibration_error_is_that_of_a_slow_loop(points):
-    error, wrong = (np.array(column) for column in zip(*points, strict=True))
-    found = reliability(error_histogram(error.astype(np.float32), wrong).counts[:, 0])
-    assert found.error == pytest.approx(slow_ece(error, wrong), abs=1e-12)
 
 
 def test_it_is_scored_as_the_others_are_and_as_a_probability(world):
