@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, fields
-from operator import iadd
+from operator import add
 from pathlib import Path
 from typing import Any
 
@@ -94,11 +94,15 @@ class ScanCounts:
             own, added = getattr(self, name), getattr(other, name)
             if isinstance(own, dict):
                 for key, value in added.items():
-                    own[key] = iadd(own[key], value) if key in own else value
+                    if key in own:
+                        own[key] += value
+                    else:
+                        own[key] = value
             elif isinstance(own, tuple):
-                setattr(self, name, tuple(map(iadd, own, added)))
+                setattr(self, name, tuple(map(add, own, added)))
             else:
-                setattr(self, name, iadd(own, added))
+                own += added
+                setattr(self, name, own)
 
     def label_warnings(self, space: LabelSpace) -> Iterator[str]:
         """Yield what the scores do not tell, or may tell wrongly, in words."""
