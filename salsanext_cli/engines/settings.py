@@ -113,18 +113,18 @@ class NetworkSettings:
             return named
         if (named, self.columns, self.min_range, self.ego) == (AUTO, None, None, AUTO):
             return None
-        seen = trained = self.trained_sensor()
+        own = trained = self.trained_sensor()
         if named != AUTO:
-            seen = sensor(named, trained)
+            own = sensor(named, trained)
         if named in presets():
-            seen = replace(trained, **{key: getattr(seen, key) for key in OF_DEVICE})
-        seen = with_columns(seen, self.columns)
+            own = replace(trained, **{key: getattr(own, key) for key in OF_DEVICE})
+        own = with_columns(own, self.columns)
         if self.min_range is not None:
-            seen = replace(seen, min_range=self.min_range)
+            own = replace(own, min_range=self.min_range)
         if self.ego != AUTO:
-            seen = replace(seen, ego_box=_ego_box(self.ego))
+            own = replace(own, ego_box=_ego_box(self.ego))
         # Those of training are not those of the scans.
-        return replace(seen, intensity_quantiles=(), row_gaps=None)
+        return replace(own, intensity_quantiles=(), row_gaps=None)
 
     def load(self) -> "Network":
         """Load the network."""

@@ -25,10 +25,7 @@ from salsanext_cli.training.log import Row
 
 KEY = "salsanext-checkpoint"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""
-DAMAGE = (
-    *(safetensors.SafetensorError, OSError, AttributeError, LookupError, TypeError, ValueError),
-    RuntimeError,
-)
+DAMAGE = (safetensors.SafetensorError, OSError, LookupError, RuntimeError, TypeError, ValueError)
 """Errors that reading a damaged checkpoint may end in."""
 OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
 """Names of the tensors that torch's optimisers keep for each parameter."""

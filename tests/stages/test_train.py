@@ -375,13 +375,6 @@ def test_no_memory_left_is_one_line_with_a_remedy(dataset, tmp_path, monkeypatch
         go(dataset, tmp_path / "run")
 
 
-def test_images_of_one_pixel_stop_it_before_the_first_step(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(TinyNetwork, "stride", (16, 32))
-    with pytest.raises(UsageError, match="crop_width · one pixel is left of one image of 16×32"):
-        go(dataset, tmp_path / "run", recipe=TINY.with_changes(batch=1), progress=no_step)
-    assert not (tmp_path / "run").exists()
-
-
 def test_what_fails_before_the_first_step_costs_no_earlier_training(dataset, tmp_path):
     first = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
     (dataset / "sequences/00/labels/1.label").unlink()

@@ -76,12 +76,12 @@ def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -
     x = np.broadcast_to(stations[:, None, None], (*sides.shape[:2], 1))
     core = loft(np.concatenate([x, sides], -1), leaf)
     count = int(length * (height + depth) * rng.uniform(15, 45))
-    place = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
+    centres = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
     outer, largest = rng.random(count), rng.uniform(0.04, 0.12)
-    place[:, 1] = np.where(outer < 0.75, np.sign(place[:, 1]) * depth * 0.48, place[:, 1])
-    place[:, 2] = np.where(outer >= 0.75, height, place[:, 2])
-    place += rng.normal(0, ragged, place.shape)
-    return merge([core, facets(place, rng.uniform(0.02, largest, count), leaf, rng)])
+    centres[:, 1] = np.where(outer < 0.75, np.sign(centres[:, 1]) * depth * 0.48, centres[:, 1])
+    centres[:, 2] = np.where(outer >= 0.75, height, centres[:, 2])
+    centres += rng.normal(0, ragged, centres.shape)
+    return merge([core, facets(centres, rng.uniform(0.02, largest, count), leaf, rng)])
 
 
 def ivy(rng: Rng, length: float, height: float) -> Mesh:
