@@ -104,11 +104,12 @@ def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":
 
     module, _ = read_weights(file)
     if fingerprint(file) != sha256:
-        raise _replaced(file)
+        raise replaced(file)
     return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
 
 
-def _replaced(file: Path) -> WeightsError:
+def replaced(file: Path) -> WeightsError:
+    """Return the error about a weights file that is another than before."""
     found = "was replaced since the run began"
     return WeightsError(file, found, "the same file", "run again with --overwrite")
 
@@ -145,7 +146,7 @@ class OnnxEngine(Engine):
         except OSError as error:
             raise WeightsError(self.path, f"cannot be read: {error_text(error)}") from error
         if hashlib.sha256(content).hexdigest() != self.sha256:
-            raise _replaced(self.path)
+            raise replaced(self.path)
         model = read_onnx(content, self.path, self.card, self.size)
         return model if temperature is None else _with_softmax(model, temperature)
 

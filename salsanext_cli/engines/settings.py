@@ -7,7 +7,7 @@ from dataclasses import KW_ONLY, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from salsanext_cli.errors import NOTICE, UsageError, WeightsError
+from salsanext_cli.errors import NOTICE, UsageError
 from salsanext_cli.options import network_option, option_group
 
 if TYPE_CHECKING:
@@ -128,13 +128,12 @@ class NetworkSettings:
 
     def load(self) -> "Network":
         """Load the network."""
-        from salsanext_cli.engines.loading import load_network
+        from salsanext_cli.engines.loading import load_network, replaced
         from salsanext_cli.files.identity import fingerprint
 
         file = self.adapted or self.path
         if self.sha256 and self.sha256 != fingerprint(file):
-            found = "was replaced since the run began"
-            raise WeightsError(file, found, "the same file", "run again with --overwrite")
+            raise replaced(file)
         default = self.weights in (None, DEFAULT_WEIGHTS)
         return load_network(
             self.adapted or (None if default else self.weights),

@@ -142,14 +142,11 @@ class Training:
             ) from error
         if math.isfinite(loss):
             return loss
-        alone = indices[self.learner.non_finite_samples(images, truth)]
-        group, device = self.learner.group, self.learner.device
-        non_finite, every = (torch.cat(group.gather(i.to(device))) for i in (alone, indices))
-        scans = non_finite if len(non_finite) else every
-        paths = ", ".join(str(self.samples.scan_at(int(i))[1].path) for i in scans)
+        batch_indices = self.learner.group.gather(indices.to(self.learner.device))
+        files = [self.samples.scan_at(int(i))[1].path for i in torch.cat(batch_indices)]
         raise TrainingError(
             f"step {step + 1}",
-            f"the loss or its gradient is not finite with {paths}",
+            f"the loss or its gradient is not finite with {', '.join(map(str, files))}",
             "finite ones",
             "look at these scans, lower learning_rate or set clip_gradient",
         )

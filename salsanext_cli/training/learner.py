@@ -139,24 +139,6 @@ class Learner:
             update_average(self.average, self.module, self.recipe.average, step)
         return True
 
-    @torch.no_grad()
-    def non_finite_samples(self, images: Tensor, truth: Tensor) -> list[int]:
-        """Return the indices in a batch of images whose loss, each alone, is not finite."""
-        probe = copy.deepcopy(self.module).eval()
-        # By an image's own statistics: the running ones may be non-finite by now.
-        for norm in probe.modules():
-            if isinstance(norm, nn.modules.batchnorm._BatchNorm):
-                norm.running_mean = norm.running_var = None
-        indices = []
-        for index, (image, labels) in enumerate(zip(images, truth, strict=True)):
-            # Twice: of one pixel at the coarsest level there would be no statistics.
-            pair = torch.stack(2 * [image]).to(self.device)
-            with self.autocast:
-                loss = self.loss(probe(pair), torch.stack(2 * [labels]).to(self.device))
-            if not loss.isfinite():
-                indices.append(index)
-        return indices
-
 
 def build_optimiser(module: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
     """Return the recipe's optimiser of all parameters."""

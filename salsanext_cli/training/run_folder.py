@@ -26,10 +26,10 @@ from salsanext_cli.training.recipe import Recipe
 STAGE = "train"
 CHECKPOINT = "checkpoint.safetensors"
 LAST, BEST = "last.safetensors", "best.safetensors"
-LOG, CURVE, ERROR = "log.csv", "curve.png", "error.json"
+LOG, CURVE = "log.csv", "curve.png"
 RECIPE, CLASS_COUNTS = "recipe.toml", "class_counts.json"
 SAMPLES, EVENTS, FOLDS, STREETS = "samples", "tensorboard", "folds", "streets"
-RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE, ERROR)
+RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE)
 """Files that a new training in the folder removes, beside pictures and events."""
 
 

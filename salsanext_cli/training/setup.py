@@ -2,8 +2,6 @@
 """Setup of a training: the network it starts from, what its folds share, their cross-validation."""
 
 import copy
-import hashlib
-import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,8 +19,6 @@ from salsanext_cli.engines.graphs import LOGITS
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, WeightsError, first_few
-from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.registry import build
@@ -36,7 +32,6 @@ from salsanext_cli.training.cross_validation import Expectation, expectation, fo
 from salsanext_cli.training.data.class_counts import (
     ClassCounts,
     class_weights,
-    data_digest,
     rare_classes,
 )
 from salsanext_cli.training.data.dataset import Samples, SamplingPlan
@@ -55,8 +50,6 @@ from salsanext_cli.training.tuning.error import (
     of_both_kinds,
     points_of_scan,
 )
-from salsanext_cli.uncertainty.error_features import FEATURES
-from salsanext_cli.version import __version__
 
 DEFAULT_SENSOR = "hdl64"
 """Sensor of a training from random weights, unless another is given."""
@@ -242,43 +235,23 @@ class Setup:
         self.report(replace(report, step=done, steps=steps, fold=number))
 
     def _error_model(self, temperature: float) -> ErrorModel | None:
-        """Return a model of errors of the folds, kept in the run folder until their weights change.
+        """Fit a model of errors to the scans that each fold left out, judged by its weights.
 
         None if it tells no more than the confidence.
         """
-        numbers = range(1, len(self._folds()) + 1)
-        weights = [run_folder.fold_folder(self.run, number) / run_folder.LAST for number in numbers]
-        data = data_digest(self.sources[:1])
-        inputs = [__version__, FEATURES, temperature, data, *map(fingerprint, weights)]
-        record = read_json(self.run / run_folder.ERROR) or {}
-        if "error" not in record or record.get("sha256") != _checksum(inputs, record["error"]):
-            model = self._fit_error_model(weights, temperature)
-            error = model.to_dict() if model else None
-            record = {"error": error, "sha256": _checksum(inputs, error)}
-            OwnedFolder(self.run).write(
-                self.run / run_folder.ERROR, encode_json(record), durable=True
-            )
-        if record["error"] is None:
-            log.warning("no model of errors: it would tell no more than the confidence")
-            return None
-        return ErrorModel.from_dict(record["error"])
-
-    def _fit_error_model(self, weights: Sequence[Path], temperature: float) -> ErrorModel | None:
-        """Fit to the scans that each fold left out, judged by the weights of the fold."""
         source, parts = self.sources[0], self._folds()
         judged: dict[ScanFile, JudgedPoints] = {}
         most = points_of_scan(len(source.files))
-        for path, part in zip(weights, parts, strict=True):
-            module, card = read_weights(path)
+        for number, part in enumerate(parts, start=1):
+            weights = run_folder.fold_folder(self.run, number) / run_folder.LAST
+            module, card = read_weights(weights)
             # That of the final weights: the fold's own was fitted to these very scans.
             card = replace(card, temperature=temperature)
             network = network_of_module(module.to(self.device), card, str(self.device))
             for file in part:
                 own = network.for_sensor(source.sensor_of(file))
                 judged[file] = judged_points(file, own, source.space, most)
-        model = cross_validated(judged, parts) if of_both_kinds(judged.values()) else None
-        return model if model and gains(model) else None
-
-
-def _checksum(inputs: Sequence[Any], error: Any) -> str:
-    return hashlib.sha256(json.dumps([inputs, error]).encode()).hexdigest()
+        if of_both_kinds(judged.values()) and gains(model := cross_validated(judged, parts)):
+            return model
+        log.warning("no model of errors: it would tell no more than the confidence")
+        return None
