@@ -9,7 +9,6 @@ data loaders.
 
 import hashlib
 import os
-import pickle
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import lru_cache
@@ -86,9 +85,10 @@ class KernelCache(FunctionCache):
         rtsys.initialize(target_context)
         codegen = target_context.codegen()
         try:
-            if (content := read_checked(self._file(sig, codegen))) is None:
+            file = self._file(sig, codegen)
+            if read_checked(file) is None:
                 return None
-            source, reduced = pickle.loads(content)
+            source, reduced = self._cache_file._load_data(file.name)
             fresh = source == self._source(sig, codegen)
             return self._impl.rebuild(target_context, reduced) if fresh else None
         except CACHE_ERRORS as error:
