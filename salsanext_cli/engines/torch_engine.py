@@ -8,6 +8,7 @@ are metres. So do the logits.
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -32,7 +33,7 @@ def inference_mode(device: str) -> Iterator[None]:
 class Float32Convolution(nn.Conv2d):
     """Convolution in float32, of features and into features of any type; autocast leaves it."""
 
-    output = torch.float32
+    output: torch.dtype = torch.float32
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, in, H, W) of any type to (B, out, H, W) of `output`, within its range."""
@@ -50,7 +51,7 @@ def keep_ends_in_float32(module: nn.Module, hidden: torch.dtype = torch.float32)
         if type(layer) is nn.Conv2d and (name == LOGITS or layer.in_channels == len(CHANNELS)):
             # The same tensors under the same names; a new layer would need copies of them.
             layer.__class__ = Float32Convolution
-            layer.output = torch.float32 if name == LOGITS else hidden
+            cast(Float32Convolution, layer).output = torch.float32 if name == LOGITS else hidden
 
 
 def in_precision(module: SegmentationNetwork, dtype: torch.dtype) -> SegmentationNetwork:
