@@ -4,7 +4,7 @@
 The scans and results are empty files in a new folder below the one given. Only the backends named
 are measured, since some need a package of their own.
 
-Run: python benchmarks/many_scans.py folder/ [20000 loky threading dask ray]
+Run: python benchmarks/many_scans.py folder/ [20000 loky threading]
 """
 
 import sys

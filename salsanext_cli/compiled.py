@@ -8,7 +8,6 @@ data loaders.
 """
 
 import hashlib
-import logging
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -26,22 +25,24 @@ from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 from salsanext_cli.errors import error_text
-from salsanext_cli.files.user_cache import cache_folder
+from salsanext_cli.files.user_cache import cache_folder, read_checked, say_once, write_checked
 
 MAX_THREADS = 256
 """Size of the pool, which starts only as many threads as are busy together."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 Item = TypeVar("Item")
 CACHE_ERRORS = (
-    *(ArithmeticError, AssertionError, AttributeError, EOFError, ImportError, LookupError),
-    *(MemoryError, OSError, PickleError, RuntimeError, TypeError, ValueError),
+    AttributeError,
+    ImportError,
+    OSError,
+    PickleError,
+    RuntimeError,
+    TypeError,
+    ValueError,
 )
-"""Raised by files that cannot be read or written, and by code of another version of numba."""
-CHECKSUM_BYTES = 32
+"""Raised where no folder can be written, and by code of another version of llvmlite."""
 MIN_SLICE_ITEMS = 16384
 """Number below which a second thread costs more than it saves."""
-
-log = logging.getLogger(__name__)
 
 
 @lru_cache(maxsize=1)
@@ -62,7 +63,7 @@ def compiled(function: Function) -> Function:
     try:
         kernel._cache = KernelCache(function)
     except CACHE_ERRORS as error:
-        warn_once(error)
+        say_once(f"compiled kernels: {error_text(error)}")
     finally:
         # What other programs compile in this process keeps its place.
         settings["CACHE_DIR"] = before
@@ -70,13 +71,11 @@ def compiled(function: Function) -> Function:
 
 
 class KernelCache(FunctionCache):
-    """Cache of a kernel's machine code: a file per signature, with a checksum.
+    """Cache of a kernel's machine code: a checked file per signature.
 
     Numba's own files are an index and what it refers to. Two processes that write at once can mix
     them up, and damaged ones end the program. Here, whatever fails is compiled anew.
     """
-
-    failed = False
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled kernel of a signature; None if there is none that can be used.
@@ -87,33 +86,23 @@ class KernelCache(FunctionCache):
         codegen = target_context.codegen()
         try:
             file = self._file(sig, codegen)
-            content = file.read_bytes()
-            data, checksum = content[:-CHECKSUM_BYTES], content[-CHECKSUM_BYTES:]
-            if hashlib.sha256(data).digest() != checksum:
-                raise ValueError(f"{file} is damaged")
+            if read_checked(file) is None:
+                return None
             source, reduced = self._cache_file._load_data(file.name)
             fresh = source == self._source(sig, codegen)
             return self._impl.rebuild(target_context, reduced) if fresh else None
-        except FileNotFoundError:
-            return None
         except CACHE_ERRORS as error:
-            warn_once(error)
+            say_once(f"compiled kernels: {error_text(error)}")
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the compiled kernel of a signature, if that is possible."""
         try:
-            if not self._impl.check_cachable(data):
-                return
-            source = self._source(sig, data.codegen)
-            content = dumps((source, self._impl.reduce(data)))
-            file = self._file(sig, data.codegen)
-            self._impl.locator.ensure_cache_path()
-            # Under another name first, so that others find a whole file or none.
-            with self._cache_file._open_for_write(str(file)) as stream:
-                stream.write(content + hashlib.sha256(content).digest())
+            if self._impl.check_cachable(data):
+                overload = self._source(sig, data.codegen), self._impl.reduce(data)
+                write_checked(self._file(sig, data.codegen), dumps(overload))
         except CACHE_ERRORS as error:
-            warn_once(error)
+            say_once(f"compiled kernels: {error_text(error)}")
 
     def _file(self, sig: Any, codegen: Any) -> Path:
         machine = repr((numba.__version__, sig, codegen.magic_tuple()))
@@ -123,13 +112,6 @@ class KernelCache(FunctionCache):
     def _source(self, sig: Any, codegen: Any) -> Any:
         """Return what must be the same for a cached kernel to be used."""
         return self._impl.locator.get_source_stamp(), self._index_key(sig, codegen)
-
-
-def warn_once(error: Exception) -> None:
-    """Log the first failure of the cache in this process."""
-    if not KernelCache.failed:
-        KernelCache.failed = True
-        log.warning("going on without the cache of compiled kernels: %s", error_text(error))
 
 
 def kernel_folder() -> str:

@@ -73,14 +73,14 @@ def load_network(
     size = (sensor.height, sensor.width)
     if file.suffix == ONNX_SUFFIX:
         return Network(_load_onnx(file, card, size, device, precision, engine), sensor, merging)
-    sha256, place = fingerprint(file), choose_device(device)
+    sha256, own_device = fingerprint(file), choose_device(device)
     loaded = Engine(
-        lambda: _read_module(file, place, sha256),
+        lambda: _read_module(file, own_device, sha256),
         card,
         size,
-        place,
-        choose_precision(precision, place),
-        choose_engine(engine, place),
+        own_device,
+        choose_precision(precision, own_device),
+        choose_engine(engine, own_device),
         "default weights" if path is None else str(path),
         sha256,
     )
@@ -104,11 +104,12 @@ def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":
 
     module, _ = read_weights(file)
     if fingerprint(file) != sha256:
-        raise _replaced(file)
+        raise replaced(file)
     return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
 
 
-def _replaced(file: Path) -> WeightsError:
+def replaced(file: Path) -> WeightsError:
+    """Return the error about a weights file that is another than before."""
     found = "was replaced since the run began"
     return WeightsError(file, found, "the same file", "run again with --overwrite")
 
@@ -145,7 +146,7 @@ class OnnxEngine(Engine):
         except OSError as error:
             raise WeightsError(self.path, f"cannot be read: {error_text(error)}") from error
         if hashlib.sha256(content).hexdigest() != self.sha256:
-            raise _replaced(self.path)
+            raise replaced(self.path)
         model = read_onnx(content, self.path, self.card, self.size)
         return model if temperature is None else _with_softmax(model, temperature)
 
@@ -195,17 +196,17 @@ def read_onnx(
     """
     import openvino
 
-    wanted = [1, len(CHANNELS), *size]
+    shape = [1, len(CHANNELS), *size]
     try:
         model = openvino_core().read_model(content)
         shapes = [port.get_partial_shape() for port in (*model.inputs, *model.outputs)]
         if len(model.inputs) != 1 or len(model.outputs) != 1:
             count = f"{len(model.inputs)} inputs and {len(model.outputs)} outputs"
             raise WeightsError(source, count, "one of each")
-        if not shapes[0].compatible(openvino.PartialShape(wanted)):
+        if not shapes[0].compatible(openvino.PartialShape(shape)):
             remedy = "export it again with --sensor, or with --dynamic-width"
-            raise WeightsError(source, f"takes images {shapes[0]}", f"{wanted}", remedy)
-        model.reshape(wanted)
+            raise WeightsError(source, f"takes images {shapes[0]}", f"{shape}", remedy)
+        model.reshape(shape)
     except (RuntimeError, ValueError, TypeError, MemoryError) as error:
         found = f"cannot be read by OpenVINO: {error_text(error)}"
         remedy = "write it with `salsanext export-onnx`"

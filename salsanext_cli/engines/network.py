@@ -129,11 +129,11 @@ class Engine:
         `make` and the others are as `compiled_graph` takes them.
         """
         settings = (precision, thread_count(), streams)
-        place = (name, settings, threading.get_ident())
-        if place not in self.graphs:
+        key = (name, settings, threading.get_ident())
+        if key not in self.graphs:
             model = compiled_graph(make, (name, self.sha256, *self.size), *settings)
-            self.graphs[place] = Graph(model)
-        return self.graphs[place]
+            self.graphs[key] = Graph(model)
+        return self.graphs[key]
 
     def example_input(self) -> "Tensor":
         """Return an empty range image, (1, 5, H, W)."""

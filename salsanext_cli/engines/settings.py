@@ -7,7 +7,7 @@ from dataclasses import KW_ONLY, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from salsanext_cli.errors import NOTICE, UsageError, WeightsError
+from salsanext_cli.errors import NOTICE, UsageError
 from salsanext_cli.options import network_option, option_group
 
 if TYPE_CHECKING:
@@ -113,28 +113,27 @@ class NetworkSettings:
             return named
         if (named, self.columns, self.min_range, self.ego) == (AUTO, None, None, AUTO):
             return None
-        seen = trained = self.trained_sensor()
+        own = trained = self.trained_sensor()
         if named != AUTO:
-            seen = sensor(named, trained)
+            own = sensor(named, trained)
         if named in presets():
-            seen = replace(trained, **{key: getattr(seen, key) for key in OF_DEVICE})
-        seen = with_columns(seen, self.columns)
+            own = replace(trained, **{key: getattr(own, key) for key in OF_DEVICE})
+        own = with_columns(own, self.columns)
         if self.min_range is not None:
-            seen = replace(seen, min_range=self.min_range)
+            own = replace(own, min_range=self.min_range)
         if self.ego != AUTO:
-            seen = replace(seen, ego_box=_ego_box(self.ego))
+            own = replace(own, ego_box=_ego_box(self.ego))
         # Those of training are not those of the scans.
-        return replace(seen, intensity_quantiles=(), row_gaps=None)
+        return replace(own, intensity_quantiles=(), row_gaps=None)
 
     def load(self) -> "Network":
         """Load the network."""
-        from salsanext_cli.engines.loading import load_network
+        from salsanext_cli.engines.loading import load_network, replaced
         from salsanext_cli.files.identity import fingerprint
 
         file = self.adapted or self.path
         if self.sha256 and self.sha256 != fingerprint(file):
-            found = "was replaced since the run began"
-            raise WeightsError(file, found, "the same file", "run again with --overwrite")
+            raise replaced(file)
         default = self.weights in (None, DEFAULT_WEIGHTS)
         return load_network(
             self.adapted or (None if default else self.weights),

@@ -8,6 +8,7 @@ are metres. So do the logits.
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -29,30 +30,35 @@ def inference_mode(device: str) -> Iterator[None]:
                 yield
 
 
-class Float32Layer(nn.Module):
-    """Convolution in float32, of features and into features of any type."""
+class Float32Convolution(nn.Conv2d):
+    """Convolution in float32, of features and into features of any type; autocast leaves it."""
 
-    def __init__(self, layer: nn.Module, dtype: torch.dtype) -> None:
-        super().__init__()
-        self.layer = layer.float()
-        self.dtype = dtype
+    output: torch.dtype = torch.float32
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map any type to `dtype`, within its range."""
-        features: Tensor = self.layer(x.float())
-        if self.dtype == torch.float32:
+        """Map (B, in, H, W) of any type to (B, out, H, W) of `output`, within its range."""
+        with torch.autocast(x.device.type, enabled=False):
+            features: Tensor = super().forward(x.float())
+        if self.output == torch.float32:
             return features
-        border = torch.finfo(self.dtype)
-        return features.clamp(border.min, border.max).to(self.dtype)
+        border = torch.finfo(self.output)
+        return features.clamp(border.min, border.max).to(self.output)
+
+
+def keep_ends_in_float32(module: nn.Module, hidden: torch.dtype = torch.float32) -> None:
+    """Let the layers of the range image, into features of a type, and of the logits be float32."""
+    for name, layer in module.named_modules():
+        if type(layer) is nn.Conv2d and (name == LOGITS or layer.in_channels == len(CHANNELS)):
+            # The same tensors under the same names; a new layer would need copies of them.
+            layer.__class__ = Float32Convolution
+            cast(Float32Convolution, layer).output = torch.float32 if name == LOGITS else hidden
 
 
 def in_precision(module: SegmentationNetwork, dtype: torch.dtype) -> SegmentationNetwork:
     """Return a copy of a network that computes in a shorter type, float32 in and out."""
-    short = copy.deepcopy(module).eval().to(dtype)
-    for name, layer in module.named_modules():
-        if not isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
-            continue
-        if name == LOGITS or layer.in_channels == len(CHANNELS):
-            output = torch.float32 if name == LOGITS else dtype
-            short.set_submodule(name, Float32Layer(copy.deepcopy(layer), output))
+    short = copy.deepcopy(module).eval()
+    keep_ends_in_float32(short, dtype)
+    for layer in short.modules():
+        if not isinstance(layer, Float32Convolution) and not [*layer.children()]:
+            layer.to(dtype)
     return short.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]

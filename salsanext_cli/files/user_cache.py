@@ -40,7 +40,7 @@ def cached(name: str, make: Callable[[], bytes]) -> bytes:
     each time, which is said once.
     """
     folder = cache_folder()
-    content = _read(Path(folder, name)) if folder else None
+    content = read_checked(Path(folder, name)) if folder else None
     return store(name, make()) if content is None else content
 
 
@@ -57,18 +57,23 @@ def check_once(name: str, check: Callable[[], object]) -> None:
 def store(name: str, content: bytes) -> bytes:
     """Write a file of the cache, in the place of an older one, and return its content."""
     if folder := cache_folder():
-        path = Path(folder, name)
-        try:
-            with writing(path) as file:
-                file.write(content + hashlib.sha256(content).digest())
-            sweep_stale(path.parent)
-            _remove_oldest(path)
-        except (OutputError, OSError) as error:
-            _say_once(f"{error_text(error)}: going on without it")
+        write_checked(Path(folder, name), content)
     return content
 
 
-def _read(path: Path) -> bytes | None:
+def write_checked(path: Path, content: bytes) -> None:
+    """Write a file with a checksum, and make room for it; if that is not possible, say so once."""
+    try:
+        with writing(path) as file:
+            file.write(content + hashlib.sha256(content).digest())
+        sweep_stale(path.parent)
+        _remove_oldest(path)
+    except (OutputError, OSError) as error:
+        say_once(f"{error_text(error)}: going on without it")
+
+
+def read_checked(path: Path) -> bytes | None:
+    """Read a file with a checksum; None if it is missing or damaged, which is said once."""
     try:
         with path.open("rb") as file:
             data = file.read(max(0, os.fstat(file.fileno()).st_size - CHECKSUM_BYTES))
@@ -76,13 +81,13 @@ def _read(path: Path) -> bytes | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        _say_once(f"{error_text(error)}: going on without it")
+        say_once(f"{error_text(error)}: going on without it")
         return None
     if hashlib.sha256(data).digest() == checksum:
         with suppress(OSError):  # a folder that can only be read
             path.touch()
         return data
-    _say_once(f"{path} is damaged: made again")
+    say_once(f"{path} is damaged: made again")
     return None
 
 
@@ -98,7 +103,8 @@ def _remove_oldest(newest: Path) -> None:
             total -= status.st_size
 
 
-def _say_once(found: str) -> None:
+def say_once(problem: str) -> None:
+    """Warn of the first problem with the cache in this process."""
     if not _said:
-        _said.append(found)
-        log.warning("cache: %s", found)
+        _said.append(problem)
+        log.warning("cache: %s", problem)

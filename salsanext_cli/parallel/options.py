@@ -98,10 +98,10 @@ class Shard:
     @classmethod
     def parse(cls, text: str) -> "Shard":
         """Read ``i/n``, counted from 1."""
-        found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
-        if not found:
+        parts = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
+        if not parts:
             raise UsageError("--shard", repr(text), "i/n, such as 1/8")
-        return cls(int(found[1]), int(found[2]))
+        return cls(int(parts[1]), int(parts[2]))
 
     @classmethod
     def asked_for(cls, text: str | None) -> "Shard":
@@ -166,9 +166,8 @@ class RunOptions:
         "Processes (loky), threads, or workers of a Dask or Ray cluster.", default="loky"
     )
     scheduler: str | None = running_option(
-        "Address of a running Dask or Ray cluster.",
+        "Address of the running cluster, which dask and ray need.",
         metavar="ADDRESS",
-        show_default="a new cluster on this machine",
     )
     shard: Shard = running_option(
         "Only share I of N shares of the scans, from 1/N to N/N.",
@@ -190,15 +189,27 @@ class RunOptions:
             raise UsageError("--on-error", self.on_error, "skip or stop")
         if self.backend not in BACKENDS:
             raise UsageError("--backend", self.backend, f"one of {', '.join(BACKENDS)}")
-        if self.scheduler is not None and self.backend not in CLUSTERS:
+        is_cluster = self.backend in CLUSTERS
+        if self.scheduler is not None and not is_cluster:
             raise UsageError(
                 f"--scheduler {self.scheduler}", f"--backend {self.backend}", "dask or ray"
             )
+        if self.scheduler is None and is_cluster and not self._connected_to_ray():
+            raise UsageError(
+                f"--backend {self.backend}",
+                "no --scheduler",
+                "the address of a running cluster",
+                "use loky on one machine",
+            )
+
+    def _connected_to_ray(self) -> bool:
+        """Return whether the program that calls us has initialised Ray."""
+        ray = _if_loaded("ray") if self.backend == "ray" else None
+        return bool(ray and ray.is_initialized())
 
     def workers_here(self) -> int:
         """Return how many workers are wanted on this machine."""
-        default = -1 if self.backend in CLUSTERS else 1
-        return worker_count(default if self.jobs is None else self.jobs)
+        return worker_count(1 if self.jobs is None else self.jobs)
 
     def workers_of_cluster(self) -> int | None:
         """Return how many workers of a cluster are wanted, None for all."""

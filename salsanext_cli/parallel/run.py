@@ -17,7 +17,7 @@ from functools import partial
 from inspect import isgeneratorfunction
 from itertools import groupby, islice, pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from uuid import uuid4
 
 from salsanext_cli.engines.device import MAX_BATCH_PIXELS, choose_device
@@ -32,6 +32,7 @@ from salsanext_cli.parallel.worker import (
     Attempt,
     AttemptFunction,
     Chunk,
+    OpenableTask,
     Task,
     WorkerContext,
     WorkerPool,
@@ -46,7 +47,15 @@ from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.selection import MissingResults
 
-__all__ = ["Failure", "NetworkTask", "Outcome", "Progress", "RunOptions", "Steps", "run_over_scans"]
+__all__ = [
+    "Failure",
+    "NetworkTask",
+    "Outcome",
+    "Progress",
+    "RunOptions",
+    "ScanSteps",
+    "run_over_scans",
+]
 
 HARMLESS_WARNINGS = (
     # Who stops a run knows that it has been stopped.
@@ -63,7 +72,7 @@ MIN_CHUNKS_PER_WORKER = 4
 MAX_BATCH_SCANS = 16
 """Scans computed together on a GPU; as many as a worker is sent together."""
 
-Steps = Generator[Any, Any, Any]
+ScanSteps = Generator[Any, Any, Any]
 """Work on a scan: yields when the scan is read, when its results are computed, and the result."""
 
 log = logging.getLogger(__name__)
@@ -148,12 +157,12 @@ def run_over_scans(
 
 
 def _pool(options: RunOptions, scans: int) -> AbstractContextManager[WorkerPool]:
-    """Start workers for so many scans, or connect to them, and end that afterwards."""
+    """Start workers for so many scans, or connect to those of a cluster; end that afterwards."""
     if options.backend not in CLUSTERS:
         return local_pool(options, scans)
     from salsanext_cli.parallel import clusters
 
-    return {"dask": clusters.dask_pool, "ray": clusters.ray_pool}[options.backend](options, scans)
+    return {"dask": clusters.dask_pool, "ray": clusters.ray_pool}[options.backend](options)
 
 
 def _attempts(
@@ -172,8 +181,9 @@ def _attempts(
         with _pool(options, len(scans)) as pool:
             context = WorkerContext(uuid4().hex, MARK.get(), stop, Path.cwd(), pool.threads)
             attempt = partial(attempt_chunk, context, task)
+            most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
             try:
-                cut = chunks(scans, pool.workers, getattr(task, "max_chunk_scans", MAX_CHUNK_SCANS))
+                cut = chunks(scans, pool.workers, most)
                 yield from _of_chunks(attempt, cut, pool, options.backend)
             finally:
                 # Joblib kills processes, but cannot kill threads and does not wait for them.
@@ -210,9 +220,9 @@ def _of_chunks(
         )
     try:
         with signals_blocked(signal.SIGINT, signal.SIGTERM) if backend == "loky" else nullcontext():
-            found = parallel(joblib.delayed(attempt)(chunk) for chunk in cut)
-        with closing(found):
-            for of_chunk in found:
+            attempts = parallel(joblib.delayed(attempt)(chunk) for chunk in cut)
+        with closing(attempts):
+            for of_chunk in attempts:
                 yield from of_chunk
     except pool.died as error:
         raise WorkersLost(
@@ -227,7 +237,8 @@ def _of_chunks(
 class NetworkTask:
     """Function of a scan and a network."""
 
-    # Takes a scan file and a network; picklable. It returns the result or yields `Steps`, which
+    max_chunk_scans: ClassVar[int] = MAX_CHUNK_SCANS
+    # Takes a scan file and a network; picklable. It returns the result or yields `ScanSteps`, which
     # overlap on a CPU
     function: Callable[[ScanFile, Network], Any]
     settings: NetworkSettings  # Resolved: what the workers load
@@ -246,7 +257,7 @@ class NetworkTask:
         usual = 1 if on_cpu else max(1, min(MAX_BATCH_SCANS, MAX_BATCH_PIXELS // pixels))
         size = self.batch or usual
 
-        def steps(file: ScanFile) -> Steps:
+        def steps(file: ScanFile) -> ScanSteps:
             with named_if_too_large(file, network):
                 if in_steps:
                     yield from self.function(file, network)
@@ -254,7 +265,7 @@ class NetworkTask:
                     yield self.function(file, network)
 
         if self.takes_softmax and not (on_cpu and size == 1):
-            return partial(in_batches, steps, network, size)
+            return partial(softmax_in_batches, steps, network, size)
         if in_steps and on_cpu:
             return partial(overlapping, steps)
         return partial(one_by_one, lambda file: [*steps(file)][-1])
@@ -285,7 +296,7 @@ def named_if_too_large(file: ScanFile, network: Network) -> Iterator[None]:
         raise FormatError(file.path, found, remedy="use --device cpu") from error
 
 
-def _step(file: ScanFile, steps: Steps, softmax: Float | None = None) -> Attempt:
+def _step(file: ScanFile, steps: ScanSteps, softmax: Float | None = None) -> Attempt:
     """Attempt the next step of a scan, into which a softmax may be sent."""
     try:
         return file, steps.send(softmax), None
@@ -293,8 +304,8 @@ def _step(file: ScanFile, steps: Steps, softmax: Float | None = None) -> Attempt
         return file, None, error
 
 
-def in_batches(
-    begin: Callable[[ScanFile], Steps], network: Network, size: int, files: Iterable[ScanFile]
+def softmax_in_batches(
+    begin: Callable[[ScanFile], ScanSteps], network: Network, size: int, files: Iterable[ScanFile]
 ) -> Iterator[Attempt]:
     """Attempt so many scans at a time, their softmax computed together if there is memory for it.
 
@@ -319,7 +330,9 @@ def in_batches(
             yield computed if computed[2] else _step(file, steps)
 
 
-def overlapping(begin: Callable[[ScanFile], Steps], files: Iterable[ScanFile]) -> Iterator[Attempt]:
+def overlapping(
+    begin: Callable[[ScanFile], ScanSteps], files: Iterable[ScanFile]
+) -> Iterator[Attempt]:
     """Attempt scans in order; while one is computed, a thread writes the last and reads the next.
 
     `begin`: returns the steps of a scan, of which the second is done in this thread.
@@ -327,10 +340,10 @@ def overlapping(begin: Callable[[ScanFile], Steps], files: Iterable[ScanFile]) -
     pool = ThreadPoolExecutor(1, "salsanext-files")
     waiting = iter(files)
 
-    def beside(file: ScanFile, steps: Steps) -> Future[Attempt]:
+    def beside(file: ScanFile, steps: ScanSteps) -> Future[Attempt]:
         return pool.submit(copy_context().run, _step, file, steps)
 
-    def read_next() -> tuple[Steps, Future[Attempt]] | None:
+    def read_next() -> tuple[ScanSteps, Future[Attempt]] | None:
         if (file := next(waiting, None)) is None:
             return None
         steps = begin(file)

@@ -43,6 +43,10 @@ log = logging.getLogger(__name__)
 class OpenableTask(Protocol):
     """Task that is opened once per worker, since that is slow: it loads a network, say."""
 
+    @property
+    def max_chunk_scans(self) -> int:
+        """Largest number of scans that a worker is sent together."""
+
     def open(self) -> AttemptFunction:
         """Load what all scans need, and return the function that works on them."""
 

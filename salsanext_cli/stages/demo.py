@@ -79,8 +79,8 @@ def demo(
     with step("export-ply") as run:
         exported = export_ply(out, colour="label", options=run)
     with step("picture") as run:
-        drawn = picture(out, options=run)
-    failures = tuple(f for each in (predicted, sampled, exported, drawn) for f in each.failures)
+        pictured = picture(out, options=run)
+    failures = tuple(f for each in (predicted, sampled, exported, pictured) for f in each.failures)
     files, space = ResultFolder(out).predicted(valid)
     with step("eval") as run:
         evaluation = evaluate(files, out, space, run, settings=ResultFolder(out).provenance(valid))

@@ -36,7 +36,7 @@ from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.risk_control import promise
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, Steps, run_over_scans
+from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, ScanSteps, run_over_scans
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ERROR, LEAST_CONFIDENCE, ScanFile, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
@@ -114,7 +114,7 @@ def most_probable(probabilities: Float) -> TrainIds:
     return labels
 
 
-def predict_scan(file: ScanFile, network: Network, writer: LabelWriter) -> Steps:
+def predict_scan(file: ScanFile, network: Network, writer: LabelWriter) -> ScanSteps:
     """Label the points of one scan, in steps; the last yields numbers about it."""
     writer.output.require_replaceable(file)
     scan = yield from label_scan(file, network, writer.knn)
@@ -197,7 +197,7 @@ def _chosen_threshold(
     return risk["threshold"], risk["kind"]
 
 
-def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> Steps:
+def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> ScanSteps:
     """Label the pixels of a range image that `project` wrote into a folder, in steps; check it."""
     output.require_replaceable(file)
     path, image = range_image(file, folder, network.sensor)

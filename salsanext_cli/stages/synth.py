@@ -186,9 +186,11 @@ def _write(write: SequenceWriter, names: list[str], jobs: int) -> Iterator[dict[
     ):
         parallel = joblib.Parallel(return_as="generator_unordered")
     with signals_blocked(signal.SIGINT, signal.SIGTERM):
-        found = parallel(joblib.delayed(_write_whole)(MARK.get(), write, name) for name in names)
-    with closing(found):
-        for counts in found:
+        sequences = parallel(
+            joblib.delayed(_write_whole)(MARK.get(), write, name) for name in names
+        )
+    with closing(sequences):
+        for counts in sequences:
             yield from counts
 
 

@@ -47,7 +47,7 @@ from salsanext_cli.training.run_folder import (
     require_free,
     training_settings,
 )
-from salsanext_cli.training.setup import Setup, initial_network, require_pixels
+from salsanext_cli.training.setup import Setup, initial_network
 
 SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0
 """Scans of a simulated street, and the distance between two."""
@@ -105,16 +105,15 @@ def train(
         remedy = "start fewer workers or set batch higher"
         raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
     start = default_weights() if weights is None and recipe.initial == "default" else weights
-    with process_group(device) as (group, place), ExitStack() as held:
+    with process_group(device) as (group, own_device), ExitStack() as held:
         classes, training, validation = group.on_main(
             lambda: scans_to_train_on(dataset, space, divisible=recipe.folds > 0)
         )
         if recipe.precision == "auto":
             begun = None if overwrite else group.on_main(lambda: recorded_precision(run))
-            recipe = replace(recipe, precision=begun or common_precision(place, group))
+            recipe = replace(recipe, precision=begun or common_precision(own_device, group))
         initial, card = initial_network(start, classes, recipe, sensor)
         sensor = card.sensor
-        require_pixels(recipe, sensor, initial, group)
         roots = ", ".join(path.resolve().name for path in (dataset, *also))
         further = group.on_main(lambda: [further_source(path, classes, sensor) for path in also])
         given = [Source(files, classes, sensor) for files in (training, validation)] + further
@@ -154,7 +153,7 @@ def train(
             sources=sources,
             counts=counts,
             settings=settings,
-            place=place,
+            device=own_device,
             group=group,
             workers=workers if jobs != 1 else 0,
             overwrite=overwrite,
@@ -181,18 +180,18 @@ def _simulated_streets(
     if merged_into(label_space(), classes) is None:
         log.log(NOTICE, "no simulated streets: they tell other classes apart than your labels")
         return []
-    roots = {seen: folder / seen for seen in RIGS}
+    roots = {kind: folder / kind for kind in RIGS}
     splits = {"train": count, "valid": 0, "test": 0}
-    for seen, root in roots.items():
-        wanted = as_json(manifest(splits, SCANS_OF_STREET, 0, STREET_SPACING_M, seen))
+    for kind, root in roots.items():
+        settings = as_json(manifest(splits, SCANS_OF_STREET, 0, STREET_SPACING_M, kind))
         recorded = read_json(root / MANIFEST)
         made = len([*root.glob("sequences/*/velodyne/*.bin")])
         # The label space is written last.
         whole = made == count * SCANS_OF_STREET and (root / LABEL_SPACE).exists()
-        if whole and recorded == wanted:
+        if whole and recorded == settings:
             continue
         others = ": those there are of another version or settings"
-        why = "" if recorded in (None, wanted) else others
+        why = "" if recorded in (None, settings) else others
         log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
         synthesise(
             root,
@@ -201,9 +200,9 @@ def _simulated_streets(
             scans=SCANS_OF_STREET,
             seed=0,
             spacing=STREET_SPACING_M,
-            sensor=seen,
+            sensor=kind,
             jobs=jobs,
-            overwrite=recorded != wanted,
+            overwrite=recorded != settings,
         )
     sources = [further_source(root, classes, sensor) for root in roots.values()]
     return [replace(source, simulated=True) for source in sources]

@@ -15,10 +15,10 @@ from salsanext_cli.parallel.run import Progress
 from salsanext_cli.report.plots import rate_curve
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.selection import select_evenly
-from salsanext_cli.training.tuning.batchnorm import fit_batchnorm, require_batchnorm
-from salsanext_cli.training.tuning.dropout_rate import fit_dropout, require_dropout_search
+from salsanext_cli.training.tuning.batchnorm import fit_batchnorm
+from salsanext_cli.training.tuning.dropout_rate import fit_dropout
 from salsanext_cli.training.tuning.error import fit_error_model
-from salsanext_cli.training.tuning.risk import fit_risk, require_level
+from salsanext_cli.training.tuning.risk import fit_risk
 from salsanext_cli.training.tuning.scans import VALIDATION, Tuned, TuningScans, labelled_scans
 from salsanext_cli.training.tuning.temperature import fit_temperature
 
@@ -30,12 +30,6 @@ FITS: dict[str, Callable[..., Tuned]] = {
     "risk": fit_risk,
 }
 """Functions that fit a part of the weights: take `TuningScans`, and numbers of their own."""
-REQUIREMENTS: dict[str, Callable[..., object]] = {
-    "dropout": require_dropout_search,
-    "batchnorm": require_batchnorm,
-    "risk": require_level,
-}
-"""Take the network and the numbers of a fit; raise what is wrong before a scan is read."""
 
 
 def tune(
@@ -59,8 +53,6 @@ def tune(
     fit = FITS[part]
     require_tensors(network.path)
     loaded = network.load()
-    if require := REQUIREMENTS.get(part):
-        require(loaded, **numbers)
     if part == "batchnorm":
         space = loaded.card.space
         files = select_evenly(source, selection or ScanSelection(), space)

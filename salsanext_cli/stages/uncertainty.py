@@ -19,7 +19,7 @@ from salsanext_cli.fitting.scan_fit import network_of_run
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, Steps, run_over_scans
+from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, ScanSteps, run_over_scans
 from salsanext_cli.results.layout import ERROR, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.selection import choose, scans_of, space_of
@@ -37,7 +37,7 @@ def uncertainty_scan(
     knn: KnnParameters,
     method: UncertaintyMethod,
     output: OutputRun,
-) -> Steps:
+) -> ScanSteps:
     """Estimate the uncertainty of one scan's points, in steps; the last yields numbers about it."""
     output.require_replaceable(file)
     projected = project_for(network, file)

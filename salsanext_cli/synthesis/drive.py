@@ -89,18 +89,20 @@ def record(
         origins, directions = track.in_motion(s, *rays)
         cast = np.concatenate([origins, directions], 1)
         distance, intensity, labels = measure(noise, scenes, cast, lasers, rig.response)
-        kept = np.isfinite(distance)
-        world = origins[kept] + directions[kept] * distance[kept, None]
+        returned = np.isfinite(distance)
+        world = origins[returned] + directions[returned] * distance[returned, None]
         points = (world - pose[:3, 3]) @ pose[:3, :3]
-        scan = Scan(points.astype(np.float32), intensity[kept].astype(np.float32))
-        yield Frame(scan, labels[kept], pose, time)
+        scan = Scan(points.astype(np.float32), intensity[returned].astype(np.float32))
+        yield Frame(scan, labels[returned], pose, time)
 
 
 def _moving(plan: Plan, movers: tuple[Mover, ...], time: float, pose: Array) -> list[Scene]:
     """Return what moves near the sensor at a time, as a scene if there is anything."""
     meshes = [mover.at(plan, time) for mover in movers]
-    place = pose[:2, 3]
-    near = [m for m in meshes if m is not None and np.hypot(*(m.vertices[0, :2] - place)) < VIEW_M]
+    position = pose[:2, 3]
+    near = [
+        m for m in meshes if m is not None and np.hypot(*(m.vertices[0, :2] - position)) < VIEW_M
+    ]
     return [Scene(merge(near))] if near else []
 
 

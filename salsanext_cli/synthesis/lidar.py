@@ -98,17 +98,17 @@ def measure(
     signal = lasers.power * (reflected + LEAST_REFLECTED) * cosine / reach**2
     weakness = response.threshold / np.maximum(signal, 1e-12)
     detected = 1 / (1 + weakness**DETECTION_STEEPNESS)
-    kept = rng.random(count) < detected * (1 - response.lost_pulses)
-    kept &= _patchy(rng, count) >= _lost_to_gloss(reflected, cosine, gloss, lasers.power)
+    returned = rng.random(count) < detected * (1 - response.lost_pulses)
+    returned &= _patchy(rng, count) >= _lost_to_gloss(reflected, cosine, gloss, lasers.power)
     blended, lost_at_edge = _edges(rng, reach)
     measured = blended + noise[1] * np.hypot(response.noise, roughness)
-    kept &= (reach < response.farthest) & (measured > response.nearest) & ~lost_at_edge
+    returned &= (reach < response.farthest) & (measured > response.nearest) & ~lost_at_edge
     grazing = np.clip(cosine / GRAZING_COSINE, 0.01, 1) ** falloff
     echo = reflected * np.interp(reach, DISTANCES_M, RELATIVE_RESPONSE) * grazing
     amplified = response.gain * USUAL_ECHO * (echo / USUAL_ECHO) ** response.gamma * lasers.gain
     reported = amplified - lasers.offset + INTENSITY_NOISE * noise[2] - INTENSITY_NOISE
     intensity = np.round(np.clip(reported, 0, MOST_INTENSITY) * response.steps) / response.steps
-    return np.where(kept, measured, np.nan), intensity, labels
+    return np.where(returned, measured, np.nan), intensity, labels
 
 
 def _edges(rng: Rng, reach: Array) -> tuple[Array, npt.NDArray[np.bool_]]:

@@ -110,6 +110,12 @@ def loft(sections: Array, skin: Skin) -> Mesh:
     return Mesh.of(sections.reshape(-1, 3), faces, skin)
 
 
+def extrusion(stations: Array, sections: Array, skin: Skin) -> Mesh:
+    """Join sections (S, P, 2), across and up, at stations (S,) along x."""
+    x = np.broadcast_to(stations[:, None, None], (*sections.shape[:2], 1))
+    return loft(np.concatenate([x, sections], -1), skin)
+
+
 def tube(path: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, sides: int = 7) -> Mesh:
     """Return a tube along a (K, 3) path with a radius at every point (or one for all)."""
     points = np.asarray(path, float)

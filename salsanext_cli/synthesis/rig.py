@@ -69,18 +69,20 @@ class Rig:
 
     beams: Beams  # Its lasers
     response: Numbers  # What it makes of the pulses that return
-    seen: npt.NDArray[np.bool_]  # (L * columns,) bool: rays that the vehicle does not block
+    unblocked: npt.NDArray[np.bool_]  # (L * columns,) bool: rays that the vehicle does not block
     mount: float  # Height above the road, metres
     tilt: Array  # (2,): pitch and roll of the mounting, radians
 
     def rays(self) -> tuple[Array, Array, Array]:
         """Return origins, directions and times of the rays that leave the vehicle."""
         origins, directions, times = self.beams.rays()
-        return origins[self.seen], directions[self.seen], times[self.seen]
+        return origins[self.unblocked], directions[self.unblocked], times[self.unblocked]
 
     def lasers(self) -> Lasers:
         """Return the properties of the laser that fires each ray."""
-        return Lasers(*(np.repeat(v, self.beams.columns)[self.seen] for v in self.beams.lasers))
+        return Lasers(
+            *(np.repeat(v, self.beams.columns)[self.unblocked] for v in self.beams.lasers)
+        )
 
 
 RigMaker = Callable[[Rng], Rig]
@@ -127,9 +129,9 @@ def hdl64_rig(rng: Rng) -> Rig:
 def random_rig(rng: Rng) -> Rig:
     """Draw a sensor unlike others, and its mounting."""
     beams, response = _random_beams(rng), _random_response(rng)
-    seen = ~_random_shadow(beams, rng)
+    unblocked = ~_random_shadow(beams, rng)
     tilt = np.radians(rng.normal(0, BOUNDS.tilt, 2))
-    return Rig(beams, response, seen, float(rng.uniform(*BOUNDS.mount)), tilt)
+    return Rig(beams, response, unblocked, float(rng.uniform(*BOUNDS.mount)), tilt)
 
 
 RIGS: dict[str, RigMaker] = {"hdl64": hdl64_rig, "random": random_rig}
@@ -168,8 +170,8 @@ def _random_elevations(rng: Rng) -> Array:
 def _random_response(rng: Rng) -> Numbers:
     low, high = np.log(list(BOUNDS.response.values())).T
     values = np.exp(rng.uniform(low, high)).tolist()
-    drawn = dict(zip(BOUNDS.response, values, strict=True))
-    return Numbers(**drawn, steps=int(rng.choice(BOUNDS.intensity_steps)))
+    response = dict(zip(BOUNDS.response, values, strict=True))
+    return Numbers(**response, steps=int(rng.choice(BOUNDS.intensity_steps)))
 
 
 def _random_shadow(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:

@@ -16,7 +16,7 @@ from typing import Any
 import safetensors
 import safetensors.torch
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from salsanext_cli.errors import TrainingError, error_text
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -25,10 +25,7 @@ from salsanext_cli.training.log import Row
 
 KEY = "salsanext-checkpoint"
 """The one key of the header: safetensors writes several in an order drawn anew each time."""
-DAMAGE = (
-    *(safetensors.SafetensorError, OSError, AttributeError, LookupError, TypeError, ValueError),
-    RuntimeError,
-)
+DAMAGE = (safetensors.SafetensorError, OSError, LookupError, RuntimeError, TypeError, ValueError)
 """Errors that reading a damaged checkpoint may end in."""
 OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
 """Names of the tensors that torch's optimisers keep for each parameter."""
@@ -48,7 +45,7 @@ class TrainingState:
 def save_checkpoint(path: Path, learner: Learner, state: TrainingState) -> None:
     """Write the state after a step, atomically."""
     progress = asdict(state)
-    tensors = _networks(learner)
+    tensors = dict(_networks(learner).state_dict())
     tensors["losses"] = torch.tensor(progress.pop("losses"), dtype=torch.float64)
     for name, parameter in learner.module.named_parameters():
         for key, value in learner.optimiser.state.get(parameter, {}).items():
@@ -61,16 +58,14 @@ def save_checkpoint(path: Path, learner: Learner, state: TrainingState) -> None:
 
 
 def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
-    """Restore a saved state; `TrainingError` if damaged or of another network or optimiser."""
+    """Restore a saved state; `TrainingError` if damaged or of another network."""
     try:
         with safetensors.safe_open(path, framework="pt") as file:
             tensors = {name: file.get_tensor(name) for name in [*file.keys()]}
             values = json.loads((file.metadata() or {})[KEY])
         if values.pop("sha256") != _checksum(values, tensors):
             raise ValueError("the checksum is wrong")
-        losses = tensors.pop("losses")
-        _require_alike("losses", losses, torch.empty(losses.numel(), dtype=torch.float64))
-        state = TrainingState(**values["progress"], losses=losses.tolist())
+        state = TrainingState(**values["progress"], losses=tensors["losses"].tolist())
         learner.scaler.load_state_dict(values["scaler"])
         _restore(learner, tensors)
     except DAMAGE as error:
@@ -83,12 +78,12 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
     return state
 
 
-def _networks(learner: Learner) -> dict[str, Tensor]:
-    """Return the tensors of the module, and of the average if it is another, by name."""
-    named = {f"module.{name}": t for name, t in learner.module.state_dict().items()}
+def _networks(learner: Learner) -> nn.ModuleDict:
+    """Return the module, and the average if it is another."""
+    networks = nn.ModuleDict({"module": learner.module})
     if learner.average is not learner.module:
-        named |= {f"average.{name}": t for name, t in learner.average.state_dict().items()}
-    return named
+        networks["average"] = learner.average
+    return networks
 
 
 def _checksum(values: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
@@ -102,27 +97,18 @@ def _checksum(values: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
 
 @torch.no_grad()
 def _restore(learner: Learner, tensors: Mapping[str, Tensor]) -> None:
-    """Copy tensors into a learner; if one is of another type or shape, change nothing."""
-    own, states = _networks(learner), dict[Tensor, dict[str, Tensor]]()
+    """Copy tensors into a learner; a missing one, or one of another shape, is an error."""
+    networks = _networks(learner)
+    networks.load_state_dict({name: tensors[name] for name in networks.state_dict()})
+    learner.optimiser.state.clear()
     for name, parameter in learner.module.named_parameters():
         keys = {key: f"optimiser.{name}.{key}" for key in OPTIMISER_STATE[learner.recipe.optimiser]}
         # Parameters have none before the first step, or if they are never used.
         if tensors.keys() & {*keys.values()}:
-            state = states[parameter] = {key: torch.empty_like(parameter) for key in keys}
-            if "step" in state:
-                # It stays on the CPU: on a GPU every parameter would wait for it.
-                state["step"] = torch.zeros(())
-            own |= {keys[key]: tensor for key, tensor in state.items()}
-    if unlike := tensors.keys() ^ own.keys():
-        raise ValueError(f"{min(unlike)} is of another network or optimiser, or is missing")
-    for name, tensor in own.items():
-        _require_alike(name, tensors[name], tensor)
-    for name, tensor in own.items():
-        tensor.copy_(tensors[name])
-    learner.optimiser.state.clear()
-    learner.optimiser.state.update(states)
-
-
-def _require_alike(name: str, tensor: Tensor, own: Tensor) -> None:
-    if (tensor.dtype, tensor.shape) != (own.dtype, own.shape):
-        raise ValueError(f"{name} is of another type or shape")
+            # The step stays on the CPU: on a GPU every parameter would wait for it.
+            learner.optimiser.state[parameter] = {
+                key: tensors[of_parameter]
+                if key == "step"
+                else torch.empty_like(parameter).copy_(tensors[of_parameter])
+                for key, of_parameter in keys.items()
+            }

@@ -56,9 +56,9 @@ class ProcessGroup:
         lengths[self.rank] = tensor.shape[-1]
         dist.all_reduce(lengths)
         padded = F.pad(tensor, (0, int(lengths.max()) - tensor.shape[-1])).contiguous()
-        found = [torch.empty_like(padded) for _ in range(self.size)]
-        dist.all_gather(found, padded)
-        return [each[..., :n] for each, n in zip(found, lengths.tolist(), strict=True)]
+        gathered = [torch.empty_like(padded) for _ in range(self.size)]
+        dist.all_gather(gathered, padded)
+        return [each[..., :n] for each, n in zip(gathered, lengths.tolist(), strict=True)]
 
     def broadcast(self, tensors: Iterable[Tensor]) -> None:
         """Overwrite tensors by those of the main worker."""
@@ -101,20 +101,20 @@ def group_of_environment() -> ProcessGroup:
 @contextmanager
 def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
     """Join the group of this process, and choose its device, a GPU of its own if there is one."""
-    group, place = group_of_environment(), torch.device(choose_device(device))
+    group, own_device = group_of_environment(), torch.device(choose_device(device))
     if group.size == 1:
-        yield group, place
+        yield group, own_device
         return
-    if place.type == "cuda":
-        if place.index is not None:
+    if own_device.type == "cuda":
+        if own_device.index is not None:
             found = f"one GPU for {group.size} workers"
             raise UsageError(f"device {device}", found, "cuda, cpu or auto")
-        place = torch.device(choose_device(f"cuda:{os.environ['LOCAL_RANK']}"))
-        torch.cuda.set_device(place)
-    backend = "nccl" if place.type == "cuda" else "gloo"
+        own_device = torch.device(choose_device(f"cuda:{os.environ['LOCAL_RANK']}"))
+        torch.cuda.set_device(own_device)
+    backend = "nccl" if own_device.type == "cuda" else "gloo"
     dist.init_process_group(backend, timeout=PROCESS_GROUP_TIMEOUT)
     try:
-        yield group, place
+        yield group, own_device
         # A worker that leaves early closes connections that others still read from.
         dist.barrier()
     finally:

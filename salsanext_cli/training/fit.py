@@ -76,9 +76,6 @@ class Training:
         state = TrainingState()
         if checkpoint.exists():
             state = load_checkpoint(checkpoint, self.learner)
-        if len(state.losses) >= steps:
-            found = f"{len(state.losses)} steps of an epoch of {steps}"
-            raise TrainingError(checkpoint, found, "a checkpoint of this training")
         first, group = state.epoch * steps + len(state.losses), self.learner.group
         if (of_main := group.on_main(lambda: first)) != first:
             found = f"the first worker goes on after step {of_main}, this one after step {first}"
@@ -145,14 +142,11 @@ class Training:
             ) from error
         if math.isfinite(loss):
             return loss
-        alone = indices[self.learner.non_finite_samples(images, truth)]
-        group, device = self.learner.group, self.learner.device
-        found, every = (torch.cat(group.gather(i.to(device))) for i in (alone, indices))
-        scans = found if len(found) else every
-        paths = ", ".join(str(self.samples.scan_at(int(i))[1].path) for i in scans)
+        batch_indices = self.learner.group.gather(indices.to(self.learner.device))
+        files = [self.samples.scan_at(int(i))[1].path for i in torch.cat(batch_indices)]
         raise TrainingError(
             f"step {step + 1}",
-            f"the loss or its gradient is not finite with {paths}",
+            f"the loss or its gradient is not finite with {', '.join(map(str, files))}",
             "finite ones",
             "look at these scans, lower learning_rate or set clip_gradient",
         )

@@ -11,9 +11,8 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.engines.device import PRECISIONS, has_bfloat16
-from salsanext_cli.engines.graphs import LOGITS
+from salsanext_cli.engines.torch_engine import keep_ends_in_float32
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.records import CHANNELS
 from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
 from salsanext_cli.training.losses import SegmentationLoss
@@ -38,25 +37,8 @@ def fastest_precision(device: torch.device) -> str:
 def common_precision(device: torch.device, group: ProcessGroup) -> str:
     """Return the number type that suits the devices of all workers; float32 if they differ."""
     own = fastest_precision(device)
-    chosen = group.gather(torch.tensor([PRECISIONS.index(own)], device=device))
-    return own if len({int(number) for number in chosen}) == 1 else "float32"
-
-
-class Float32Convolution(nn.Conv2d):
-    """Convolution that autocast leaves alone: float32, from features of any type."""
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Map (B, in, H, W) to (B, out, H, W)."""
-        with torch.autocast(x.device.type, enabled=False):
-            return super().forward(x.float())
-
-
-def keep_ends_in_float32(module: nn.Module) -> None:
-    """Keep the layers of the range image and of the logits in float32, as `in_precision` does."""
-    for name, layer in module.named_modules():
-        if type(layer) is nn.Conv2d and (name == LOGITS or layer.in_channels == len(CHANNELS)):
-            # The same tensors under the same names; a new layer would need copies of them.
-            layer.__class__ = Float32Convolution
+    of_workers = group.gather(torch.tensor([PRECISIONS.index(own)], device=device))
+    return own if len({int(number) for number in of_workers}) == 1 else "float32"
 
 
 class Learner:
@@ -157,24 +139,6 @@ class Learner:
             update_average(self.average, self.module, self.recipe.average, step)
         return True
 
-    @torch.no_grad()
-    def non_finite_samples(self, images: Tensor, truth: Tensor) -> list[int]:
-        """Return the indices in a batch of images whose loss, each alone, is not finite."""
-        probe = copy.deepcopy(self.module).eval()
-        # By an image's own statistics: the running ones may be non-finite by now.
-        for norm in probe.modules():
-            if isinstance(norm, nn.modules.batchnorm._BatchNorm):
-                norm.running_mean = norm.running_var = None
-        found = []
-        for place, (image, labels) in enumerate(zip(images, truth, strict=True)):
-            # Twice: of one pixel at the coarsest level there would be no statistics.
-            pair = torch.stack(2 * [image]).to(self.device)
-            with self.autocast:
-                loss = self.loss(probe(pair), torch.stack(2 * [labels]).to(self.device))
-            if not loss.isfinite():
-                found.append(place)
-        return found
-
 
 def build_optimiser(module: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
     """Return the recipe's optimiser of all parameters."""
@@ -206,8 +170,8 @@ def update_average(average: nn.Module, module: nn.Module, decay: float, step: in
     """Move the running average of the weights towards a module, batch norm's statistics too."""
     # The first steps move it farther, so that the random weights of the start are soon forgotten.
     decay = min(decay, (1 + step) / (10 + step))
-    for kept, new in zip(average.state_dict().values(), module.state_dict().values(), strict=True):
-        if kept.is_floating_point():
-            kept.lerp_(new, 1 - decay)
+    for old, new in zip(average.state_dict().values(), module.state_dict().values(), strict=True):
+        if old.is_floating_point():
+            old.lerp_(new, 1 - decay)
         else:
-            kept.copy_(new)
+            old.copy_(new)

@@ -26,10 +26,10 @@ from salsanext_cli.training.recipe import Recipe
 STAGE = "train"
 CHECKPOINT = "checkpoint.safetensors"
 LAST, BEST = "last.safetensors", "best.safetensors"
-LOG, CURVE, ERROR = "log.csv", "curve.png", "error.json"
+LOG, CURVE = "log.csv", "curve.png"
 RECIPE, CLASS_COUNTS = "recipe.toml", "class_counts.json"
 SAMPLES, EVENTS, FOLDS, STREETS = "samples", "tensorboard", "folds", "streets"
-RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE, ERROR)
+RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE)
 """Files that a new training in the folder removes, beside pictures and events."""
 
 
@@ -93,15 +93,15 @@ def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> 
     owned.require_own(replaced)
     results = (folder / name for folder in _folders(run) for name in RESULTS)
     if recorded is not None and not overwrite and any(path.exists() for path in results):
-        wanted = _decisive(as_json(settings))
-        require_same_settings(owned.record_path, _extended(recorded, wanted), wanted)
+        decisive = _decisive(as_json(settings))
+        require_same_settings(owned.record_path, _extended(recorded, decisive), decisive)
 
 
 def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
     """Record a training in a free folder; remove results of other settings, or all to overwrite."""
     recorded, owned = StageRecords(run).settings(STAGE), OwnedFolder(run, STAGE)
-    wanted = _decisive(as_json(settings))
-    if overwrite or recorded is None or _extended(recorded, wanted) != wanted:
+    decisive = _decisive(as_json(settings))
+    if overwrite or recorded is None or _extended(recorded, decisive) != decisive:
         for folder in _folders(run):
             results = [folder / name for name in RESULTS]
             results += [*folder.glob(f"{SAMPLES}/epoch-*.png"), *folder.glob(f"{EVENTS}/events.*")]
@@ -126,9 +126,9 @@ def _holds_recipe(run: Path, settings: Mapping[str, Any]) -> bool:
     return False
 
 
-def _extended(recorded: Mapping[str, Any], wanted: Mapping[str, Any]) -> dict[str, Any]:
+def _extended(recorded: Mapping[str, Any], decisive: Mapping[str, Any]) -> dict[str, Any]:
     """Return the decisive settings of a record, with more epochs if those before stay the same."""
-    before, recipe = _decisive(recorded), wanted["recipe"]
+    before, recipe = _decisive(recorded), decisive["recipe"]
     steady = recipe["schedule"] == "decay" and not recipe["whole_epochs"] and not recipe["folds"]
     if steady and before.get("recipe", recipe)["epochs"] < recipe["epochs"]:
         before["recipe"] = {**before["recipe"], "epochs": recipe["epochs"]}

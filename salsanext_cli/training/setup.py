@@ -2,10 +2,7 @@
 """Setup of a training: the network it starts from, what its folds share, their cross-validation."""
 
 import copy
-import hashlib
-import json
 import logging
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,9 +18,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.graphs import LOGITS
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import NOTICE, UsageError, WeightsError, first_few
-from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.files.json_files import encode_json, read_json
+from salsanext_cli.errors import NOTICE, WeightsError, first_few
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.registry import build
@@ -37,7 +32,6 @@ from salsanext_cli.training.cross_validation import Expectation, expectation, fo
 from salsanext_cli.training.data.class_counts import (
     ClassCounts,
     class_weights,
-    data_digest,
     rare_classes,
 )
 from salsanext_cli.training.data.dataset import Samples, SamplingPlan
@@ -56,8 +50,6 @@ from salsanext_cli.training.tuning.error import (
     of_both_kinds,
     points_of_scan,
 )
-from salsanext_cli.uncertainty.error_features import FEATURES
-from salsanext_cli.version import __version__
 
 DEFAULT_SENSOR = "hdl64"
 """Sensor of a training from random weights, unless another is given."""
@@ -113,13 +105,13 @@ def _outputs(
 ) -> dict[str, Tensor]:
     """Return the tensors of the outputs, (C, …), that begin with those of trained classes."""
     outputs = {f"{LOGITS}.{key}": t.clone() for key, t in module.logits.state_dict().items()}
-    places = {name: place for place, name in enumerate(classes.names)}
-    kept = [place for place, name in enumerate(space.names) if name in places]
+    trained_ids = {name: i for i, name in enumerate(classes.names)}
+    shared = [i for i, name in enumerate(space.names) if name in trained_ids]
     for name, tensor in outputs.items():
-        tensor[kept] = trained[name][[places[space.names[place]] for place in kept]]
-    new = [name for name in space.names if name not in places]
+        tensor[shared] = trained[name][[trained_ids[space.names[i]] for i in shared]]
+    new = [name for name in space.names if name not in trained_ids]
     text = f"; at random: {first_few(new)}" if new else ""
-    log.log(NOTICE, "weights of %d of %d classes kept%s", len(kept), space.class_count, text)
+    log.log(NOTICE, "weights of %d of %d classes kept%s", len(shared), space.class_count, text)
     return outputs
 
 
@@ -127,18 +119,6 @@ def _hidden_shapes(module: SegmentationNetwork) -> dict[str, torch.Size]:
     """Return the shapes of the tensors of all layers but the outputs, by name."""
     tensors = module.state_dict().items()
     return {name: tensor.shape for name, tensor in tensors if not name.startswith(f"{LOGITS}.")}
-
-
-def require_pixels(
-    recipe: Recipe, sensor: Sensor, module: SegmentationNetwork, group: ProcessGroup
-) -> None:
-    """Refuse images whose coarsest level has one pixel: batch norm needs two to differ."""
-    part = recipe.batch // group.size // min(recipe.accumulate, recipe.batch // group.size)
-    size = (sensor.height, min(recipe.crop_width or sensor.width, sensor.width))
-    coarsest = [-(-pixels // step) for pixels, step in zip(size, module.stride, strict=True)]
-    if part * math.prod(coarsest) == 1:
-        found = f"one pixel is left of one image of {size[0]}×{size[1]}"
-        raise UsageError("recipe key crop_width", found, "two pixels for batch norm at least")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,7 +134,7 @@ class Setup:
     sources: Sequence[Source]  # All labelled scans of the data set, and further data sets
     counts: ClassCounts
     settings: Mapping[str, Any]  # All that decides the result
-    place: torch.device
+    device: torch.device
     group: ProcessGroup
     workers: int
     overwrite: bool
@@ -166,11 +146,11 @@ class Setup:
         """Return a training on some scans of the data set that scores others."""
         recipe, (first, *further) = self.recipe, self.sources
         of_class = self.counts.points, self.card.space.scored
-        drawn = (validation.files or files)[0]
+        pictured = (validation.files or files)[0]
         shown = validation if validation.files else first
 
         def draw(file: BinaryIO, network: Network) -> npt.NDArray[np.uint8]:
-            return self.draw(file, drawn, network.for_sensor(shown.sensor_of(drawn)))
+            return self.draw(file, pictured, network.for_sensor(shown.sensor_of(pictured)))
 
         weights = class_weights(*of_class, recipe.class_weight)
         module = copy.deepcopy(self.initial)
@@ -180,7 +160,7 @@ class Setup:
         sets = class_sets(source.space for source in self.sources)
         return Training(
             run=self.run,
-            learner=Learner(module, recipe, weights, self.place, self.group, sets),
+            learner=Learner(module, recipe, weights, self.device, self.group, sets),
             samples=Samples(trained_on, first.sensor, recipe, rare_classes(*of_class), sets),
             validation=validation,
             card=replace(
@@ -255,43 +235,23 @@ class Setup:
         self.report(replace(report, step=done, steps=steps, fold=number))
 
     def _error_model(self, temperature: float) -> ErrorModel | None:
-        """Return a model of errors of the folds, kept in the run folder until their weights change.
+        """Fit a model of errors to the scans that each fold left out, judged by its weights.
 
         None if it tells no more than the confidence.
         """
-        numbers = range(1, len(self._folds()) + 1)
-        weights = [run_folder.fold_folder(self.run, number) / run_folder.LAST for number in numbers]
-        data = data_digest(self.sources[:1])
-        inputs = [__version__, FEATURES, temperature, data, *map(fingerprint, weights)]
-        kept = read_json(self.run / run_folder.ERROR) or {}
-        if "error" not in kept or kept.get("sha256") != _checksum(inputs, kept["error"]):
-            model = self._fit_error_model(weights, temperature)
-            error = model.to_dict() if model else None
-            kept = {"error": error, "sha256": _checksum(inputs, error)}
-            OwnedFolder(self.run).write(
-                self.run / run_folder.ERROR, encode_json(kept), durable=True
-            )
-        if kept["error"] is None:
-            log.warning("no model of errors: it would tell no more than the confidence")
-            return None
-        return ErrorModel.from_dict(kept["error"])
-
-    def _fit_error_model(self, weights: Sequence[Path], temperature: float) -> ErrorModel | None:
-        """Fit to the scans that each fold left out, judged by the weights of the fold."""
         source, parts = self.sources[0], self._folds()
         judged: dict[ScanFile, JudgedPoints] = {}
         most = points_of_scan(len(source.files))
-        for path, part in zip(weights, parts, strict=True):
-            module, card = read_weights(path)
+        for number, part in enumerate(parts, start=1):
+            weights = run_folder.fold_folder(self.run, number) / run_folder.LAST
+            module, card = read_weights(weights)
             # That of the final weights: the fold's own was fitted to these very scans.
             card = replace(card, temperature=temperature)
-            network = network_of_module(module.to(self.place), card, str(self.place))
+            network = network_of_module(module.to(self.device), card, str(self.device))
             for file in part:
                 own = network.for_sensor(source.sensor_of(file))
                 judged[file] = judged_points(file, own, source.space, most)
-        model = cross_validated(judged, parts) if of_both_kinds(judged.values()) else None
-        return model if model and gains(model) else None
-
-
-def _checksum(inputs: Sequence[Any], error: Any) -> str:
-    return hashlib.sha256(json.dumps([inputs, error]).encode()).hexdigest()
+        if of_both_kinds(judged.values()) and gains(model := cross_validated(judged, parts)):
+            return model
+        log.warning("no model of errors: it would tell no more than the confidence")
+        return None

@@ -225,27 +225,3 @@ def test_signals_at_random_moments(
             os.killpg(process.pid, number)
         require_ended(process, number)
         long.require_made_good(folder, number)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("moment", ["imports", "start", "work"])
-@pytest.mark.parametrize(
-    "number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT], ids=lambda number: number.name
-)
-def test_a_ray_of_our_own_ends_with_its_run(
-    tmp_path: Path, long: Trial, number: signal.Signals, moment: str
-) -> None:
-    """Within `END_TIMEOUT_S`, its agents and all."""
-    pytest.importorskip("ray")
-    process = long.begun(tmp_path / "trial", "--jobs 2 --backend ray")
-    end = time.monotonic() + 120
-    while moment == "start" and not any("gcs_server" in name for name in in_session(process.pid)):
-        assert time.monotonic() < end
-        time.sleep(0.02)
-    if moment == "work":
-        when_working(tmp_path / "trial")
-    elif moment == "imports":
-        time.sleep(2)
-    process.send_signal(number)
-    require_ended(process, number)
-    long.require_made_good(tmp_path / "trial", number)

@@ -4,9 +4,11 @@
 import os
 import signal
 import socket
+import sys
 import threading
 from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from scans import files_below, write_sequence
@@ -105,7 +107,7 @@ def connected(workers):
     with ExitStack() as stack:
         if workers["backend"] == "ray":
             ray = pytest.importorskip("ray")
-            stack.enter_context(clusters._connected_to_ray(ray, workers["scheduler"], None))
+            stack.enter_context(clusters._connected_to_ray(ray, workers["scheduler"]))
         yield workers
 
 
@@ -151,22 +153,21 @@ def test_a_scan_that_kills_its_workers_is_one_error_and_the_next_run_goes_on(tmp
     assert {path.name for path in (tmp_path / "s").iterdir()} == {scan.stem for scan in scans}
 
 
-@pytest.mark.parametrize("backend", CLUSTERS)
-def test_a_cluster_of_our_own_ends_with_the_run(tmp_path, backend, monkeypatch):
-    pytest.importorskip({"dask": "distributed"}.get(backend, backend))
-    psutil = pytest.importorskip("psutil")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(TESTS.parent), str(TESTS)]))
-    before = {child.pid for child in psutil.Process().children(recursive=True)}
-    outcome = run(Write(tmp_path), scans_of(*"abc"), jobs=1, backend=backend)
-    assert (outcome.done, outcome.failures) == (3, ())
-    started = {child.pid for child in psutil.Process().children(recursive=True)} - before
-    assert not {pid for pid in started if "tracker" not in " ".join(psutil.Process(pid).cmdline())}
+@pytest.mark.parametrize("backend", ["dask", "ray"])
+def test_a_cluster_needs_an_address(backend):
+    with pytest.raises(UsageError, match=f"^--backend {backend} · no --scheduler · "):
+        RunOptions(backend=backend)
+
+
+def test_a_program_that_has_initialised_ray_needs_no_address(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: True))
+    assert RunOptions(backend="ray").scheduler is None
 
 
 def free_port():
-    with socket.socket() as found:
-        found.bind((HERE, 0))
-        return found.getsockname()[1]
+    with socket.socket() as unused:
+        unused.bind((HERE, 0))
+        return unused.getsockname()[1]
 
 
 @pytest.mark.parametrize("backend", ["dask", "ray"])
@@ -181,6 +182,6 @@ def test_where_no_cluster_answers(tmp_path, backend, address, monkeypatch):
 
 @pytest.mark.parametrize(("backend", "package"), [("dask", "distributed"), ("ray", "ray")])
 def test_a_missing_package_is_named(tmp_path, backend, package, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, package, None)
+    monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingDependency, match=rf"pip install 'salsanext\[{backend}\]'"):
-        run(Write(tmp_path), scans_of("a", "b"), backend=backend, jobs=2)
+        run(Write(tmp_path), scans_of("a", "b"), backend=backend, scheduler="host:1", jobs=2)

@@ -36,6 +36,8 @@ def test_on_error_stop_raises_what_went_wrong(tmp_path, options):
 class Opens(Write):
     """Note who opens this, and write as opened then."""
 
+    max_chunk_scans = 16
+
     def open(self):
         with (self.out / "opened").open("a") as file:
             file.write(f"{os.getpid()}\n")

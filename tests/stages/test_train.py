@@ -27,7 +27,6 @@ from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages.train import train
 from salsanext_cli.training import fit
-from salsanext_cli.training.data import dataset as dataset_module
 from salsanext_cli.training.data.class_counts import class_weights
 from salsanext_cli.training.fit import Training
 from salsanext_cli.training.learner import Learner
@@ -348,21 +347,9 @@ def test_labels_are_learnt_in_merged_classes_by_the_splits_of_the_data_set(datas
 
 
 def test_a_loss_that_is_not_finite_names_the_scans(dataset, tmp_path, monkeypatch):
-    original = dataset_module.Samples.__getitem__
-
-    def spoilt(self, draw):
-        image, truth, index = original(self, draw)
-        return image * (np.float32(3e38) if index == 1 else 1), truth, index
-
-    monkeypatch.setattr(dataset_module.Samples, "__getitem__", spoilt)
-    message = r"step \d · the loss or its gradient is not finite with [^,]*00/velodyne/1\.bin ·"
-    with pytest.raises(TrainingError, match=message), np.errstate(over="ignore"):
-        go(dataset, tmp_path / "run")
-    # Where no image alone is to blame, all of the batch are named.
-    monkeypatch.setattr(dataset_module.Samples, "__getitem__", original)
     monkeypatch.setattr(Learner, "step", lambda *_: math.nan)
     with pytest.raises(TrainingError, match=r"finite with .*00/velodyne/\d\.bin, .*bin ·"):
-        go(dataset, tmp_path / "other")
+        go(dataset, tmp_path / "run")
 
 
 def test_no_memory_left_is_one_line_with_a_remedy(dataset, tmp_path, monkeypatch):
@@ -373,13 +360,6 @@ def test_no_memory_left_is_one_line_with_a_remedy(dataset, tmp_path, monkeypatch
     message = r"step 1 · no memory is left on cpu for 2 images .* --set accumulate=2"
     with pytest.raises(TrainingError, match=message):
         go(dataset, tmp_path / "run")
-
-
-def test_images_of_one_pixel_stop_it_before_the_first_step(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(TinyNetwork, "stride", (16, 32))
-    with pytest.raises(UsageError, match="crop_width · one pixel is left of one image of 16×32"):
-        go(dataset, tmp_path / "run", recipe=TINY.with_changes(batch=1), progress=no_step)
-    assert not (tmp_path / "run").exists()
 
 
 def test_what_fails_before_the_first_step_costs_no_earlier_training(dataset, tmp_path):

@@ -3,13 +3,9 @@
 
 import json
 import math
-import os
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,8 +21,7 @@ from salsanext_cli.files.json_files import write_json
 from salsanext_cli.labelling.label_records import digest_of_file, first_guesses
 from salsanext_cli.network.card import WeightsCard, read_card, scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights
-from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.layout import find_scans
 from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.train import TrainResult, train
@@ -34,7 +29,6 @@ from salsanext_cli.training import fit, setup
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.tuning import error
-from salsanext_cli.training.tuning.error import JudgedPoints, judged_points
 
 LEAST_STEPS = error.LEAST_STEPS
 FEW = Recipe(
@@ -124,44 +118,10 @@ def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(data, tmp_path
     assert again == result
 
 
-def test_errors_are_fitted_anew_only_to_other_weights_or_scans(data, tmp_path, monkeypatch, caplog):
-    run, judged = tmp_path / "run", list[Path]()
-
-    def count(file: ScanFile, *others: Any) -> JudgedPoints:
-        judged.append(file.path)
-        return judged_points(file, *others)
-
-    monkeypatch.setattr(setup, "judged_points", count)
-    monkeypatch.setattr(setup, "gains", lambda _: True)
-
-    def judged_again(reason: Callable[[], object] = lambda: None) -> int:
-        judged.clear()
-        reason()
-        go(data, run)
-        return len(judged)
-
-    assert judged_again() == 3
-    kept = (run / "error.json").read_bytes()
-    assert judged_again() == 0
-    scan = data / "sequences/a/velodyne/0.bin"
-    assert judged_again(lambda: os.utime(scan, ns=(0, 0))) == 3
-    assert json.loads((run / "error.json").read_bytes())["error"] == json.loads(kept)["error"]
-    two = run / "folds/2/last.safetensors"
-    other = (run / "best.safetensors").read_bytes()
-    weights = partial(OwnedFolder(two.parent).write, two, other)
-    assert judged_again(weights) == 3
-    for damaged in ({}, json.loads((run / "error.json").read_bytes()) | {"error": None}):
-        content = json.dumps(damaged).encode()
-        assert judged_again(partial(OwnedFolder(run).write, run / "error.json", content)) == 3
+def test_without_a_gain_there_is_no_model_of_errors(data, tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(setup, "gains", lambda _: False)
-    assert judged_again((run / "error.json").unlink) == 3
-    for _ in range(2):
-        caplog.clear()
-        assert judged_again() == 0
-        assert "no model of errors: it would tell no more than the confidence" in caplog.messages
-    (run / "error.json").write_text("{}")
-    with pytest.raises(OutputError, match=r"error\.json · was changed, or not written"):
-        go(data, run)
+    assert read_card(go(data, tmp_path / "run").best).error is None
+    assert "no model of errors: it would tell no more than the confidence" in caplog.messages
 
 
 def test_the_card_says_what_the_training_began_from(data, tmp_path, initial):

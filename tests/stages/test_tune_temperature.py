@@ -1,6 +1,4 @@
 # SPDX-License-Identifier: MIT
-
-
 import numpy as np
 import pytest
 import torch
@@ -110,10 +108,7 @@ def test_networks_without_a_best_temperature(world, target, tmp_path, weight, bi
         module.logits.weight.fill_(weight)
         module.logits.bias.copy_(torch.tensor(bias + [0.0] * 18))
     save_weights(tmp_path / "odd.safetensors", module, card)
+    odd = NetworkSettings(tmp_path / "odd.safetensors", "cpu", engine="torch")
     with pytest.raises(error, match=says):
-        go(
-            world,
-            target,
-            network=NetworkSettings(tmp_path / "odd.safetensors", "cpu", engine="torch"),
-        )
+        go(world, target, network=odd)
     assert not target.exists()

@@ -65,7 +65,7 @@ def test_the_sensor_looks_ahead_at_time_zero_and_turns_clockwise(beams):
 
 
 def test_the_vehicle_hides_only_low_beams_and_a_small_part(rig, beams):
-    hidden = ~rig.seen.reshape(64, -1)
+    hidden = ~rig.unblocked.reshape(64, -1)
     assert not hidden[np.degrees(beams.elevation) > -12.5].any()
     assert 0.02 < hidden.mean() < 0.12
     straight_back, sideways = beams.columns // 2, beams.columns // 4
@@ -87,7 +87,7 @@ def test_a_random_sensor_is_within_its_bounds(rigs):
         assert RANDOM_SENSOR.lower_edge[0] - 2 < degrees.min() < RANDOM_SENSOR.lower_edge[1] + 6
         assert RANDOM_SENSOR.upper_edge[0] - 6 < degrees.max() < RANDOM_SENSOR.upper_edge[1] + 2
         assert len(degrees) * beams.columns <= RANDOM_SENSOR.max_rays
-        assert len(rig.seen) == len(degrees) * beams.columns == len(beams.rays()[0])
+        assert len(rig.unblocked) == len(degrees) * beams.columns == len(beams.rays()[0])
         assert RANDOM_SENSOR.mount[0] <= rig.mount <= RANDOM_SENSOR.mount[1]
         assert rig.response.nearest < rig.response.farthest
 
@@ -96,7 +96,7 @@ def test_random_sensors_differ(rigs):
     assert {len(rig.beams.elevation) for rig in rigs} >= {16, 32, 64, 128}
     assert np.std([rig.mount for rig in rigs]) > 0.3
     assert np.std([rig.response.gain for rig in rigs]) > 0.2
-    unhidden = [rig.seen.all() for rig in rigs]
+    unhidden = [rig.unblocked.all() for rig in rigs]
     assert 10 < sum(unhidden) < 50
     steps = [-np.diff(np.degrees(rig.beams.elevation)) for rig in rigs]
     uneven = [step.max() > 2.5 * np.median(step) for step in steps]
@@ -106,7 +106,7 @@ def test_random_sensors_differ(rigs):
 def test_no_vehicle_hides_anything_above_the_horizon(rigs):
     hidden_shares = set()
     for rig in rigs:
-        hidden = ~rig.seen.reshape(len(rig.beams.elevation), -1)
+        hidden = ~rig.unblocked.reshape(len(rig.beams.elevation), -1)
         assert not hidden[rig.beams.elevation >= 0].any()
         hidden_shares.add(round(hidden.mean(), 3))
     assert 0 in hidden_shares

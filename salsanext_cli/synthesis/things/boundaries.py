@@ -3,7 +3,17 @@
 
 import numpy as np
 
-from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, facets, loft, merge, quads
+from salsanext_cli.synthesis.mesh import (
+    Array,
+    Mesh,
+    Rng,
+    Skin,
+    box,
+    extrusion,
+    facets,
+    merge,
+    quads,
+)
 from salsanext_cli.synthesis.surfaces import FENCE, Material
 from salsanext_cli.synthesis.things.vegetation import FOOT_M, leaf_skin
 
@@ -31,10 +41,8 @@ def fence(rng: Rng, length: float, kind: str, height: float, shade: float) -> Me
     """Return a fence, one of `FENCES`, a crash ``"barrier"`` or a ``"block"`` of road works."""
     if kind == "block":
         skin = Skin(FENCE, Material.PAVING, shade)
-        section = BLOCK_OUTLINE * [1, height]
-        ends = np.array([0.0, length])[:, None, None]
-        sides = np.broadcast_to(section, (2, *section.shape))
-        return loft(np.concatenate([np.broadcast_to(ends, (2, len(section), 1)), sides], -1), skin)
+        sections = np.stack(2 * [BLOCK_OUTLINE * [1, height]])
+        return extrusion(np.array([0.0, length]), sections, skin)
     if kind == "wall":
         skin = Skin(FENCE, Material.BRICK, shade)
         body = box((0, -0.12, FOOT_M), (length, 0.12, height), skin)
@@ -73,15 +81,14 @@ def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -
     section = HEDGE_OUTLINE * [depth * 0.9, height * 0.96]
     section[[0, -1], 1] = FOOT_M
     sides = section + rng.normal(0, ragged, (len(stations), len(section), 2))
-    x = np.broadcast_to(stations[:, None, None], (*sides.shape[:2], 1))
-    core = loft(np.concatenate([x, sides], -1), leaf)
+    core = extrusion(stations, sides, leaf)
     count = int(length * (height + depth) * rng.uniform(15, 45))
-    place = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
+    centres = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
     outer, largest = rng.random(count), rng.uniform(0.04, 0.12)
-    place[:, 1] = np.where(outer < 0.75, np.sign(place[:, 1]) * depth * 0.48, place[:, 1])
-    place[:, 2] = np.where(outer >= 0.75, height, place[:, 2])
-    place += rng.normal(0, ragged, place.shape)
-    return merge([core, facets(place, rng.uniform(0.02, largest, count), leaf, rng)])
+    centres[:, 1] = np.where(outer < 0.75, np.sign(centres[:, 1]) * depth * 0.48, centres[:, 1])
+    centres[:, 2] = np.where(outer >= 0.75, height, centres[:, 2])
+    centres += rng.normal(0, ragged, centres.shape)
+    return merge([core, facets(centres, rng.uniform(0.02, largest, count), leaf, rng)])
 
 
 def ivy(rng: Rng, length: float, height: float) -> Mesh:

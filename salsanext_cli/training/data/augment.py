@@ -117,8 +117,8 @@ class Checkerboard:
 
 def mix(even: LabelledScan, odd: LabelledScan, board: Checkerboard) -> LabelledScan:
     """Return the points of one scan in the even cells of a board, of another in the odd ones."""
-    kept = select(even, ~board.odd(even[0].points))
-    return concatenate(kept, select(odd, board.odd(odd[0].points)))
+    of_even = select(even, ~board.odd(even[0].points))
+    return concatenate(of_even, select(odd, board.odd(odd[0].points)))
 
 
 def paste(

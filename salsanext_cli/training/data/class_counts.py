@@ -75,9 +75,9 @@ def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSumma
 
     # Reading and counting release the interpreter's lock, so that threads do.
     run = joblib.Parallel(jobs, backend="threading")
-    found = run(joblib.delayed(count)(f) for f in source.files)
-    counts = np.reshape([counts for counts, _, _ in found], (-1, source.space.class_count))
-    return counts.astype(np.int64), [each[1] for each in found], [each[2] for each in found]
+    results = run(joblib.delayed(count)(f) for f in source.files)
+    counts = np.reshape([counts for counts, _, _ in results], (-1, source.space.class_count))
+    return counts.astype(np.int64), [each[1] for each in results], [each[2] for each in results]
 
 
 def class_shares(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:

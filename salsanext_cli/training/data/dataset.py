@@ -87,20 +87,20 @@ class SamplingPlan:
         orders: dict[int, tuple[int, list[int]]] = {}
         while True:
             source, draw = self._draw(position)
-            number, place = divmod(draw, self.scan_counts[source])
+            number, index = divmod(draw, self.scan_counts[source])
             if orders.get(source, (-1, []))[0] != number:
                 orders[source] = number, self._order(source, number)
-            yield position, orders[source][1][place]
+            yield position, orders[source][1][index]
             position += 1
 
     def _draw(self, position: int) -> tuple[int, int]:
         """Return the data set of a position, and how often it was drawn from before."""
-        others = len(self.scan_counts) - 1
-        share = self.recipe.also if others else 0.0
+        further_count = len(self.scan_counts) - 1
+        share = self.recipe.also if further_count else 0.0
         further = int(position * share)
         if int((position + 1) * share) == further:
             return 0, position - further
-        return 1 + further % others, further // others
+        return 1 + further % further_count, further // further_count
 
     def _order(self, source: int, number: int) -> list[int]:
         """Return the indices of a data set's scans in the order of a round, counted from 0."""
@@ -179,8 +179,8 @@ class Samples(Dataset[Sample]):
             labelled = augment.mix(labelled, partner, board)
         if _drawn(recipe.paste, random):
             partner = self._partner(index, random)
-            chosen = of_targets(self.rare, self.sets, np.all)[partner[1]]
-            rare = self._augmented(augment.select(partner, chosen), random)
+            is_rare = of_targets(self.rare, self.sets, np.all)[partner[1]]
+            rare = self._augmented(augment.select(partner, is_rare), random)
             angles = random.uniform(-np.pi, np.pi, augment.PASTED_COPIES)
             labelled = augment.paste(labelled, rare, angles)
         return labelled
@@ -196,10 +196,10 @@ class Samples(Dataset[Sample]):
     def _partner(self, index: int, random: np.random.Generator) -> LabelledScan:
         """Return another scan than that of an index, of a further data set as often as samples."""
         counts = self.plan.scan_counts
-        chosen = 0
+        source = 0
         if len(counts) > 1 and random.random() < self.recipe.also:
-            chosen = int(random.integers(1, len(counts)))
-        start, count = sum(counts[:chosen]), counts[chosen]
+            source = int(random.integers(1, len(counts)))
+        start, count = sum(counts[:source]), counts[source]
         if start <= index < start + count:
             away = 1 + random.integers(max(1, count - 1))
             return self._read(int(start + (index - start + away) % count), random)

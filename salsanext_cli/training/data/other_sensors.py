@@ -89,9 +89,9 @@ def fewer_beams(channels: Float, random: Rng) -> Float:
         rows = np.floor((np.arange(count) + random.random()) * height / count).astype(np.intp)
     else:
         rows = random.permutation(height)[:count]
-    kept = np.zeros_like(channels)
-    kept[:, rows] = channels[:, rows]
-    return kept
+    thinned = np.zeros_like(channels)
+    thinned[:, rows] = channels[:, rows]
+    return thinned
 
 
 def hole_cells(ranges: Float) -> npt.NDArray[np.intp]:

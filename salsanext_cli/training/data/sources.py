@@ -64,11 +64,11 @@ class Source:
         scan, targets = read_labelled(file, self.space, own, sets)
         scan = in_sensor_frame(scan, own)
         if len(ego := ego_points(scan.points, own)):
-            others = np.delete(np.arange(len(scan)), ego)
-            scan, targets = scan.take(others), targets[others]
-        quantiles, wanted = own.intensity_quantiles, self.sensor.intensity_quantiles
-        if quantiles and wanted and quantiles != wanted:
-            scan = replace(scan, intensity=on_other_scale(scan.intensity, quantiles, wanted))
+            rest = np.delete(np.arange(len(scan)), ego)
+            scan, targets = scan.take(rest), targets[rest]
+        quantiles, of_training = own.intensity_quantiles, self.sensor.intensity_quantiles
+        if quantiles and of_training and quantiles != of_training:
+            scan = replace(scan, intensity=on_other_scale(scan.intensity, quantiles, of_training))
         return scan, targets
 
 
@@ -98,15 +98,15 @@ def fitted_source(source: Source, jobs: int = 1) -> Source:
 
     def fit(files: Sequence[ScanFile]) -> Sensor:
         scans = ScanSample(files, source.sensor).scans
-        found = fit_view(scans, source.sensor)
-        return with_image_statistics(found, [project(scan, found).channels for scan in scans])
+        sensor = fit_view(scans, source.sensor)
+        return with_image_statistics(sensor, [project(scan, sensor).channels for scan in scans])
 
     run = joblib.Parallel(jobs, backend="threading")
-    found = run(joblib.delayed(fit)(files) for files in sequences.values())
-    others = sum(sensor.name == FITTED_NAME for sensor in found)
-    counts = counted(len(found), "sequence")
-    log.log(NOTICE, "%s fitted, %d of them with another view or mounting", counts, others)
-    return replace(source, fitted=dict(zip(sequences, found, strict=True)))
+    sensors = run(joblib.delayed(fit)(files) for files in sequences.values())
+    changed = sum(sensor.name == FITTED_NAME for sensor in sensors)
+    counts = counted(len(sensors), "sequence")
+    log.log(NOTICE, "%s fitted, %d of them with another view or mounting", counts, changed)
+    return replace(source, fitted=dict(zip(sequences, sensors, strict=True)))
 
 
 def further_source(dataset: Path, space: LabelSpace, sensor: Sensor) -> Source:
@@ -195,12 +195,12 @@ def labelled_split(
     """
     space = with_splits_of(dataset, space)
     members = space.split(split)
-    found = [scan for scan in find_scans(dataset) if scan.sequence in members]
-    if not found:
+    scans = [scan for scan in find_scans(dataset) if scan.sequence in members]
+    if not scans:
         raise NoInputError(
             dataset,
             f"no scans of split {split}",
             f"one of the sequences {', '.join(members) or '(none)'}",
             "name your sequences in labels.yaml, under split, or cross-validate: --set folds=3",
         )
-    return space, found
+    return space, scans

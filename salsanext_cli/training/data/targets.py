@@ -26,11 +26,11 @@ def class_sets(spaces: Iterable[LabelSpace]) -> ClassSets:
     """Return the sets of several classes that labels of these spaces stand for."""
     spaces = list(spaces)
     sets = {several for space in spaces for several in space.alternatives.values()}
-    found = tuple(sorted(several for several in sets if len(several) > 1))
+    ordered = tuple(sorted(several for several in sets if len(several) > 1))
     most = UNKNOWN - spaces[0].class_count
-    if len(found) > most:
-        raise UsageError("alternatives", f"{len(found)} different ones", f"at most {most}")
-    return found
+    if len(ordered) > most:
+        raise UsageError("alternatives", f"{len(ordered)} different ones", f"at most {most}")
+    return ordered
 
 
 def to_targets(raw: RawIds, space: LabelSpace, sets: ClassSets, source: object) -> TrainIds:

@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import FormatError, UsageError, counted
 from salsanext_cli.fitting import batch_norm
 from salsanext_cli.fitting.label_scan import project_for
@@ -17,20 +16,16 @@ from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 log = logging.getLogger(__name__)
 
 
-def require_batchnorm(network: Network, share: float = ADAPTED_SHARE) -> None:
-    """Raise what `fit_batchnorm` raises for a network and a share, before a scan is read."""
-    if not 0 < share <= 1:
-        raise UsageError("--share", f"{share:g}", "above 0, at most 1")
-    batch_norm.require_norms(network)
-
-
 def fit_batchnorm(scans: TuningScans, share: float = ADAPTED_SHARE) -> Tuned:
     """Move the statistics of batch norm towards those of scans of one's own.
 
     Reports of every batch norm, in order of computation, means over its channels: `shift`, of the
     mean in old standard deviations, and `variance_ratio`, new to old, ε added to both (geometric).
     """
+    if not 0 < share <= 1:
+        raise UsageError("--share", f"{share:g}", "above 0, at most 1")
     network = scans.network
+    batch_norm.require_norms(network)
     layers = batch_norm.norms(network.module)
     old = {name: batch_norm.Statistics.kept_by(layer) for name, layer in layers.items()}
     pooled, summary = batch_norm.PooledStatistics(network, share), RunSummary(network.sensor)

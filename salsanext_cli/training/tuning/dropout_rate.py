@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.engines.loading import with_dropout
-from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import TrainingError, UsageError
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import dropouts
@@ -54,19 +53,6 @@ def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) ->
     return math.fsum((np.log(s) / 2 + error**2 / (2 * s)).sum(axis=0))
 
 
-def require_dropout_search(
-    network: Network,
-    samples: int = SAMPLES,
-    seed: int = 0,
-    lowest: float = LOWEST,
-    highest: float = HIGHEST,
-    steps: int = STEPS,
-) -> None:
-    """Raise what `fit_dropout` raises for a network and its numbers, before a scan is read."""
-    require_sampling(with_dropout(network, rates_between(lowest, highest, steps)[0]), samples)
-    noise_of(network.sensor)
-
-
 def fit_dropout(
     scans: TuningScans,
     samples: int = SAMPLES,
@@ -81,6 +67,8 @@ def fit_dropout(
     """
     network, rates = scans.network, rates_between(lowest, highest, steps)
     candidates = [with_dropout(network, rate) for rate in rates]
+    require_sampling(candidates[0], samples)
+    noise_of(network.sensor)
     sums, points = np.zeros(len(rates)), 0
     for number, file in enumerate(scans.files):
         labelled = read_labelled_image(file, network, scans.space)

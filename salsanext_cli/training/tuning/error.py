@@ -121,12 +121,12 @@ def _scores_left_out(
     """Fit without each fold of the scans, and score all points by the models that lack them."""
     errors, left_out = list[Float](), list[JudgedPoints]()
     for part in parts:
-        others = [points for file, points in judged.items() if file not in part]
-        if not of_both_kinds(others):
+        rest = [points for file, points in judged.items() if file not in part]
+        if not of_both_kinds(rest):
             log.warning("without %s no label is right, or none wrong", part[0].sequence)
             parts = []
             break
-        model = fit_error(others, height)
+        model = fit_error(rest, height)
         left_out += [judged[file] for file in part]
         errors += [model.probability(judged[file].features) for file in part]
     if not parts:
@@ -178,9 +178,9 @@ def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
         for _ in range(epochs):
             order = torch.randperm(len(values))
             for start in range(0, len(values), BATCH):
-                chosen = order[start : start + BATCH]
-                logits = model(values[chosen])[:, 0]
-                loss = F.binary_cross_entropy_with_logits(logits, wrong[chosen])
+                batch = order[start : start + BATCH]
+                logits = model(values[batch])[:, 0]
+                loss = F.binary_cross_entropy_with_logits(logits, wrong[batch])
                 optimiser.zero_grad()
                 torch.autograd.backward(loss)
                 optimiser.step()

@@ -75,21 +75,13 @@ def judged_scan(
 
 def kept_labels(scans: Sequence[JudgedScan], space: LabelSpace, held: int) -> KeptLabels:
     """Return what is kept at the highest of so many thresholds that hold."""
-    confusion, kept = Confusion(space.class_count), {}
+    confusion, counts = Confusion(space.class_count), {}
     for scan in scans:
         labels = np.where(scan.bins < held, scan.labels, 0)
         confusion.update(scan.truth, labels)
         wrong = (labels > 0) & (labels != scan.truth)
-        kept[scan.file.name] = int((labels > 0).sum()), int(wrong.sum())
-    return KeptLabels.of_confusion(confusion, space, kept)
-
-
-def require_level(network: Network, at_most: float, confidence: float | None = None) -> None:
-    """Raise what `fit_risk` raises for its numbers, before a scan is read."""
-    if not 0 < at_most < 1:
-        raise UsageError("--at-most", f"{at_most:.4g}", "above 0 and below 100%, such as 5%")
-    if confidence is not None and not 0.5 <= confidence < 1:
-        raise UsageError("--confidence", f"{confidence:.4g}", "from 50% to below 100%")
+        counts[scan.file.name] = int((labels > 0).sum()), int(wrong.sum())
+    return KeptLabels.of_confusion(confusion, space, counts)
 
 
 def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None) -> Tuned:
@@ -97,6 +89,10 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
 
     Reports beside it `KeptLabels`, and what the threshold of the other sequences keeps of each.
     """
+    if not 0 < at_most < 1:
+        raise UsageError("--at-most", f"{at_most:.4g}", "above 0 and below 100%, such as 5%")
+    if confidence is not None and not 0.5 <= confidence < 1:
+        raise UsageError("--confidence", f"{confidence:.4g}", "from 50% to below 100%")
     network, space = scans.network, scans.space
     _require_scans(scans, len(scans.files), at_most, confidence)
     kind = "error" if knows_error(network) else "least_confidence"
@@ -105,17 +101,17 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
     if trained_on := len(every) - len(judged):
         log.warning("%s left out: the weights were trained on them", counted(trained_on, "scan"))
         _require_scans(scans, len(judged), at_most, confidence)
-    kept = np.stack([scan.below() for scan in judged])
+    shares = np.stack([scan.below() for scan in judged])
     numbers: dict[str, Any] = {"at_most": at_most, "confidence": confidence}
-    held = held_thresholds(kept[:, 1], **numbers)
-    if not held or not kept[:, 0, held - 1].any():
+    held = held_thresholds(shares[:, 1], **numbers)
+    if not held or not shares[:, 0, held - 1].any():
         found = f"no threshold of {kind} keeps points and at most {at_most:.3g} of them wrong"
         raise TrainingError(scans.source, found, "a higher --at-most, or better weights")
     labels, sequences = (
         kept_labels(judged, space, held),
         np.array([s.file.sequence for s in judged]),
     )
-    left_out = _left_out(kept, sequences, numbers)
+    left_out = _left_out(shares, sequences, numbers)
     risk = {
         "kind": kind,
         "threshold": float(min(highest_of_bins()[held - 1], 1.0)),
@@ -163,15 +159,15 @@ def _left_out(
 
     `kept` (n, 2, B): shares of the points that are kept, and kept and wrong.
     """
-    found, names = [], np.unique(sequences)
+    reports, names = [], np.unique(sequences)
     for sequence in names if len(names) > 1 else ():
         own = sequences == sequence
         held = held_thresholds(kept[~own, 1], **numbers, scans=len(kept))
         shares, losses = kept[own, :, held - 1].T if held else np.zeros((2, own.sum()))
         means = {"kept": shares.mean(), "loss": losses.mean(), "worst": losses.max()}
         means = {name: float(value) for name, value in means.items()}
-        found.append({"sequence": str(sequence), "scans": int(own.sum()), **means})
-    return found
+        reports.append({"sequence": str(sequence), "scans": int(own.sum()), **means})
+    return reports
 
 
 def _sentence(each: Mapping[str, Any]) -> str:
