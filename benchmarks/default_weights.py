@@ -16,6 +16,7 @@ import math
 import signal
 import subprocess
 import sys
+import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
@@ -23,13 +24,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from corruption_models import LEVELS
+from corruptions import SEVERITIES, write_data_set
 
+from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.formats import read_scan
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.selection import data_set_label_space
 from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.data.augment import rotate
@@ -51,13 +56,15 @@ SECTORS = 8
 """Sectors of 46° that fill a circle."""
 POINTS_OF_SCAN = 10_000
 """Points of each validation scan that the model of errors is fitted to."""
-STREETS = ("--train", "160", "--valid", "5", "--scans", "8", "--spacing", "10", "--jobs", "2")
+CORRUPTIONS = 5
+"""Copies of each validation sequence in bad conditions that the model of errors is fitted to."""
+STREETS = ("--train", "240", "--valid", "5", "--scans", "8", "--spacing", "10", "--jobs", "2")
 
 DESCRIPTION = (
-    "Trained on simulated streets and sensors and on two drives of PandaSet: 1 280 scans each of "
+    "Trained on simulated streets and sensors and on two drives of PandaSet: 1 920 scans each of "
     "`salsanext synth` with an HDL-64 and with random sensors, 32 of PandaSet (Hesai and Scale AI, "
-    "CC BY 4.0).{aachen} The error is fitted to simulated scans only. See docs/model-card.md; not "
-    "for use on real roads."
+    "CC BY 4.0).{aachen} The error is fitted to simulated scans only, most of them in bad conditions. "
+    "See docs/model-card.md; not for use on real roads."
 )
 AACHEN = (
     " Also 248 front sectors of one drive in Aachen (ika, RWTH Aachen, MIT), whose labels are from "
@@ -170,22 +177,48 @@ def finish(
     save_with_card(half, target, replace(card, temperature=temperature))
 
 
+def corrupted_copies(dataset: Path, files: Sequence[ScanFile], folder: Path) -> list[ScanFile]:
+    """Write `CORRUPTIONS` copies of each sequence, each in other bad conditions, and list them."""
+    space = data_set_label_space(dataset) or label_space()
+    conditions = [(kind, severity) for kind in LEVELS for severity in SEVERITIES]
+    copies: list[ScanFile] = []
+    for sequence, members in groupby(files, lambda file: file.sequence):
+        scans = list(members)
+        rng = np.random.default_rng(zlib.crc32(f"{dataset.name}/{sequence}".encode()))
+        for number in rng.choice(len(conditions), CORRUPTIONS, replace=False):
+            kind, severity = conditions[number]
+            root = folder / f"{dataset.name} {kind} {severity}"
+            write_data_set(root, space, scans, kind, severity, 0)
+            copies += find_scans(root, [sequence])
+    return copies
+
+
 def add_error(weights: Path, datasets: Sequence[Path]) -> None:
     """Add a model of errors on the validation scans, each sequence with its sensor fitted.
 
-    It is without the height, so that it holds for sensors that are mounted otherwise.
+    Corrupted copies of them are among the scans that it is fitted to, so that it has seen scans
+    that the network labels badly. It is without the height, so that it holds for sensors that are
+    mounted otherwise.
     """
     settings = NetworkSettings(weights, device="cpu")
     network = settings.load()
     judged: dict[ScanFile, JudgedPoints] = {}
+    parts: list[list[ScanFile]] = [[] for _ in range(FOLDS)]
     for dataset in datasets:
         scans, space = labelled_scans(dataset, VALIDATION, network.card)
-        for _, members in groupby(scans, lambda file: file.sequence):
+        fold_of = {file.sequence: n for n, fold in enumerate(folds(scans, FOLDS)) for file in fold}
+        scans += corrupted_copies(dataset, scans, weights.with_name("corrupted"))
+        for (_, sequence), members in groupby(
+            scans, lambda file: (file.path.parents[3], file.sequence)
+        ):
             files = list(members)
             own = fit_scans(settings, network, ScanSample(files, network.sensor))
             judged |= {file: judged_points(file, own, space, POINTS_OF_SCAN) for file in files}
-    model = cross_validated(judged, folds(list(judged), FOLDS), height=False)
-    names = sorted({f"{file.path.parents[3].name}/{file.sequence}" for file in judged})
+            parts[fold_of[sequence]] += files
+    model = cross_validated(judged, parts, height=False)
+    roots = {dataset.name for dataset in datasets}
+    parents = {(file.path.parents[3].name, file.sequence) for file in judged}
+    names = sorted(f"{root}/{sequence}" for root, sequence in parents if root in roots)
     model = replace(model, scores=dict(model.scores) | {"sequences": names})
     print("errors:", model.scores, flush=True)
     save_with_card(weights, weights, replace(network.card, error=model))
