@@ -63,7 +63,7 @@ STREETS = ("--train", "240", "--valid", "5", "--scans", "8", "--spacing", "10", 
 DESCRIPTION = (
     "Trained on simulated streets and sensors and on two drives of PandaSet: 1 920 scans each of "
     "`salsanext synth` with an HDL-64 and with random sensors, 32 of PandaSet (Hesai and Scale AI, "
-    "CC BY 4.0).{aachen} The error is fitted to simulated scans only, most of them in bad conditions. "
+    "CC BY 4.0).{aachen} The error is fitted to simulated scans only, most in bad conditions. "
     "See docs/model-card.md; not for use on real roads."
 )
 AACHEN = (
