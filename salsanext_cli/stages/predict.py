@@ -4,10 +4,11 @@
 import csv
 import io
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.loading import load_network
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE, UsageError, WeightsError
+from salsanext_cli.errors import NOTICE, NoInputError, UsageError, WeightsError
 from salsanext_cli.fitting.label_scan import (
     LabelledScan,
     label_scan,
@@ -29,6 +30,8 @@ from salsanext_cli.fitting.label_scan import (
 )
 from salsanext_cli.fitting.scan_checks import check_image
 from salsanext_cli.fitting.scan_fit import fit_network, fitted_view, network_of_run
+from salsanext_cli.formats import read_scan
+from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.fusion.top_classes import top_classes
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
@@ -36,12 +39,22 @@ from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.risk_control import promise
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, Steps, run_over_scans
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.results.layout import ERROR, LEAST_CONFIDENCE, ScanFile, with_outputs
+from salsanext_cli.results.layout import (
+    DISAGREEMENT,
+    ERROR,
+    LEAST_CONFIDENCE,
+    ScanFile,
+    drive_order,
+    output_path,
+    with_outputs,
+)
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.result_folder import ResultFolder, read_kind
 from salsanext_cli.results.selection import choose, scans_of, space_of
+from salsanext_cli.stages.fuse import FUSED, fuse_results, require_fusable
 from salsanext_cli.uncertainty.error_features import error_model, knows_error, label_error
 
 IN_MEMORY = ScanFile("scan", "points", Path("points"))
@@ -316,3 +329,61 @@ def _scan(points: npt.ArrayLike, intensity: npt.ArrayLike | None) -> Scan:
     # What float32 cannot hold is infinite: no measurement.
     with np.errstate(over="ignore", invalid="ignore"):
         return Scan(coordinates.astype(np.float32), values.astype(np.float32))
+
+
+class FusedScan(NamedTuple):
+    """Scan of `label_drive`."""
+
+    name: str
+    scan: Scan
+    labels: TrainIds
+    disagreement: Float
+
+
+def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterator[FusedScan]:
+    """Label the scans of a drive and fuse the labels where scans see the same places.
+
+    That is `predict --fuse` in a temporary folder: the first scan comes when all are labelled.
+
+    Parameters
+    ----------
+    folder : Path or str
+        Scans in the order of their names, a data set of several drives, or a recording. Poses are
+        those in `poses.txt` of a sequence, else computed, for which ``salsanext[fuse]`` is needed.
+    weights : Path or str, optional
+        A weights file, None for the default weights, fitted to the scans.
+
+    Yields
+    ------
+    name : str
+        Of sequence and scan, ``08/000000``.
+    scan : Scan
+        N points in the frame of the file.
+    labels : (N,) uint8
+        Train ids of the label space of the weights, ``sn.label_space()`` for the default ones.
+    disagreement : (N,) float32
+        Share of the votes of all views of the place that are against the label; NaN without any.
+
+    Raises
+    ------
+    SalsanextError
+        If no scan can be labelled, or there are no poses and they cannot be computed. Single scans
+        that cannot be labelled are logged as errors and left out.
+    """
+    source = Path(folder)
+    network = NetworkSettings(weights=None if weights is None else Path(weights))
+    with TemporaryDirectory(prefix="salsanext-") as temporary:
+        out, fused = Path(temporary), ResultFolder(Path(temporary) / FUSED)
+        require_fusable(source, out, Shard())
+        outcome = predict_scans(source, out, network=network, extras=("votes",))
+        for failure in outcome.failures:
+            log.error("%s", failure.reason)
+        if not outcome.done:
+            raise NoInputError(source, "no scan that can be labelled", "see the errors of each")
+        fuse_results(out)
+        files, space = fused.predicted(ScanSelection())
+        for file in sorted(with_outputs(files, fused.root, "predictions"), key=drive_order):
+            path = partial(output_path, fused.root, file.sequence, stem=file.stem)
+            scan, labels = read_scan(file.path, fused.sensor()), read_labels(path("predictions"))
+            against = read_kind(path(DISAGREEMENT), "disagreement", len(labels))
+            yield FusedScan(file.name, scan, space.to_train(labels), against)
