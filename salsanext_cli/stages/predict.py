@@ -30,8 +30,6 @@ from salsanext_cli.fitting.label_scan import (
 )
 from salsanext_cli.fitting.scan_checks import check_image
 from salsanext_cli.fitting.scan_fit import fit_network, fitted_view, network_of_run
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.fusion.top_classes import top_classes
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
@@ -43,16 +41,14 @@ from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, Steps, run_over_scans
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import (
-    DISAGREEMENT,
     ERROR,
     LEAST_CONFIDENCE,
     ScanFile,
     drive_order,
-    output_path,
     with_outputs,
 )
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.result_folder import ResultFolder, read_kind
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.stages.fuse import FUSED, fuse_results, require_fusable
 from salsanext_cli.uncertainty.error_features import error_model, knows_error, label_error
@@ -344,31 +340,20 @@ def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterat
     """Label the scans of a drive and fuse the labels where scans see the same places.
 
     That is `predict --fuse` in a temporary folder: the first scan comes when all are labelled.
+    Those that cannot be are logged as errors and left out.
 
     Parameters
     ----------
     folder : Path or str
-        Scans in the order of their names, a data set of several drives, or a recording. Poses are
-        those in `poses.txt` of a sequence, else computed, for which ``salsanext[fuse]`` is needed.
+        Scans, and their `poses.txt`; else poses are computed, which needs ``salsanext[fuse]``.
     weights : Path or str, optional
         A weights file, None for the default weights, fitted to the scans.
 
     Yields
     ------
-    name : str
-        Of sequence and scan, ``08/000000``.
-    scan : Scan
-        N points in the frame of the file.
-    labels : (N,) uint8
-        Train ids of the label space of the weights, ``sn.label_space()`` for the default ones.
-    disagreement : (N,) float32
-        Share of the votes of all views of the place that are against the label; NaN without any.
-
-    Raises
-    ------
-    SalsanextError
-        If no scan can be labelled, or there are no poses and they cannot be computed. Single scans
-        that cannot be labelled are logged as errors and left out.
+    FusedScan
+        `name`, ``08/000000``, and `scan` of N points; `labels` (N,) uint8, train ids as of `label`;
+        `disagreement` (N,) float32, the share of the votes against the label, NaN without any.
     """
     source = Path(folder)
     network = NetworkSettings(weights=None if weights is None else Path(weights))
@@ -382,8 +367,7 @@ def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterat
             raise NoInputError(source, "no scan that can be labelled", "see the errors of each")
         fuse_results(out)
         files, space = fused.predicted(ScanSelection())
-        for file in sorted(with_outputs(files, fused.root, "predictions"), key=drive_order):
-            path = partial(output_path, fused.root, file.sequence, stem=file.stem)
-            scan, labels = read_scan(file.path, fused.sensor()), read_labels(path("predictions"))
-            against = read_kind(path(DISAGREEMENT), "disagreement", len(labels))
-            yield FusedScan(file.name, scan, space.to_train(labels), against)
+        for file in sorted(fused.with_column("label", files), key=drive_order):
+            found = fused.read(file, fused.sensor())
+            labels, against = np.asarray(found.label), found.uncertainty["disagreement"]
+            yield FusedScan(file.name, found.scan, space.to_train(labels), against)

@@ -171,13 +171,8 @@ class PointView {
       gl.uniform1f(this.uniform.ring, 0);
       gl.enable(gl.DEPTH_TEST);
     }
-    this.outlines();
-  }
-
-  outlines() {  // of boxes, in metres
-    const gl = this.gl;
     gl.bindVertexArray(this.lines);
-    gl.uniform3f(this.uniform.low, 0, 0, 0);
+    gl.uniform3f(this.uniform.low, 0, 0, 0);  // in metres
     gl.uniform3f(this.uniform.step_m, 1, 1, 1);
     gl.uniform1i(this.uniform.row, 1);
     gl.drawArrays(gl.LINES, 0, this.corners);
