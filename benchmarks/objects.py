@@ -3,8 +3,7 @@
 
 Labels with instances are the truth; the classes of the points are those of a run of `predict`, and
 the true ones, whose range image has 2048 columns. A line each: panoptic quality of cars, of people,
-and its mean over the classes of objects present, in %; milliseconds a scan, median, one thread of
-ours and all cores that open3d may use.
+and its mean over the classes of objects present, in %; milliseconds of CPU a scan, median.
 
 Run: python benchmarks/objects.py DATASET OUT, where OUT is of salsanext predict DATASET OUT
 """
@@ -74,9 +73,9 @@ def main(*words: str) -> None:
             image = project(scan, view)
             for name, method in methods.items():
                 method(scan, image, labels)
-                start = time.perf_counter()
+                start = time.process_time()
                 objects = method(scan, image, labels)
-                seconds[name].append(time.perf_counter() - start)
+                seconds[name].append(time.process_time() - start)
                 found = SPACE.to_raw(labels) | objects.astype(np.uint32) << 16
                 counts[name] += count_segments((truth, raw), (labels, found), SPACE.scored)
         for name in methods:

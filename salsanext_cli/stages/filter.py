@@ -32,8 +32,7 @@ from salsanext_cli.results.stage_records import as_json, require_same_settings
 
 MASKS = "masks"
 """Folder of a sequence with masks of its scans' points."""
-Count = tuple[str, int, int]
-"""Name of a scan, number of its points, and of those that stay."""
+Count = tuple[str, int, int]  # Name of a scan, number of its points, and of those that stay
 
 log = logging.getLogger(__name__)
 
@@ -221,8 +220,7 @@ def _filter_bags(
                 if options.progress:
                     options.progress(number, len(clouds))
 
-        folder = topic_folder.relative_to(recording).as_posix()
-        (topic,) = (each for each in bag.clouds() if each.strip("/") == folder)
+        (topic,) = (t for t in bag.clouds() if recording / t.strip("/") == topic_folder)
         with TemporaryDirectory(dir=task.owned.root, prefix=".filter-") as temporary:
             written = Path(temporary) / target.name
             write_bag_subset(bag, written, topic, masks(files, clouds))

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from itertools import chain, pairwise
+from itertools import pairwise
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -164,12 +164,13 @@ def read_boxes(path: Path, space: LabelSpace) -> list[list[float]]:
         return []
     train_ids = {name: i for i, name in enumerate(space.names)}
     with reading(path) as file, refusing_damage(path, "a table of `predict --objects`"):
-        rows = [*csv.DictReader(file.read().decode().splitlines())]
-        sizes = [[float(row[name]) for name in BOX] for row in rows]
-        if not all(map(math.isfinite, chain.from_iterable(sizes))):
+        table = csv.DictReader(file.read().decode().splitlines())
+        boxes = [
+            [train_ids.get(row["class"], 0), *(float(row[name]) for name in BOX)] for row in table
+        ]
+        if not np.isfinite(boxes).all():
             raise ValueError("a number that is not finite")
-        ids = [train_ids.get(row["class"], 0) for row in rows]
-    return [[train, *box] for train, box in zip(ids, sizes, strict=True)]
+    return boxes
 
 
 @dataclass(frozen=True, slots=True)
