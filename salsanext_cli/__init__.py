@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from salsanext_cli.options import KnnParameters
     from salsanext_cli.records import RangeImage, Scan
     from salsanext_cli.sensors.sensor import Sensor, sensor
-    from salsanext_cli.stages.predict import label
+    from salsanext_cli.stages.predict import label, label_drive
     from salsanext_cli.uncertainty.monte_carlo import sample
 
 __all__ = [
@@ -43,6 +43,7 @@ __all__ = [
     "fuse",
     "knn_refine",
     "label",
+    "label_drive",
     "label_space",
     "load_network",
     "project",
@@ -69,7 +70,7 @@ _HOMES = {
     "options": ("KnnParameters",),
     "records": ("RangeImage", "Scan"),
     "sensors.sensor": ("Sensor", "sensor"),
-    "stages.predict": ("label",),
+    "stages.predict": ("label", "label_drive"),
     "uncertainty.monte_carlo": ("sample",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

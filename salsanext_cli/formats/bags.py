@@ -67,6 +67,7 @@ class Bag:
         from rosbags.typesys import Stores, get_typestore
 
         self.path, self._lock = path, Lock()
+        self.is_mcap = any(".mcap" in file.suffixes for file in files)
         for file in files:
             # The library would wait at a pipe, and does not say what the system refuses.
             with reading(file):
@@ -76,21 +77,21 @@ class Bag:
                 raise FormatError(log, found, expected, f"open {file.name} with sqlite3 once")
         with refusing_damage(path, EXPECTED, REMEDY):
             # Databases of before 2023 lack definitions; all releases have the same ones of clouds.
-            self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
-            self._reader.open()
+            self.reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+            self.reader.open()
             # Before the garbage collector would do it, with a warning.
-            weakref.finalize(self, self._reader.close)
+            weakref.finalize(self, self.reader.close)
             # Metadata beside the storages that names one of them twice gives each cloud twice.
             if len(getattr(self._storage(), "storages", ())) >= len(files):
                 raise ValueError("its metadata names more files than there are")
 
     def _storage(self) -> Any:
-        (reader,) = self._reader.readers
+        (reader,) = self.reader.readers
         return getattr(reader, "storage", reader)
 
     def topics(self) -> dict[str, str]:
         """Return the type of the messages of every topic that has some, sorted."""
-        connections = sorted(self._reader.connections, key=lambda each: each.topic)
+        connections = sorted(self.reader.connections, key=lambda each: each.topic)
         return {each.topic: each.msgtype for each in connections if each.msgcount}
 
     def clouds(self) -> list[str]:
@@ -104,15 +105,15 @@ class Bag:
 
     def columns(self, topic: str, time: int, number: int, path: Path) -> Columns:
         """Read the cloud of a topic and a time; of several of one time that of a number."""
-        clouds = _connections_of(self._reader, topic)
+        clouds = _connections_of(self.reader, topic)
         with refusing_damage(path, EXPECTED, REMEDY):
             with self._lock:
-                messages = self._reader.messages(clouds, time, time + 1)
+                messages = self.reader.messages(clouds, time, time + 1)
                 message = next(islice(messages, number, None), None)
             if message is None:
                 raise FormatError(path, "not there", "a cloud that the bag lists")
             connection, _, raw = message
-            return columns_of(self._reader.deserialize(raw, connection.msgtype), path)
+            return columns_of(self.reader.deserialize(raw, connection.msgtype), path)
 
 
 def _connections_of(reader: Any, topic: str) -> list[Any]:

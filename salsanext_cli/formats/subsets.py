@@ -5,7 +5,8 @@ import copy
 import gzip
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy.typing as npt
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats import kitti, las, numpy_scans, pcd, ply, scan_suffix, text
+from salsanext_cli.formats.bags import EXPECTED, POINT_CLOUD2, REMEDY, Bag, columns_of
 
 Mask = npt.NDArray[np.bool_]
 NUMBERS = re.compile(rb"(?m)^(\s*(?:WIDTH|POINTS|element\s+vertex)\s+)\d+")
@@ -138,3 +140,49 @@ def _las_subset(path: Path, header: Any, points: Any, keep: Mask) -> bytes:
         cloud = laspy.LasData(copy.deepcopy(header), points[keep])
         cloud.write(buffer, do_compress=compressed, laz_backend=backend)
         return buffer.getvalue()
+
+
+def write_bag_subset(bag: Bag, target: Path, topic: str, masks: Iterator[tuple[int, Mask]]) -> None:
+    """Copy a bag into a new one, with the points only that stay in the clouds of a topic.
+
+    All else is as it was, but nothing is compressed, and one of ROS 2 is a folder. `masks`: of each
+    cloud, in their order, its time in nanoseconds and which points stay, (N,) bool.
+    """
+    from rosbags import rosbag1, rosbag2
+
+    reader, store, added = bag.reader, bag.reader.typestore, dict[tuple[Any, ...], Any]()
+    writer: Any
+    if reader.is2:
+        plugin = rosbag2.StoragePlugin.MCAP if bag.is_mcap else rosbag2.StoragePlugin.SQLITE3
+        # That of Humble, which later releases read too.
+        writer = rosbag2.Writer(target, version=8, storage_plugin=plugin)
+        digest, encode = "rihs01", store.serialize_cdr
+    else:
+        writer, digest, encode = rosbag1.Writer(target), "md5sum", store.serialize_ros1
+    with refusing_damage(bag.path, EXPECTED, REMEDY), writer:
+        for each in reader.connections:
+            how = {"msgdef": each.msgdef.data or None, digest: each.digest or None}
+            # Publishers that connected twice are one.
+            if (key := (*each[1:3], repr(each.ext))) not in added:
+                how |= each.ext._asdict()
+                added[key] = writer.add_connection(*each[1:3], typestore=store, **how)
+        for each, time, raw in reader.messages():
+            content = raw
+            if each[1:3] == (topic, POINT_CLOUD2):
+                expected, keep = next(masks)
+                if time != expected:
+                    raise ValueError("its messages are not in the order of their times")
+                cloud = reader.deserialize(raw, each.msgtype)
+                path = bag.path / topic.strip("/") / str(time)
+                content = encode(_cloud_subset(cloud, keep, path), each.msgtype)
+            writer.write(added[*each[1:3], repr(each.ext)], time, content)
+
+
+def _cloud_subset(cloud: Any, keep: Mask, path: Path) -> Any:
+    """Return a PointCloud2 with the points that stay, in one row."""
+    columns_of(cloud, path)  # Refuses what is cut off.
+    height, width, step = cloud.height, cloud.width, cloud.point_step
+    strides = (cloud.row_step if height > 1 else width * step, step, 1)
+    points = np.ndarray((height, width, step), np.uint8, np.asarray(cloud.data), 0, strides)
+    kept = _kept(points.reshape(height * width, step), keep, path)
+    return replace(cloud, height=1, width=len(kept), row_step=kept.size, data=kept.ravel())

@@ -2,21 +2,25 @@
 """Stage `filter`: scans in their own format, without the points of some classes."""
 
 import logging
-from collections.abc import Callable, Collection
+import time
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, contradiction
-from salsanext_cli.errors import OutputError, UsageError, counted, first_few
-from salsanext_cli.files.reading import filled, present
+from salsanext_cli.errors import NoInputError, OutputError, UsageError, counted, first_few
+from salsanext_cli.files.reading import filled, is_folder, present
+from salsanext_cli.formats.bags import Bag
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.recordings import recording_of
-from salsanext_cli.formats.subsets import Mask, subsets_of
+from salsanext_cli.formats.recordings import files_of, recorded_paths, recording_of
+from salsanext_cli.formats.subsets import Mask, subsets_of, write_bag_subset
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -28,6 +32,7 @@ from salsanext_cli.results.stage_records import as_json, require_same_settings
 
 MASKS = "masks"
 """Folder of a sequence with masks of its scans' points."""
+Count = tuple[str, int, int]  # Name of a scan, number of its points, and of those that stay
 
 log = logging.getLogger(__name__)
 
@@ -96,7 +101,7 @@ class PointFilter:
         there = {part for part in self.folders if filled(self.path(file, part))}
         return bool(there) and (not self.split or there >= self.parts(file)[0].keys())
 
-    def write(self, file: ScanFile) -> tuple[str, int, int]:
+    def write(self, file: ScanFile) -> Count:
         """Write the parts of a scan; return its name, and how many points it has and keeps."""
         parts, count = self.parts(file)
         absent = (self.path(file, part) for part in self.folders if part not in parts)
@@ -140,7 +145,10 @@ def filter_scans(
     scans, space = chosen.scans, chosen.space
     stays = named_classes(keep, space) if keep else np.ones(space.class_count, bool)
     stays &= ~named_classes(drop, space)
-    if not indices and (recording := recording_of(scans[0].path)):
+    recording = None if indices else recording_of(scans[0].path)
+    if recording and (split or options.shard.count > 1):
+        raise UsageError("--split, --shard", "a bag is written whole", "neither, or --indices")
+    if recording and recording.suffix.lower() in (".pcap", ".osf"):
         remedy = f"`salsanext convert {recording} DATA` first, or masks of it with --indices"
         raise UsageError(recording, "a recording, which is not written", "files of scans", remedy)
     if odd := [name for name in space.names if split and Path(name).name != name]:
@@ -158,20 +166,71 @@ def filter_scans(
     task = PointFilter(
         results, owned, space, stays, max_error, split, indices, results.sensor().columns
     )
-    counts = list[tuple[str, int, int]]()
+    counts = list[Count]()
     with ExitStack() as stack:
         with owned.locked_records():
             _begin(owned, as_json(settings), options.overwrite)
             stack.enter_context(owned.open(shared=True))
         parts = [task.path(file, part) for file in scans for part in task.folders]
         task = replace(task, kept=frozenset(owned.others(parts)))
-        outcome = run_over_scans(
-            task.write, scans, options, is_done=task.is_done, on_result=counts.append
-        )
+        if recording:
+            outcome = _filter_bags(task, scans, options, counts)
+        else:
+            outcome = run_over_scans(
+                task.write, scans, options, is_done=task.is_done, on_result=counts.append
+            )
     total = sum(count for _, count, _ in counts), sum(kept for *_, kept in counts)
     if empty := sorted(name for name, _, kept in counts if not kept):
         log.warning("no point stays of %s: %s", counted(len(empty), "scan"), first_few(empty))
     return replace(outcome, missing=chosen.missing, kept_points=total)
+
+
+def _filter_bags(
+    task: PointFilter,
+    scans: list[ScanFile],
+    options: RunOptions,
+    counts: list[tuple[str, int, int]],
+) -> Outcome:
+    """Write the bag of each sequence, whole or not at all; add to the counts of its clouds."""
+    start, skipped = time.monotonic(), 0
+    for sequence, group in groupby(scans, lambda file: file.sequence):
+        files = {file.path: file for file in group}
+        topic_folder = next(iter(files)).parent
+        recording = recording_of(topic_folder) or topic_folder
+        clouds = recorded_paths(topic_folder)
+        if missing := [path.name for path in clouds if path not in files]:
+            found = f"no results of {len(missing)} of {len(clouds)} clouds: {first_few(missing)}"
+            remedy = "predict the whole bag, or write masks with --indices"
+            raise NoInputError(recording, found, "those of all, as it is written whole", remedy)
+        bag = Bag(recording, files_of(recording))
+        target = task.owned.root / (sequence + ".bag" * (not bag.reader.is2))
+        before = [target, *target.rglob("*")][is_folder(target) :]
+        if task.owned.others(before):
+            raise not_own(target)
+        if any(map(filled, before)) and not options.overwrite:
+            skipped += len(files)
+            continue
+
+        def masks(files: dict[Path, ScanFile], clouds: list[Path]) -> Iterator[tuple[int, Mask]]:
+            for number, path in enumerate(clouds, 1):
+                parts, count = task.parts(files[path])
+                keep = parts.get(SCAN_FOLDER, np.zeros(count, bool))
+                counts.append((files[path].name, count, int(keep.sum())))
+                yield int(path.name.partition("_")[0]), keep
+                if options.progress:
+                    options.progress(number, len(clouds))
+
+        (topic,) = (t for t in bag.clouds() if recording / t.strip("/") == topic_folder)
+        with TemporaryDirectory(dir=task.owned.root, prefix=".filter-") as temporary:
+            written = Path(temporary) / target.name
+            write_bag_subset(bag, written, topic, masks(files, clouds))
+            task.owned.remove_own(before)
+            if is_folder(target):
+                target.rmdir()
+            written.rename(target)
+        for path in [target, *target.rglob("*")][is_folder(target) :]:
+            task.owned.add(path)
+    return Outcome(skipped, (), len(scans) - skipped, seconds=time.monotonic() - start)
 
 
 def _begin(owned: OwnedFolder, settings: dict[str, Any], overwrite: bool) -> None:

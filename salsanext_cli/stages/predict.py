@@ -4,10 +4,11 @@
 import csv
 import io
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.loading import load_network
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE, UsageError, WeightsError
+from salsanext_cli.errors import NOTICE, NoInputError, UsageError, WeightsError
 from salsanext_cli.fitting.label_scan import (
     LabelledScan,
     label_scan,
@@ -36,12 +37,20 @@ from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.risk_control import promise
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, ScanSteps, run_over_scans
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.results.layout import ERROR, LEAST_CONFIDENCE, ScanFile, with_outputs
+from salsanext_cli.results.layout import (
+    ERROR,
+    LEAST_CONFIDENCE,
+    ScanFile,
+    drive_order,
+    with_outputs,
+)
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
+from salsanext_cli.stages.fuse import FUSED, fuse_results, require_fusable
 from salsanext_cli.uncertainty.error_features import error_model, knows_error, label_error
 
 IN_MEMORY = ScanFile("scan", "points", Path("points"))
@@ -316,3 +325,49 @@ def _scan(points: npt.ArrayLike, intensity: npt.ArrayLike | None) -> Scan:
     # What float32 cannot hold is infinite: no measurement.
     with np.errstate(over="ignore", invalid="ignore"):
         return Scan(coordinates.astype(np.float32), values.astype(np.float32))
+
+
+class FusedScan(NamedTuple):
+    """Scan of `label_drive`."""
+
+    name: str
+    scan: Scan
+    labels: TrainIds
+    disagreement: Float
+
+
+def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterator[FusedScan]:
+    """Label the scans of a drive and fuse the labels where scans see the same places.
+
+    That is `predict --fuse` in a temporary folder: the first scan comes when all are labelled.
+    Those that cannot be are logged as errors and left out.
+
+    Parameters
+    ----------
+    folder : Path or str
+        Scans, and their `poses.txt`; else poses are computed, which needs ``salsanext[fuse]``.
+    weights : Path or str, optional
+        A weights file, None for the default weights, fitted to the scans.
+
+    Yields
+    ------
+    FusedScan
+        `name`, ``08/000000``, and `scan` of N points; `labels` (N,) uint8, train ids as of `label`;
+        `disagreement` (N,) float32, the share of the votes against the label, NaN without any.
+    """
+    source = Path(folder)
+    network = NetworkSettings(weights=None if weights is None else Path(weights))
+    with TemporaryDirectory(prefix="salsanext-") as temporary:
+        out, fused = Path(temporary), ResultFolder(Path(temporary) / FUSED)
+        require_fusable(source, out, Shard())
+        outcome = predict_scans(source, out, network=network, extras=("votes",))
+        for failure in outcome.failures:
+            log.error("%s", failure.reason)
+        if not outcome.done:
+            raise NoInputError(source, "no scan that can be labelled", "see the errors of each")
+        fuse_results(out)
+        files, space = fused.predicted(ScanSelection())
+        for file in sorted(fused.with_column("label", files), key=drive_order):
+            found = fused.read(file, fused.sensor())
+            labels, against = np.asarray(found.label), found.uncertainty["disagreement"]
+            yield FusedScan(file.name, found.scan, space.to_train(labels), against)

@@ -18,6 +18,7 @@ from served import served
 
 from salsanext_cli import write_labels
 from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import report, view
@@ -53,6 +54,14 @@ const at = (target, name, x, y) => target.dispatchEvent(
   }));
   change("colour", "label", "change");
   byId("all").click();
+  found.boxed = ["wrong", "label"].map(colour => {
+    change("colour", colour, "change");
+    const boxed = picture().size;
+    byId("boxes").click();
+    const without = picture().size;
+    byId("boxes").click();
+    return boxed - without;
+  });
   found.all = shown();
   found.legend = legend().map(each => each.textContent);
   legend()[0].click();
@@ -117,6 +126,9 @@ def world(tmp_path):
         predicted = np.where(random.random(COUNT) < 0.2, CAR, truth).astype(np.uint32)
         write_labels(output_path(world.out, "08", "predictions", stem), predicted)
         world.put("uncertainty/entropy", stem, np.linspace(0, 1, COUNT) * (len(STEMS) - number))
+        boxes = output_path(world.out, "08", "objects", stem)
+        boxes.parent.mkdir(parents=True, exist_ok=True)
+        boxes.write_text(f"object,class,points,{','.join(BOX)}\n1,car,9,0,0,0,20,9,4,0.3\n")
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
     StageRecord("predict", settings, ("predictions",)).write(world.out)
     return world
@@ -223,6 +235,8 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     # The background and a colour or more, of values many.
     assert all(count >= 3 for count in found["colours"].values())
     assert min(found["colours"][name] for name in ("entropy", "range", "intensity")) > 20
+    # Boxes have the colour of their class, whatever points are coloured by.
+    assert found["boxed"] == [1, 0]
     assert found["all"] == COUNT
     cars, roads = (float(each.split()[1]) / 100 for each in found["legend"])
     shown, colours, address = found["without"]

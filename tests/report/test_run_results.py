@@ -9,14 +9,16 @@ from evaluated import small_space
 from scans import SMALL
 
 from salsanext_cli import label_space
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import FormatError, UsageError
 from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.report.page.run_results import (
     ScanRow,
     facts_of_run,
     leading_kind,
     named,
+    read_boxes,
     warnings_of_run,
     worth_looking_at,
 )
@@ -131,3 +133,16 @@ def test_findings_of_all_stages_are_one_line_for_each_kind(tmp_path):
     (only,) = warnings_of_run(tmp_path, {"00/3"})
     assert only == "dark in 1 scan (00/3): no intensity; look"
     assert warnings_of_run(tmp_path / "none", found) == []
+
+
+def test_boxes_are_those_of_the_table_or_it_is_refused(tmp_path):
+    path, space = tmp_path / "000000.csv", label_space()
+    assert read_boxes(path, space) == []
+    head = f"object,class,points,{','.join(BOX)}\n"
+    path.write_text(f"{head}1,car,12,1,2,3,4,2,1.5,-0.5\n2,merged,9,0,0,0,1,1,1,0\n")
+    car = space.names.index("car")
+    assert read_boxes(path, space) == [[car, 1, 2, 3, 4, 2, 1.5, -0.5], [0, 0, 0, 0, 1, 1, 1, 0]]
+    for damaged in ("1,car,12,1,2,3,4,2,1.5,nan", "1,car,12,1,2", "1,car,12,1,2,3,4,2,1.5,wide"):
+        path.write_text(head + damaged)
+        with pytest.raises(FormatError, match=r"000000.csv · .* expected a table of `predict"):
+            read_boxes(path, space)

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: MIT
 import json
 import shutil
+from dataclasses import replace
 from functools import partial
+from operator import itemgetter
 
 import numpy as np
 import pytest
-from bags import START, TOPIC, cloud, write_bag
+from bags import START, STEP, TOPIC, cloud, structured, text, write_bag
 from evaluated import World
 from scans import files_below, write_array
 
 from salsanext_cli import label_space, read_scan, sensor, write_labels
-from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
@@ -172,17 +174,88 @@ def test_scans_that_changed_or_lack_labels_fail_alone(apply, world, tmp_path):
     assert not (tmp_path / "to/sequences/08/velodyne").exists()
 
 
-def test_recordings_are_refused_unless_masks_are_asked_for(tmp_path):
-    pytest.importorskip("rosbags")
-    points = np.zeros(5, [("x", "f4"), ("y", "f4"), ("z", "f4")])
-    out = tmp_path / "out"
-    bag = write_bag(tmp_path, ".bag", [(TOPIC, START, cloud(points))])
-    write_labels(output_path(out, "drive", "predictions", str(START)), np.array([10, 40, 0, 10, 0]))
-    with pytest.raises(UsageError, match=r"a recording, .* · `salsanext convert .*drive.bag DATA`"):
-        filter_scans(out, tmp_path / "to", drop=["car"], dataset=bag)
-    filter_scans(out, tmp_path / "to", drop=["car"], dataset=bag, indices=True)
+@pytest.fixture
+def bag_of(tmp_path):
+    """Return what writes a bag of a kind with three clouds, the second organised and padded."""
+
+    def make(kind, **compression):
+        points = structured(6)
+        clouds = [cloud(points), cloud(points[::-1].copy(), height=2, row_padding=5), cloud(points)]
+        times = [START, START + STEP, START + STEP]
+        written = [(TOPIC, time, each) for time, each in zip(times, clouds, strict=True)]
+        written += [("/rear", START + 1, cloud(points)), ("/name", START + 2, text)]
+        path = write_bag(tmp_path, kind, sorted(written, key=itemgetter(1)), **compression)
+        for stem in (START, START + STEP, f"{START + STEP}_1"):
+            raw = np.uint32([10, 40, 10, 0, 40, 10 if stem == START else 30])
+            write_labels(output_path(tmp_path / "out", "drive", "predictions", str(stem)), raw)
+        return path
+
+    return make
+
+
+def contents(bag):
+    """Return the messages of a bag, with points for clouds."""
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([bag]) as reader:
+        for connection, time, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            if hasattr(message, "data") and connection.topic != "/name":
+                rows = message.data.reshape(message.height, message.row_step)
+                points = rows[:, : message.width * message.point_step].reshape(-1, 32).tobytes()
+                kept = replace(message, data=0, width=0, height=0, row_step=0)
+                yield connection.topic, time, str(kept), np.frombuffer(points, "V32")
+            else:
+                yield connection.topic, time, str(message), np.zeros(0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "compression"), [(".bag", "LZ4"), (".db3", "MESSAGE"), (".mcap", ""), (".db3", "FILE")]
+)
+def test_a_bag_keeps_all_but_the_points_that_go(bag_of, tmp_path, kind, compression):
+    path = bag_of(kind, compression=compression)
+    source = (path if kind == ".bag" else path.parent) / TOPIC.strip("/")
+    options = {"drop": ["car"], "dataset": source}
+    outcome = filter_scans(tmp_path / "out", tmp_path / "to", **options)
+    assert (outcome.done, outcome.kept_points) == (3, (18, 11))
+    target = tmp_path / "to" / ("drive.bag" if kind == ".bag" else "drive")
+    for before, after in zip(contents(source.parent), contents(target), strict=True):
+        assert before[:3] == after[:3]
+        dropped = [0, 2, 5] if before[1] == START else [0, 2]
+        expected = np.delete(before[3], dropped) if before[0] == TOPIC else before[3]
+        np.testing.assert_array_equal(after[3], expected)
+    assert len(read_scan(target / TOPIC.strip("/") / f"{START + STEP}_1")) == 4
+    files = files_below(tmp_path / "to")
+    assert filter_scans(tmp_path / "out", tmp_path / "to", **options).skipped == 3
+    again = RunOptions(overwrite=True)
+    assert filter_scans(tmp_path / "out", tmp_path / "to", **options, options=again).done == 3
+    assert files_below(tmp_path / "to").keys() == files.keys()
+    next(each for each in (target, *target.glob("*.*")) if each.is_file()).write_bytes(b"mine")
+    with pytest.raises(OutputError, match="was changed, or not written by salsanext"):
+        filter_scans(tmp_path / "out", tmp_path / "to", **options, options=again)
+
+
+def test_a_bag_is_written_whole_or_not_at_all(bag_of, tmp_path):
+    bag = bag_of(".bag")
+    call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
+    for options in ({"split": True}, {"options": RunOptions(shard=Shard(1, 2))}):
+        with pytest.raises(UsageError, match="a bag is written whole"):
+            call(dataset=bag / TOPIC.strip("/"), **options)
+    last = output_path(tmp_path / "out", "drive", "predictions", f"{START + STEP}_1")
+    last.write_bytes(bytes(4))
+    with pytest.raises(LabelError, match="6 points · expected 1, as it has labels"):
+        call(dataset=bag / TOPIC.strip("/"))
+    last.unlink()
+    with pytest.raises(NoInputError, match=r"no results of 1 of 3 clouds: \d+_1"):
+        call(dataset=bag / TOPIC.strip("/"))
+    assert {path.name for path in (tmp_path / "to").iterdir()} <= {
+        "filter.json",
+        ".salsanext.files",
+    }
+    again = RunOptions(overwrite=True)
+    call(dataset=bag / TOPIC.strip("/"), indices=True, options=again)
     mask = np.load(tmp_path / f"to/sequences/drive/masks/{START}.npy")
-    assert mask.tolist() == [False, True, True, False, True]
+    assert mask.tolist() == [False, True, False, True, True, False]
 
 
 def test_merged_classes_have_their_own_names():

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
 import shutil
+import sys
 
 import numpy as np
 import plyfile
@@ -8,9 +9,16 @@ from command_line import only_json
 from scans import files_below
 from typer.testing import CliRunner
 
-from salsanext_cli import KnnParameters, Scan, label_space, read_labels, read_scan
+from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_labels, read_scan
 from salsanext_cli.cli.app import app
-from salsanext_cli.errors import FormatError, NoInputError, OutputError, UsageError
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.errors import (
+    FormatError,
+    NoInputError,
+    OutputError,
+    SalsanextError,
+    UsageError,
+)
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.fusion.poses import encode_poses
 from salsanext_cli.fusion.window import disagreement, fuse, fused_labels
@@ -225,3 +233,31 @@ def test_predict_can_fuse_at_once(world):
     votes = np.load(world.result("votes"))
     assert (votes.dtype, votes.shape) == (np.uint16, (1500, 3))
     assert not world.result("probabilities").exists()
+
+
+def test_python_labels_a_drive_as_the_command_line_does(world, caplog, monkeypatch):
+    folder, weights = write_drive(world, 3), world.network.weights
+    (folder / "velodyne/000001.bin").write_bytes(b"damaged")
+    predict_scans(folder, world.out, network=NetworkSettings(weights), extras=("votes",))
+    fuse_results(world.out)
+    single = [world.labels(stem=stem) for stem in ("000000", "000002")]
+    caplog.clear()
+    found = [*label_drive(str(folder), str(weights))]
+    assert [each.name for each in found] == ["08/000000", "08/000002"]
+    assert "000001.bin" in caplog.text
+    for each, raw in zip(found, single, strict=True):
+        stem = each.name[3:]
+        np.testing.assert_array_equal(each.scan.points, read_scan(world.scan(stem=stem)).points)
+        written = read_labels(fused_folder(world) / f"predictions/{stem}.label")
+        np.testing.assert_array_equal(SPACE.to_raw(each.labels), written)
+        assert (written != raw).any()
+        against = np.load(fused_folder(world) / f"uncertainty/disagreement/{stem}.npy")
+        np.testing.assert_array_equal(each.disagreement, against)
+    for path in (folder / "velodyne").iterdir():
+        path.write_bytes(b"damaged")
+    with pytest.raises(NoInputError, match="no scan that can be labelled"):
+        next(label_drive(folder, weights))
+    (folder / "poses.txt").unlink()
+    monkeypatch.setitem(sys.modules, "small_gicp", None)
+    with pytest.raises(SalsanextError, match=r"salsanext\[fuse\]"):
+        next(label_drive(folder, weights))

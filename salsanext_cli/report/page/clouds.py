@@ -85,6 +85,7 @@ def encode_cloud(
         "position": base64_of(position, "<u2"),
         "of_pixel": base64_of(of_pixel, f"<u{width}"),
         "of_pixel_bytes": width,
+        "boxes": shown.boxes,
         "values": {name: base64_of(each, "u1") for name, each in values.items()},
     }
 

@@ -32,6 +32,7 @@ from salsanext_cli.report.page.run_results import (
 )
 from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
 from salsanext_cli.report.tables import percent
+from salsanext_cli.results.layout import find_outputs
 from salsanext_cli.version import __version__
 
 PARTS = ("page.css", "view.js", "drive.js", "scans.js", "page.js")
@@ -84,6 +85,7 @@ def html_of(
         ],
         "outcomes": [{"name": name, "rgb": rgb} for name, rgb in OUTCOME_COLOURS.items()],
         "scales": scales,
+        "boxes": bool(find_outputs(out, "objects")),
         "uncertain": list(UNCERTAIN),
         "map": _light_map().ravel().tolist(),
         "shown": [{"name": name, "reason": reason} for name, reason in offered.items()],

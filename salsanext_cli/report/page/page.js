@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 // State of the page: the scan, its colours, and the points that are shown. The address keeps it,
-// #scan=08/000000&colour=error&by=error&above=0.3&size=2&hide=road,car, so that a link leads there.
+// #scan=08/000000&colour=error&by=error&above=0.3&size=2&hide=road,car&boxes=no, so that a link leads there.
 
 const byId = id => document.getElementById(id);
 const data = JSON.parse(byId("data").textContent);
@@ -10,7 +10,7 @@ const TITLES = { wrong: "right or wrong", error: "probability of error", doubt: 
 const title = name => TITLES[name] ?? name.replaceAll("_", " ");
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
 const floats = text => text ? new Float32Array(bytes(text).buffer) : null;
-const state = { scan: 0, colour: "", by: "", above: TOP, size: 2, hidden: { label: new Set(), truth: new Set(), wrong: new Set() } };
+const state = { scan: 0, colour: "", by: "", above: TOP, size: 2, boxes: true, hidden: { label: new Set(), truth: new Set(), wrong: new Set() } };
 let cloud = null, palette = null, visible = null, view = null, drive = null, threshold = null, remembering = 0;
 
 function valueOf(name, byte) {  // on the scale, in its unit
@@ -67,7 +67,7 @@ function show(index, found) {
 function paint() {  // in the chosen colours
   if (!cloud) return;
   palette = paletteOf(state.colour);
-  view?.colour(cloud.values[state.colour], palette);
+  view?.colour(cloud.values[state.colour], Uint8Array.of(...palette, ...paletteOf("label")));
   const scale = data.scales[state.colour];
   byId("scale").hidden = !scale;
   if (scale) {
@@ -92,6 +92,7 @@ function filter() {  // by class and by uncertainty
   }
   if (above && state.above < TOP) for (let i = 0; i < shown; i++) if (above[i] > state.above) visible[i] = 0;
   view?.filter(visible);
+  view?.outline(cloud.boxes.filter(([id]) => state.boxes && !state.hidden.label.has(id)));
   const asked = +document.documentElement.dataset.point;
   if (asked >= 0 && !visible[asked]) point(-1);
   byId("above").value = state.above;
@@ -218,6 +219,7 @@ function address() {
   if (state.by && state.above < TOP) Object.assign(parts, { by: state.by, above: +valueOf(state.by, state.above).toPrecision(3) });
   if (state.size !== 2) parts.size = state.size;
   if (hidden.label.size) parts.hide = [...hidden.label].map(id => data.classes[id].name).join(",");
+  if (!state.boxes) parts.boxes = "no";
   return new URLSearchParams(parts);
 }
 
@@ -232,6 +234,7 @@ function recall() {  // the state that the address holds
   const names = (linked.get("hide") ?? "").split(",");
   data.classes.forEach((each, id) => names.includes(each.name) && state.hidden.label.add(id));
   threshold = linked.has("above") ? +linked.get("above") : null;
+  byId("boxes").checked = state.boxes = linked.get("boxes") !== "no";
   byId("size").value = state.size;
   if (view) view.size = state.size;
   return choose(Math.max(0, scan));
@@ -248,6 +251,7 @@ function listen() {
   on("above", "change", remember);
   on("size", "input", value => { state.size = +value; if (view) { view.size = +value; view.redraw(); } });
   on("size", "change", remember);
+  on("boxes", "change", () => { state.boxes = byId("boxes").checked; filter(); remember(); });
   on("home", "click", () => view?.home());
   on("all", "click", () => {
     Object.values(state.hidden).forEach(each => each.clear());
@@ -274,6 +278,7 @@ function listen() {
 function start() {
   options(byId("scan"), [...data.shown.keys()], i => [data.shown[i].name, data.shown[i].reason].filter(Boolean).join(" · "));
   byId("place").max = data.shown.length - 1;
+  byId("boxes").closest("label").hidden = !data.boxes;
   byId("through").hidden = data.shown.length < 2;
   for (const each of data.classes) each.css = `rgb(${each.rgb})`;
   const scans = { ...data.drive, count: data.drive.names.length, marked: data.drive.shown.map(i => i >= 0 && data.shown[i].reason) };

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import random
 import re
@@ -23,9 +24,10 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import SalsanextError, UsageError, counted, first_few
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.files.reading import present
+from salsanext_cli.files.reading import present, reading, refusing_damage
 from salsanext_cli.fitting.view_fit import view_text
 from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.measures.histograms import lack_of_confidence
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts, count_scan, read_softmax
 from salsanext_cli.measures.scores import Confusion, Counts, Scores, scores
@@ -144,6 +146,8 @@ class ShownScan:
     reason: str  # Why it is shown
     results: ScanResults  # N points and what is known about them
     doubt: Float | None  # (N,) float32, NaN for points without a probability; None without any
+    # Train id and `BOX` of every object
+    boxes: Sequence[Sequence[float]] = ()
 
     def values(self) -> dict[str, npt.NDArray[Any]]:
         """Return all values of `SCALARS` that are known, (N,) each."""
@@ -152,6 +156,21 @@ class ShownScan:
         if self.doubt is not None:
             known[DOUBT] = self.doubt
         return {name: known[name] for name in SCALARS if name in known}
+
+
+def read_boxes(path: Path, space: LabelSpace) -> list[list[float]]:
+    """Read the table of objects that `predict` wrote; classes that were merged since are 0."""
+    if not present(path):
+        return []
+    train_ids = {name: i for i, name in enumerate(space.names)}
+    with reading(path) as file, refusing_damage(path, "a table of `predict --objects`"):
+        table = csv.DictReader(file.read().decode().splitlines())
+        boxes = [
+            [train_ids.get(row["class"], 0), *(float(row[name]) for name in BOX)] for row in table
+        ]
+        if not np.isfinite(boxes).all():
+            raise ValueError("a number that is not finite")
+    return boxes
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +199,8 @@ class RunResults:
         if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
             every = np.ones(len(results.scan), bool)
             doubt = lack_of_confidence(read_softmax(path, every, space, reader.merging))
-        return ShownScan(row.file.name, reason, results, doubt)
+        boxes = read_boxes(output_path(reader.out, file.sequence, "objects", file.stem), space)
+        return ShownScan(row.file.name, reason, results, doubt, boxes)
 
     def compared(self) -> Comparison | None:
         """Divide the counts; None without labels."""

@@ -9,12 +9,13 @@ in float shown;
 uniform mat4 camera;
 uniform vec3 low, step_m;
 uniform float size, ring;
+uniform int row;
 uniform sampler2D palette;
 out vec3 rgb;
 void main() {
   gl_Position = shown > 0.0 ? camera * vec4(low + step_m * position, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
   gl_PointSize = ring > 0.0 ? ring : size * clamp(25.0 / gl_Position.w, 0.7, 3.0);
-  rgb = texelFetch(palette, ivec2(int(colour), 0), 0).rgb;
+  rgb = texelFetch(palette, ivec2(int(colour), row), 0).rgb;
 }`;
 const FRAGMENT = `#version 300 es
 precision highp float;
@@ -31,6 +32,7 @@ void main() {
 }`;
 const START = { azimuth: 180, elevation: 32, distance: 42 };  // degrees, metres: looking forward
 const NEAR_M = 0.3, FAR_M = 20000, FIELD_OF_VIEW = 50;
+const EDGES = [0, 1, 1, 3, 3, 2, 2, 0, 4, 5, 5, 7, 7, 6, 6, 4, 0, 4, 1, 5, 2, 6, 3, 7];  // pairs of corners of a box
 const REACH_PX = 7;  // farthest from the pointer that a point is found
 
 function multiply(a, b) {  // of 4 × 4 matrices, column by column
@@ -45,7 +47,7 @@ class PointView {
     if (!this.gl) throw new Error("no WebGL 2");
     this.size = 2;
     this.marked = -1;
-    this.count = 0;
+    this.count = this.corners = 0;
     this.home();
     this.prepare();
     new ResizeObserver(() => this.redraw()).observe(canvas);
@@ -64,7 +66,7 @@ class PointView {
     gl.useProgram(program);
     gl.enable(gl.DEPTH_TEST);
     gl.clearColor(0.07, 0.082, 0.102, 1);
-    this.uniform = Object.fromEntries(["camera", "low", "step_m", "size", "ring"].map(
+    this.uniform = Object.fromEntries(["camera", "low", "step_m", "size", "ring", "row"].map(
       name => [name, gl.getUniformLocation(program, name)]));
     this.buffers = {};
     for (const [name, parts, type] of [["position", 3, gl.UNSIGNED_SHORT], ["colour", 1, gl.UNSIGNED_BYTE],
@@ -75,6 +77,15 @@ class PointView {
       gl.enableVertexAttribArray(place);
       gl.vertexAttribPointer(place, parts, type, false, 0, 0);
     }
+    this.lines = gl.createVertexArray();
+    gl.bindVertexArray(this.lines);
+    gl.vertexAttrib1f(gl.getAttribLocation(program, "shown"), 1);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.buffers.lines = gl.createBuffer());
+    for (const [name, parts, start] of [["position", 3, 0], ["colour", 1, 12]]) {
+      gl.enableVertexAttribArray(gl.getAttribLocation(program, name));
+      gl.vertexAttribPointer(gl.getAttribLocation(program, name), parts, gl.FLOAT, false, 16, start);
+    }
+    gl.bindVertexArray(null);
     gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
     for (const key of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, key, gl.NEAREST);
   }
@@ -90,15 +101,24 @@ class PointView {
     this.upload("position", cloud.position);
   }
 
-  colour(values, palette) {  // a byte per point, and 256 colours of 4 bytes
+  colour(values, palettes) {  // a byte per point; 256 colours of 4 bytes for points, then as many for boxes
     const gl = this.gl;
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, palette);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 2, 0, gl.RGBA, gl.UNSIGNED_BYTE, palettes);
     this.upload("colour", values);
   }
 
   filter(visible) {  // 1 or 0 per point
     this.visible = visible;
     this.upload("shown", visible);
+  }
+
+  outline(boxes) {  // each its colour, centre x, y, z, length, width, height and yaw
+    const corners = boxes.flatMap(([colour, x, y, z, length, width, height, yaw]) => EDGES.flatMap(corner => {
+      const [a, b, c] = [length, width, height].map((size, axis) => (corner >> axis & 1 ? 0.5 : -0.5) * size);
+      return [x + a * Math.cos(yaw) - b * Math.sin(yaw), y + a * Math.sin(yaw) + b * Math.cos(yaw), z + c, colour];
+    }));
+    this.corners = corners.length / 4;
+    this.upload("lines", Float32Array.from(corners));
   }
 
   home() {
@@ -142,12 +162,21 @@ class PointView {
     gl.uniform3fv(this.uniform.step_m, this.cloud.step);
     gl.uniform1f(this.uniform.size, this.size * ratio);
     gl.uniform1f(this.uniform.ring, 0);
+    gl.uniform1i(this.uniform.row, 0);
     gl.drawArrays(gl.POINTS, 0, this.count);
-    if (this.marked < 0) return;
-    gl.disable(gl.DEPTH_TEST);
-    gl.uniform1f(this.uniform.ring, 18 * ratio);
-    gl.drawArrays(gl.POINTS, this.marked, 1);
-    gl.enable(gl.DEPTH_TEST);
+    if (this.marked >= 0) {
+      gl.disable(gl.DEPTH_TEST);
+      gl.uniform1f(this.uniform.ring, 18 * ratio);
+      gl.drawArrays(gl.POINTS, this.marked, 1);
+      gl.uniform1f(this.uniform.ring, 0);
+      gl.enable(gl.DEPTH_TEST);
+    }
+    gl.bindVertexArray(this.lines);
+    gl.uniform3f(this.uniform.low, 0, 0, 0);  // in metres
+    gl.uniform3f(this.uniform.step_m, 1, 1, 1);
+    gl.uniform1i(this.uniform.row, 1);
+    gl.drawArrays(gl.LINES, 0, this.corners);
+    gl.bindVertexArray(null);
   }
 
   place(index) {  // x, y, z in metres
