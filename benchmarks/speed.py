@@ -33,7 +33,7 @@ from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.card import WeightsCard, read_card, require_tensors
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.report.tables import ABSENT, number_table
+from salsanext_cli.report.tables import ABSENT, table_of
 from salsanext_cli.results.selection import select_scans
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.sensors.sensor import sensor as find_sensor
@@ -162,23 +162,24 @@ def benchmark_table(found: Mapping[str, Any]) -> Table:
         f"{ceiling['bytes'] / 1e9:,.1f} GB/s of a memory copy.\n"
         f"Of the baseline's {settings['samples']} passes, all alike, {settings['passes']} timed."
     )
-    numbers = ("baseline", "product", "times as fast", "of ceiling", "peak memory, GB")
-    table = number_table("part", *numbers, title=title)
-    table.caption = escape(notes)
-    for column in table.columns:
-        column.no_wrap = True
+    rows = []
     for part in found["parts"]:
         ratio, share = part["ratio"], part["share_of_ceiling"]
         sides = [part[side] for side in ("baseline", "product")]
         peaks = [side["peak_bytes"] for side in sides if side]
-        table.add_row(
-            part["part"],
-            *(_time(side["median"]) if side else ABSENT for side in sides),
-            "{median:.3g} × ({lowest:.3g} to {highest:.3g})".format_map(ratio) if ratio else ABSENT,
-            f"{share:.1%}" if share else ABSENT,
-            " / ".join(f"{peak / 1e9:.2f}" if peak else ABSENT for peak in peaks),
+        rows.append(
+            (
+                part["part"],
+                *(_time(side["median"]) if side else ABSENT for side in sides),
+                f"{ratio['median']:.3g} × ({ratio['lowest']:.3g} to {ratio['highest']:.3g})"
+                if ratio
+                else ABSENT,
+                f"{share:.1%}" if share else ABSENT,
+                " / ".join(f"{peak / 1e9:.2f}" if peak else ABSENT for peak in peaks),
+            )
         )
-    return table
+    headings = ("part", "baseline", "product", "times as fast", "of ceiling", "peak memory, GB")
+    return table_of(headings, rows, title=title, caption=notes)
 
 
 def _time(seconds: float) -> str:

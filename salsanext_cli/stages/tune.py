@@ -7,13 +7,11 @@ from typing import Any
 
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.files.atomic import require_absent, require_target
-from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.network.card import require_tensors
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.report.plots import rate_curve
-from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.selection import select_evenly
 from salsanext_cli.training.tuning.batchnorm import fit_batchnorm
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout
@@ -61,9 +59,7 @@ def tune(
     require_target(target, overwrite)
     if part == "dropout":
         require_absent(curve_of(target), overwrite)
-    loaded = fit_scans(network, loaded, ScanSample(find_scans(source), loaded.sensor))
-    network.announce(loaded)
-    tuned = fit(TuningScans(source, files, space, loaded, progress), **numbers)
+    tuned = fit(TuningScans(source, files, space, network, loaded, progress), **numbers)
     report = tuned.report
     if part == "dropout":
         rate_curve(curve_of(target), report["rates"], report["objectives"], report["best"])

@@ -4,13 +4,13 @@ import torch
 
 from salsanext_cli.engines import device
 from salsanext_cli.engines.device import choose_device, choose_engine, choose_precision
-from salsanext_cli.errors import MissingDependency, UsageError
+from salsanext_cli.errors import MissingDependency, UsageError, warn_once
 
 
 @pytest.fixture
 def fresh():
     """Forget what was found out about this machine, before and after."""
-    caches = (device.flags, device._openvino_fails, device._warn_once)
+    caches = (device.flags, device._openvino_fails, warn_once)
     for cache in caches:
         cache.cache_clear()
     yield

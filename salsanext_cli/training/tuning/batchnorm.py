@@ -24,8 +24,8 @@ def fit_batchnorm(scans: TuningScans, share: float = ADAPTED_SHARE) -> Tuned:
     """
     if not 0 < share <= 1:
         raise UsageError("--share", f"{share:g}", "above 0, at most 1")
+    batch_norm.require_norms(scans.loaded)
     network = scans.network
-    batch_norm.require_norms(network)
     layers = batch_norm.norms(network.module)
     old = {name: batch_norm.Statistics.kept_by(layer) for name, layer in layers.items()}
     pooled, summary = batch_norm.PooledStatistics(network, share), RunSummary(network.sensor)

@@ -65,10 +65,11 @@ def fit_dropout(
 
     `samples`, `seed`: passes per scan and rate, and the seed of their masks.
     """
-    network, rates = scans.network, rates_between(lowest, highest, steps)
+    rates = rates_between(lowest, highest, steps)
+    require_sampling(with_dropout(scans.loaded, lowest), samples)
+    noise_of(scans.loaded.sensor)
+    network = scans.network
     candidates = [with_dropout(network, rate) for rate in rates]
-    require_sampling(candidates[0], samples)
-    noise_of(network.sensor)
     sums, points = np.zeros(len(rates)), 0
     for number, file in enumerate(scans.files):
         labelled = read_labelled_image(file, network, scans.space)

@@ -93,8 +93,8 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         raise UsageError("--at-most", f"{at_most:.4g}", "above 0 and below 100%, such as 5%")
     if confidence is not None and not 0.5 <= confidence < 1:
         raise UsageError("--confidence", f"{confidence:.4g}", "from 50% to below 100%")
-    network, space = scans.network, scans.space
     _require_scans(scans, len(scans.files), at_most, confidence)
+    network, space = scans.network, scans.space
     kind = "error" if knows_error(network) else "least_confidence"
     every = [judged_scan(file, network, space, kind) for file in scans.each()]
     judged = [scan for scan in every if scan]

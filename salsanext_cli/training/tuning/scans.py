@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,14 @@ from torch import Tensor
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import LabelError, first_few
+from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float, RangeImage
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import select_evenly, space_of
 from salsanext_cli.training.data.class_counts import require_labels
 from salsanext_cli.training.data.sources import read_labelled
@@ -27,15 +30,24 @@ VALIDATION = ScanSelection(split="valid")
 """Selection of scans to tune on, unless another is given."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class TuningScans:
     """Scans that a part of the weights is fitted to."""
 
     source: Path
     files: list[ScanFile]
     space: LabelSpace  # Of the labels, if they are read; else that of the network
-    network: Network  # Fitted to the sensor of the scans
+    settings: NetworkSettings
+    loaded: Network  # As it is in its file
     progress: Callable[[int, int], object] | None = None  # Called after each step
+
+    @cached_property
+    def network(self) -> Network:
+        """Network fitted to the sensor of the scans, which are read when it is first asked for."""
+        sample = ScanSample(find_scans(self.source), self.loaded.sensor)
+        fitted = fit_scans(self.settings, self.loaded, sample)
+        self.settings.announce(fitted)
+        return fitted
 
     def each(self) -> Iterator[ScanFile]:
         """Yield each scan, and report when the next one is asked for."""
