@@ -14,6 +14,7 @@ from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.filter import filter_scans, named_classes
 
 SPACE = label_space()
@@ -32,7 +33,7 @@ def world(tmp_path):
 
 @pytest.fixture
 def apply(world, tmp_path):
-    return partial(filter_scans, world.out, tmp_path / "to", dataset=world.dataset)
+    return partial(filter_scans, world.out, tmp_path / "to", query=ResultQuery(world.dataset))
 
 
 def left(tmp_path, stem="000000", folder="velodyne", suffix=".bin"):
@@ -141,7 +142,7 @@ def test_results_made_anew_are_not_mixed_with_earlier_ones(apply, world):
 def test_no_scans_or_results_are_written_over(world, tmp_path, place):
     before = files_below(tmp_path)
     with pytest.raises(OutputError, match="holds something else"):
-        filter_scans(world.out, tmp_path / place, drop=["car"], dataset=world.dataset)
+        filter_scans(world.out, tmp_path / place, drop=["car"], query=ResultQuery(world.dataset))
     after = {name: data for name, data in files_below(tmp_path).items() if "lock" not in name}
     assert after == before
 
@@ -179,8 +180,8 @@ def test_recordings_are_refused_unless_masks_are_asked_for(tmp_path):
     bag = write_bag(tmp_path, ".bag", [(TOPIC, START, cloud(points))])
     write_labels(output_path(out, "drive", "predictions", str(START)), np.array([10, 40, 0, 10, 0]))
     with pytest.raises(UsageError, match=r"a recording, .* · `salsanext convert .*drive.bag DATA`"):
-        filter_scans(out, tmp_path / "to", drop=["car"], dataset=bag)
-    filter_scans(out, tmp_path / "to", drop=["car"], dataset=bag, indices=True)
+        filter_scans(out, tmp_path / "to", drop=["car"], query=ResultQuery(bag))
+    filter_scans(out, tmp_path / "to", drop=["car"], query=ResultQuery(bag), indices=True)
     mask = np.load(tmp_path / f"to/sequences/drive/masks/{START}.npy")
     assert mask.tolist() == [False, True, True, False, True]
 
