@@ -12,7 +12,7 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, contradiction
-from salsanext_cli.errors import OutputError, UsageError, counted, first_few
+from salsanext_cli.errors import UsageError, counted, first_few
 from salsanext_cli.files.reading import filled, present
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.recordings import recording_of
@@ -181,6 +181,5 @@ def _begin(owned: OwnedFolder, settings: dict[str, Any], overwrite: bool) -> Non
     if replaced and not overwrite:
         require_same_settings(owned.record_path, recorded or {}, settings)
     if replaced and owned.is_shared():
-        found, remedy = "another run of `filter` is at work in it", "wait until it has ended"
-        raise OutputError(owned.root, found, remedy=remedy)
+        raise owned.busy()
     owned.begin(settings, [path for path in replaced if path != owned.record_path])

@@ -176,10 +176,8 @@ def fuse_results(
     target = target or out / FUSED
     if target.resolve() == out.resolve():
         raise UsageError("TARGET", f"{target}, the folder of the single labels", "another folder")
-    if OwnedFolder(out, "predict").is_shared():
-        raise OutputError(
-            out, "a run of `predict` is at work in it", remedy="wait until it has ended"
-        )
+    if (predicted := OwnedFolder(out, "predict")).is_shared():
+        raise predicted.busy()
     results = ResultFolder(out, query.dataset)
     present_scans = results.scans()
     known = with_outputs(present_scans, out, *SOFTMAX_FOLDERS)
