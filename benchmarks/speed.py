@@ -19,7 +19,6 @@ from statistics import median
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 from speed_hardware import least_seconds
 from speed_turn import take_turn

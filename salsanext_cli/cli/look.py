@@ -14,8 +14,9 @@ from salsanext_cli.cli.console import over_scans, progress
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import counted
 from salsanext_cli.interruption import ARRIVED
-from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.options import RunOptions
+from salsanext_cli.results.query import ResultQuery
+from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
 
 
 def picture(
@@ -26,9 +27,7 @@ def picture(
         typer.Option(
             "--colour",
             "--color",
-            help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
-            "error, epistemic, aleatoric, total, entropy, mutual_information, "
-            "least_confidence, disagreement; may be given several times.",
+            help=f"{COLOUR_HELP}; may be given several times.",
             show_default="everything known",
         ),
     ] = None,
@@ -44,10 +43,7 @@ def picture(
         bool, typer.Option("--mp4", help="Animate each sequence as MP4; needs ffmpeg.")
     ] = False,
     fps: Annotated[float, typer.Option(help="Scans per second of the animations.")] = 5.0,
-    dataset: options.DataSetOfResults = None,
-    selection: ScanSelection,
-    label_space: options.LabelSpaceName = None,
-    classes: options.MergedInto = None,
+    query: ResultQuery,
     running: RunOptions,
     output: console.Output,
 ) -> None:
@@ -65,10 +61,7 @@ def picture(
             scale=scale,
             animations=[form for form, wanted in (("gif", gif), ("mp4", mp4)) if wanted],
             frames_per_second=fps,
-            dataset=dataset,
-            space=options.label_space(label_space),
-            classes=options.label_space(classes),
-            selection=selection,
+            query=query,
             options=run,
         )
     run_end.finish("picture", outcome, out, output)
@@ -77,10 +70,7 @@ def picture(
 def export_rrd(
     *,
     results: options.Results,
-    dataset: options.DataSetOfResults = None,
-    selection: ScanSelection,
-    label_space: options.LabelSpaceName = None,
-    classes: options.MergedInto = None,
+    query: ResultQuery,
     running: Annotated[RunOptions, Without({"jobs", "backend", "scheduler", "shard", "overwrite"})],
     output: console.Output,
 ) -> None:
@@ -94,10 +84,7 @@ def export_rrd(
     with over_scans("export-rrd", running, output.quiet) as run:
         outcome = stage(
             out,
-            dataset=dataset,
-            space=options.label_space(label_space),
-            classes=options.label_space(classes),
-            selection=selection,
+            query=query,
             options=run,
         )
     run_end.finish("export-rrd", outcome, out, output)
@@ -162,10 +149,7 @@ def report(
         ),
     ] = None,
     by_distance: options.ByDistance = False,
-    dataset: options.DataSetOfResults = None,
-    selection: ScanSelection,
-    label_space: options.LabelSpaceName = None,
-    classes: options.MergedInto = None,
+    query: ResultQuery,
     running: options.Reading,
     output: console.Output,
 ) -> None:
@@ -179,11 +163,8 @@ def report(
         made = stage(
             results.folder(),
             scans=[name.strip() for name in (scans or "").split(",") if name.strip()],
-            dataset=dataset,
-            space=options.label_space(label_space),
-            classes=options.label_space(classes),
+            query=query,
             by_distance=by_distance,
-            selection=selection,
             options=run,
         )
     output.result(made.to_dict())
@@ -203,10 +184,7 @@ def view(
         int, typer.Option(help="Port on this machine; 0: any free one.", min=0, max=65535)
     ] = 8765,
     by_distance: options.ByDistance = False,
-    dataset: options.DataSetOfResults = None,
-    selection: ScanSelection,
-    label_space: options.LabelSpaceName = None,
-    classes: options.MergedInto = None,
+    query: ResultQuery,
     running: options.Reading,
     output: console.Output,
 ) -> None:
@@ -220,11 +198,8 @@ def view(
         server = stage(
             results.folder(),
             port=port,
-            dataset=dataset,
-            space=options.label_space(label_space),
-            classes=options.label_space(classes),
+            query=query,
             by_distance=by_distance,
-            selection=selection,
             options=run,
         )
     run_end.name_failures(server.failures)

@@ -54,10 +54,12 @@ class Group:
     kind: type
     defaults: dict[str, Any]  # Of all its fields
     offered: dict[str, inspect.Parameter]  # Options by field
+    nested: dict[str, "Group"]  # Fields that are such dataclasses themselves
 
     def fill(self, given: dict[str, Any]) -> Any:
         """Take the values of the options out of what was typed, and build the dataclass."""
-        typed = {name: given.pop(name) for name in self.offered}
+        typed = {name: group.fill(given) for name, group in self.nested.items()}
+        typed |= {name: given.pop(name) for name in self.offered if name in given}
         for field in dataclasses.fields(self.kind):
             if (parse := field.metadata.get("parse")) and field.name in typed:
                 typed[field.name] = parse(typed[field.name])
@@ -111,8 +113,12 @@ def _group(kind: type, marks: list[Any]) -> Group:
         elif isinstance(mark, Only):
             left_out |= fields.keys() - mark
     offered: dict[str, inspect.Parameter] = {}
+    nested: dict[str, Group] = {}
     for name, field in fields.items():
         declared = field.metadata
+        if not declared and isinstance(field.type, type) and dataclasses.is_dataclass(field.type):
+            nested[name] = _group(field.type, marks)
+            offered |= nested[name].offered
         if name in left_out or not declared:
             continue
         default, typed = defaults[name], declared.get("typed") or field.type
@@ -128,4 +134,4 @@ def _group(kind: type, marks: list[Any]) -> Group:
             default=default,
             annotation=Annotated[typed, shown],
         )
-    return Group(kind, defaults, offered)
+    return Group(kind, defaults, offered, nested)

@@ -2,9 +2,10 @@
 """Options that more than one command takes, about scans, sensors and networks."""
 
 import os
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +14,7 @@ from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, Networ
 from salsanext_cli.errors import UsageError
 from salsanext_cli.options import ScanSelection, argument, option, option_group
 from salsanext_cli.parallel.options import RunOptions
+from salsanext_cli.results.query import ResultQuery
 
 if TYPE_CHECKING:
     from salsanext_cli.classes.label_space import LabelSpace
@@ -27,6 +29,13 @@ EVENLY_SPACED = {"help": "At most this number of scans, evenly spaced."}
 selection_option = partial(typer.Option, rich_help_panel="Selection")
 network_option = partial(typer.Option, rich_help_panel="Network")
 running_option = partial(typer.Option, rich_help_panel="Running")
+
+
+def _shared(name: str) -> Any:
+    """Return an option of `ResultQuery` for commands that take no more of it."""
+    (field,) = (field for field in fields(ResultQuery) if field.name == name)
+    return typer.Option(**field.metadata["option"])
+
 
 Scans = Annotated[
     Path | None, typer.Argument(metavar="SCANS", help=SCANS_HELP, show_default="the data set")
@@ -68,26 +77,15 @@ DataSet = Annotated[
 ]
 DataSetOfResults = Annotated[
     Path | None,
-    selection_option(
-        help="Data set with the scans and labels; SALSANEXT_DATASET for results that do not record "
-        "it.",
-        show_default="the one that the results record, else .",
-    ),
+    _shared("dataset"),
 ]
 LabelSpaceName = Annotated[
     str | None,
-    selection_option(
-        help="Name of a built-in label space, or a .yaml file in SemanticKITTI's format.",
-        show_default="that of the data set, else semantic-kitti",
-    ),
+    _shared("label_space"),
 ]
 MergedInto = Annotated[
     str | None,
-    selection_option(
-        help="Merge the classes into those of a label space: coarse, or a .yaml file. "
-        "Probabilities of merged classes are added.",
-        show_default="not merged",
-    ),
+    _shared("classes"),
 ]
 SpacedSelection = Annotated[ScanSelection, Shown(limit=EVENLY_SPACED)]
 LabelledSelection = Annotated[

@@ -15,6 +15,7 @@ from salsanext_cli.engines.settings import AUTO, COLUMNS_HELP, with_columns
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.options import RunOptions
+from salsanext_cli.results.query import ResultQuery
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Outcome
@@ -165,7 +166,7 @@ def _then_fused(
     from salsanext_cli.stages.fuse import FUSED, fuse_results
 
     with over_scans("fuse", running, output.quiet) as run:
-        fused = fuse_results(out, selection=selection, options=run)
+        fused = fuse_results(out, query=ResultQuery(selection=selection), options=run)
     output.say(f"fuse: {counted(fused.done, 'scan')} → {out / FUSED}")
     failures = dict.fromkeys((*outcome.failures, *fused.failures))
     return replace(outcome, failures=tuple(failures))

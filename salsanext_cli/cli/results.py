@@ -10,8 +10,10 @@ from salsanext_cli.cli import console, options, run_end
 from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.options import FusionReach, ScanSelection
+from salsanext_cli.options import FusionReach
 from salsanext_cli.parallel.options import RunOptions
+from salsanext_cli.results.query import ResultQuery
+from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -37,8 +39,7 @@ def fuse(
         ),
     ] = None,
     reach: FusionReach,
-    dataset: options.DataSetOfResults = None,
-    selection: ScanSelection,
+    query: Annotated[ResultQuery, Without({"label_space", "classes"})],
     running: RunOptions,
     strict: options.Strict = False,
     output: console.Output,
@@ -56,11 +57,10 @@ def fuse(
             target,
             poses=poses,
             reach=reach,
-            dataset=dataset,
-            selection=selection,
+            query=query,
             options=run,
         )
-    run_end.finish("fuse", outcome, target, output, split=selection.split, strict=strict)
+    run_end.finish("fuse", outcome, target, output, split=query.selection.split, strict=strict)
 
 
 def class_names(text: str | None) -> list[str]:
@@ -93,8 +93,7 @@ def filter_command(
     indices: Annotated[
         bool, typer.Option("--indices", help="Write masks of the points that stay (.npy).")
     ] = False,
-    dataset: options.DataSetOfResults = None,
-    selection: Annotated[ScanSelection, Without({"split"})],
+    query: Annotated[ResultQuery, Without({"split", "label_space", "classes"})],
     running: RunOptions,
     output: console.Output,
 ) -> None:
@@ -106,14 +105,14 @@ def filter_command(
 
     with over_scans("filter", running, output.quiet) as run:
         outcome = filter_scans(
-            *(out, to),
+            out,
+            to,
             drop=class_names(drop),
             keep=class_names(keep),
             max_error=max_error,
             split=split,
             indices=indices,
-            dataset=dataset,
-            selection=selection,
+            query=query,
             options=run,
         )
     run_end.finish("filter", outcome, to, output)
@@ -124,10 +123,7 @@ def compare(
     after: Annotated[Path, typer.Argument(metavar="OUT_B", help="Results of the second run.")],
     *,
     by_distance: options.ByDistance = False,
-    dataset: options.DataSetOfResults = None,
-    selection: ScanSelection,
-    label_space: options.LabelSpaceName = None,
-    classes: options.MergedInto = None,
+    query: ResultQuery,
     running: options.Reading,
     output: console.Output,
 ) -> None:
@@ -143,12 +139,10 @@ def compare(
 
     with over_scans("compare", running, output.quiet) as run:
         found, failures = stage(
-            *(before, after),
+            before,
+            after,
             by_distance=by_distance,
-            dataset=dataset,
-            space=options.label_space(label_space),
-            classes=options.label_space(classes),
-            selection=selection,
+            query=query,
             options=run,
         )
     failed = [failure.to_dict() for failure in failures]
@@ -164,10 +158,7 @@ def evaluate(
     *,
     results: options.Results,
     by_distance: options.ByDistance = False,
-    dataset: options.DataSetOfResults = None,
-    selection: ScanSelection,
-    label_space: options.LabelSpaceName = None,
-    classes: options.MergedInto = None,
+    query: ResultQuery,
     running: options.Reading,
     output: console.Output,
 ) -> None:
@@ -182,17 +173,20 @@ def evaluate(
     from salsanext_cli.stages.evaluate import part_of
 
     out = results.folder()
-    folder = ResultFolder(out, dataset)
-    labels = options.label_space(label_space)
-    files, space = folder.predicted(selection, labels, options.label_space(classes))
-    part = part_of(folder, files, selection)
+    folder = ResultFolder(out, query.dataset)
+    files, space = folder.predicted(query.selection, query.label_space, query.classes)
+    part = part_of(folder, files, query.selection)
     with over_scans("eval", running, output.quiet) as run:
-        settings = folder.provenance(selection)
+        settings = folder.provenance(query.selection)
         found = stage(
-            *(files, out, space, run, part),
+            files,
+            out,
+            space,
+            run,
+            part,
             by_distance=by_distance,
             settings=settings,
-            labels=labels,
+            labels=query.label_space,
         )
     output.result(found.to_dict(), _evaluation_shown(found, settings["reject"]))
     run_end.name_failures(found.failures)
@@ -228,9 +222,7 @@ def export_ply(
         typer.Option(
             "--colour",
             "--color",
-            help="label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
-            "error, epistemic, aleatoric, total, entropy, mutual_information, "
-            "least_confidence, disagreement.",
+            help=f"{COLOUR_HELP}.",
         ),
     ] = "label",
     scale: Annotated[
@@ -253,10 +245,7 @@ def export_ply(
     voxel: Annotated[
         float, typer.Option("--map-voxel", help="Edge of the voxels of one point each, in metres.")
     ] = 0.1,
-    dataset: options.DataSetOfResults = None,
-    selection: ScanSelection,
-    label_space: options.LabelSpaceName = None,
-    classes: options.MergedInto = None,
+    query: ResultQuery,
     running: RunOptions,
     output: console.Output,
 ) -> None:
@@ -275,10 +264,7 @@ def export_ply(
             max_error=max_error,
             form=form,
             voxel=voxel if as_map else None,
-            dataset=dataset,
-            space=options.label_space(label_space),
-            classes=options.label_space(classes),
-            selection=selection,
+            query=query,
             options=run,
         )
     run_end.finish("export-ply", outcome, out, output)

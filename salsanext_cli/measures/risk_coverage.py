@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from salsanext_cli.measures.histograms import Histogram, highest_of_bins
 from salsanext_cli.measures.scores import Counts, Ratios
+from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
 COVERAGE = np.arange(1, 101) / 100
 """Shares of the points, the least uncertain ones first, at which the risk is given."""
@@ -21,7 +22,6 @@ PERCENT_KEPT = 80
 """Share of the points, in percent, that a threshold keeps as nearly as it can."""
 FEW_DIGITS = (1, 2, 3, 4)
 """Significant digits of a threshold that is rounded, where that keeps the same points."""
-UNITS = {"entropy": " nats"}
 SERIES_FROM = 16
 """Number from which the asymptotic series of the harmonic numbers is exact to the last digit."""
 
@@ -146,7 +146,8 @@ class KeptPoints:
             return f"no threshold of {kind} helps: all {points} are wrong"
         if math.isnan(self.threshold):
             return f"no threshold of {kind} helps: it is the same at all {points}"
-        below = f"{kind} below {self.threshold:.4g}{UNITS.get(kind, '')}"
+        unit = UNCERTAINTY[kind].unit if kind in UNCERTAINTY else ""
+        below = f"{kind} below {self.threshold:.4g} {unit}".rstrip()
         # A little less than all is not all.
         kept = f"the {min(100 * self.coverage, 99.9):.3g} % of points with {below}"
         risk, of_all = _percent(self.risk), _percent(self.risk_of_all)

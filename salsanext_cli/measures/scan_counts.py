@@ -35,8 +35,9 @@ from salsanext_cli.measures.panoptic import SEGMENT_COUNTS, count_segments
 from salsanext_cli.measures.scores import Confusion, Mask, Ratios, scores
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.results.layout import UNCERTAINTY, ScanFile, output_path
+from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.result_folder import read_kind
+from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
 SOFTMAX = "probabilities"

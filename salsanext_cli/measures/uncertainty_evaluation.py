@@ -35,7 +35,7 @@ from salsanext_cli.measures.scan_counts import (
     ScanCounts,
 )
 from salsanext_cli.measures.scores import Ratios, plain
-from salsanext_cli.results.layout import UNCERTAINTY
+from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
 log = logging.getLogger(__name__)
 

@@ -24,6 +24,7 @@ from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
 from salsanext_cli.report.colours import screen_colours
 from salsanext_cli.report.tables import percent
+from salsanext_cli.results.uncertainty_kinds import RED, SKY, UNCERTAINTY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,21 +47,11 @@ NAMES_PX = 150
 SMALLEST_SHARE = 0.005
 """Shares below this round to 0 % and are not written into their cell."""
 BEST_COLOUR = "#b3472f"
-BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
-PURPLE = "#cc79a7"
-"""Colours that colour-blind people can tell apart."""
 DASHED = (0, (5, 2))
 LINES = {
     "confidence": (DARK, "-"),
     "softmax_entropy": (DARK, DASHED),
-    "error": (PURPLE, "-"),
-    "epistemic": (BLUE, "-"),
-    "mutual_information": (BLUE, DASHED),
-    "aleatoric": (ORANGE, "-"),
-    "total": (RED, "-"),
-    "entropy": (GREEN, "-"),
-    "least_confidence": (SKY, "-"),
-    "disagreement": (PURPLE, DASHED),
+    **{name: (k.colour, DASHED if k.is_dashed else "-") for name, k in UNCERTAINTY.items()},
 }
 """Colour and dashes of each kind of uncertainty."""
 PLOT_PX = 720, 560

@@ -32,8 +32,9 @@ from salsanext_cli.report.colours import (
     value_colours,
     value_range,
 )
-from salsanext_cli.results.layout import UNCERTAINTY, ScanFile
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.result_folder import ScanResults, scalar_columns
+from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
@@ -62,16 +63,9 @@ SAMPLE_GAP_PX = 6
 TITLES = {
     "label": "prediction",
     "wrong": "errors of the prediction",
-    "error": "error: probability that the label is wrong",
-    "epistemic": "epistemic uncertainty",
-    "aleatoric": "aleatoric uncertainty",
-    "total": "total uncertainty",
-    "entropy": "uncertainty: entropy of the classes",
-    "mutual_information": "uncertainty: mutual information",
-    "least_confidence": "uncertainty: 1 − the largest probability",
-    "disagreement": "disagreement: share of the views against the label",
+    **{name: kind.title for name, kind in UNCERTAINTY.items()},
 }
-UNITS = {"range": "m", "entropy": "nats", "mutual_information": "nats"}
+UNITS = {"range": "m", **{name: kind.unit for name, kind in UNCERTAINTY.items()}}
 
 
 class Strip(NamedTuple):

@@ -19,6 +19,7 @@ from salsanext_cli.formats.recordings import (
     recording_of,
     sequence_of,
 )
+from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
 MAX_LINE_BYTES = 200
 OWN_TABLES = {
@@ -31,11 +32,6 @@ FUSED_STAGES = ("predict", "knn-refine", "uncertainty")
 """The stages whose labels are fused."""
 LABELLING_STAGES = (*FUSED_STAGES, "fuse")
 """The stages whose results later ones read."""
-UNCERTAINTY = (
-    *("error", "epistemic", "aleatoric", "total", "entropy", "mutual_information"),
-    *("least_confidence", "disagreement"),
-)
-"""The kinds of uncertainty that stages may have written; "error" is a probability."""
 ERROR = "uncertainty/error"
 """Folder of the probability that a label is wrong."""
 LEAST_CONFIDENCE = "uncertainty/least_confidence"

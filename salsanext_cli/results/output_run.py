@@ -72,7 +72,7 @@ class OutputRun(OwnedFolder):
         """Write the predicted raw ids of a scan's points, (N,) integer."""
         self.write_result(file, "predictions", encode_labels(raw))
 
-    def register(self, wanted: StageRecord) -> StageRecord:
+    def claim(self, wanted: StageRecord) -> StageRecord:
         """Bring record and results to what the run wants; the records must be locked.
 
         Results of other settings or stages are removed if the run overwrites, else it is refused.
@@ -95,12 +95,10 @@ class OutputRun(OwnedFolder):
                 )
         # Nothing is removed before it is certain that the run may begin, but locks of killed runs.
         for each in (before, *others):
-            is_shared = OwnedFolder(self.root, each.stage).is_shared()
-            if is_shared and not (same and each is before):
-                found = f"another run of `{each.stage}` is at work in it"
-                remedy = "wait until it has ended, or use another folder"
-                raise OutputError(self.root, found, remedy=remedy)
-        kept = [] if same else self._remove_results(before.folders)
+            of_stage = OwnedFolder(self.root, each.stage)
+            if of_stage.is_shared() and not (same and each is before):
+                raise of_stage.busy()
+        kept = [] if same else self.remove_own(self._results_in(before.folders))
         for other in others:
             kept += self._take_over(other, wanted.folders)
         taken = {folder for each in (before, *others) for folder in each.folders}
@@ -120,26 +118,24 @@ class OutputRun(OwnedFolder):
         With labels goes what is known against them.
         """
         taken = {*folders, ERROR, DISAGREEMENT, "views"} if "predictions" in folders else {*folders}
-        kept = self._remove_results(name for name in other.folders if name in taken)
+        kept = self.remove_own(self._results_in(each for each in other.folders if each in taken))
         left = tuple(name for name in other.folders if name not in taken)
         replace(other, folders=left).write(self.root)
         return kept
 
     def _remove_unrecorded(self, folders: Iterable[str]) -> list[Path]:
         """Refuse results that no stage recorded, or remove them: their settings are not known."""
-        found = [path for name in folders for path in find_outputs(self.root, name).values()]
-        if found and not self.overwrite:
+        results = self._results_in(folders)
+        if results and not self.overwrite:
             raise OutputError(
-                found[0],
+                results[0],
                 "is a result that no stage recorded",
                 remedy="use another output folder, or --overwrite to work beside it",
             )
-        return self.remove_own(found)
+        return self.remove_own(results)
 
-    def _remove_results(self, folders: Iterable[str]) -> list[Path]:
-        """Remove results that are as salsanext wrote them; return the others."""
-        found = [path for f in folders for path in find_outputs(self.root, f).values()]
-        return self.remove_own(found)
+    def _results_in(self, folders: Iterable[str]) -> list[Path]:
+        return [path for name in folders for path in find_outputs(self.root, name).values()]
 
 
 def encode_array(array: npt.NDArray[Any]) -> bytes:
@@ -204,7 +200,7 @@ def output_run(
     wanted = StageRecord(stage, as_json(settings), tuple(sorted(run.folders)), sources)
     with ExitStack() as stack:
         with run.locked_records():
-            recorded = run.register(wanted)
+            recorded = run.claim(wanted)
             stack.enter_context(run.open(shared=True))
         # First those of other settings: they are no results of this run.
         run = replace(run, kept=frozenset(run.others(out / name for name in recorded.kept)))

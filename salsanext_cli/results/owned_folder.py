@@ -91,6 +91,11 @@ class OwnedFolder:
                 busy = True
         return busy
 
+    def busy(self) -> OutputError:
+        """Return the error of a folder that a run of the stage fills now."""
+        remedy = "wait until it has ended, or use another folder"
+        return OutputError(self.root, f"a run of `{self.stage}` is at work in it", remedy=remedy)
+
     def locked_records(self) -> AbstractContextManager[None]:
         """Keep other processes from the records of the folder while the body runs."""
         return locked(self.root / ".records.lock", RECORDS_LOCK_TIMEOUT_S)

@@ -2,7 +2,6 @@
 """The one reader of an output folder: its scans, their results, classes and provenance."""
 
 import logging
-import math
 import os
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -27,7 +26,6 @@ from salsanext_cli.results.layout import (
     LABELLING_STAGES,
     SCAN_FOLDER,
     SUFFIX_OF_FOLDER,
-    UNCERTAINTY,
     ScanFile,
     find_outputs,
     find_scans,
@@ -35,6 +33,7 @@ from salsanext_cli.results.layout import (
     output_path,
     with_outputs,
 )
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.selection import (
     MissingResults,
     choose,
@@ -43,6 +42,7 @@ from salsanext_cli.results.selection import (
     with_splits,
 )
 from salsanext_cli.results.stage_records import MAX_PATH_CHARACTERS, ScanSource, StageRecords
+from salsanext_cli.results.uncertainty_kinds import MEANT_BY_UNCERTAINTY, PREDICT, UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
 FOLDER_OF_COLUMN = {
@@ -217,18 +217,13 @@ class ResultFolder(StageRecords):
                 log.warning("no predictions for %s of split %s", ", ".join(absent), selection.split)
         return chosen, space
 
-    def chosen(
-        self,
-        selection: ScanSelection,
-        space: LabelSpace | None = None,
-        classes: LabelSpace | None = None,
-    ) -> ChosenResults:
+    def chosen(self, query: ResultQuery) -> ChosenResults:
         """Choose among the scans of which any stage left results; log how many lack them.
 
-        A limit is of scans with results; `space`, `classes`: as for `compared_space`.
+        A limit is of scans with results.
         """
-        recorded = self.scans()
-        given, space = space, self.compared_space(recorded, space, classes, own_ids=True)
+        recorded, selection = self.scans(), query.selection
+        space = self.compared_space(recorded, query.label_space, query.classes, own_ids=True)
         self.require_same_weights()
         chosen = choose(recorded, replace(selection, limit=None), space, self.root)
         scans = self.with_results(chosen)[: selection.limit]
@@ -237,7 +232,7 @@ class ResultFolder(StageRecords):
             chosen = chosen[: chosen.index(scans[-1]) + 1]
         missing = self.missing_results(set(chosen) - set(scans))
         missing.log_error(len(chosen), "results")
-        labels = space_of_labels(recorded, space, given)
+        labels = space_of_labels(recorded, space, query.label_space)
         return ChosenResults(scans, space, labels, missing, recorded)
 
     def provenance(self, selection: ScanSelection) -> dict[str, Any]:
@@ -315,16 +310,8 @@ class ResultFolder(StageRecords):
         """Return the error that says what is missing for a column, and where it would be."""
         if column in ("truth", "wrong") and not present(file.label_path):
             return NoInputError(file.path, "has no labels", str(file.label_path))
-        by_predict = column not in UNCERTAINTY or column == "least_confidence"
-        stage = "predict" if by_predict else "uncertainty"
-        remedy = f"run `salsanext {stage} SCANS {self.root}` first"
-        if column == "disagreement":
-            remedy = f"run `salsanext fuse {self.root}` first"
-        if column == "error":
-            remedy = (
-                f"run `salsanext predict SCANS {self.root} --error`, with weights that know it: "
-                "the default ones, or what `salsanext tune error` writes"
-            )
+        made_by = UNCERTAINTY[column].made_by if column in UNCERTAINTY else PREDICT
+        remedy = made_by.format(out=self.root)
         return NoInputError(file.path, f"no {column} known", str(self._path(file, column)), remedy)
 
     def _path(self, file: ScanFile, column: str) -> Path:
@@ -333,23 +320,17 @@ class ResultFolder(StageRecords):
     def meant_uncertainty(self, scans: Sequence[ScanFile]) -> str:
         """Return what "uncertainty" means.
 
-        The error where all scans have it, else of the entropy, the disagreement and the least
-        confidence the first that is known.
+        The error where all scans have it, else the first of `MEANT_BY_UNCERTAINTY` that is known.
         """
         if len(self.with_column("error", scans)) == len(scans):
             return "error"
-        kinds = (
-            kind
-            for kind in ("entropy", "disagreement", "least_confidence")
-            if self.with_column(kind, scans)
-        )
-        return next(kinds, "entropy")
+        known = (kind for kind in MEANT_BY_UNCERTAINTY if self.with_column(kind, scans))
+        return next(known, MEANT_BY_UNCERTAINTY[0])
 
 
 def read_kind(path: Path, kind: str, count: int | None) -> Float:
     """Read one kind of uncertainty of a scan's points, as `read_uncertainty`."""
-    is_probability = kind in ("error", "least_confidence", "disagreement")
-    return read_uncertainty(path, count, 1.0 if is_probability else math.inf)
+    return read_uncertainty(path, count, UNCERTAINTY[kind].most)
 
 
 def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:

@@ -85,14 +85,21 @@ def _log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[st
 
 
 def select_scans(
-    source: Path, selection: ScanSelection, space: LabelSpace | None = None
+    source: Path,
+    selection: ScanSelection,
+    space: LabelSpace | None = None,
+    *,
+    evenly: bool = False,
 ) -> list[ScanFile]:
     """Find the scans of a source and choose among them.
 
-    `space`: whose splits count if the source does not bring its own label space.
+    `space`: whose splits count if the source does not bring its own label space; `evenly`: whether
+    a limit takes evenly spaced scans, not the first ones.
     """
     scans = scans_of(source)
-    return choose(scans, selection, space_of(scans, space), source)
+    unlimited = replace(selection, limit=None) if evenly else selection
+    scans = choose(scans, unlimited, space_of(scans, space), source)
+    return evenly_spaced(scans, selection.limit or 0) if evenly else scans
 
 
 def choose(
@@ -106,28 +113,21 @@ def choose(
     if selection.sequences:
         scans = of_sequences(scans, selection.sequences, source)
     if selection.split is not None:
-        scans = _of_split(scans, selection.split, space, source)
+        space = with_splits(space, data_set_of(scans[0]) if scans else None)
+        members = space.split(selection.split)
+        sequences = sorted({scan.sequence for scan in scans})
+        if not {*members}.isdisjoint(sequences):
+            scans = [scan for scan in scans if scan.sequence in members]
+        elif any(map(space.split_of, sequences)):
+            raise NoInputError(
+                source,
+                f"no scans of split {selection.split} ({', '.join(members) or 'no sequences'})",
+                f"some besides {', '.join(sequences)}",
+                "choose with --split or --sequences",
+            )
+        else:
+            log.warning("no split names %s: taking all", ", ".join(sequences))
     return scans[: selection.limit]
-
-
-def _of_split(
-    scans: list[ScanFile], split: str, space: LabelSpace, source: object
-) -> list[ScanFile]:
-    space = with_splits(space, data_set_of(scans[0]) if scans else None)
-    members = space.split(split)
-    chosen = [scan for scan in scans if scan.sequence in members]
-    if chosen:
-        return chosen
-    found = sorted({scan.sequence for scan in scans})
-    if any(space.split_of(sequence) for sequence in found):
-        raise NoInputError(
-            source,
-            f"no scans of split {split} ({', '.join(members) or 'no sequences'})",
-            f"some besides {', '.join(found)}",
-            "choose with --split or --sequences",
-        )
-    log.warning("no split names %s: taking all", ", ".join(found))
-    return scans
 
 
 def data_set_of(scan: ScanFile) -> Path | None:
@@ -145,30 +145,26 @@ def data_set_label_space(root: Path) -> LabelSpace | None:
     return None
 
 
-def with_splits(space: LabelSpace, root: Path | None = None) -> LabelSpace:
-    """Return a label space that has splits: its own, else the data set's, else SemanticKITTI's."""
-    own = data_set_label_space(root) if root and not space.splits else None
-    return _with_splits_of(own, space)
+def with_splits(
+    space: LabelSpace, root: Path | None = None, *, alternatives: bool = False
+) -> LabelSpace:
+    """Return a label space that has splits: its own, else the data set's, else SemanticKITTI's.
 
-
-def _with_splits_of(own: LabelSpace | None, space: LabelSpace) -> LabelSpace:
-    if space.splits:
-        return space
-    return replace(space, splits=(own and own.splits) or label_space().splits)
-
-
-def with_splits_and_alternatives(space: LabelSpace, root: Path) -> LabelSpace:
-    """Return a label space as `with_splits`, and with the data set's alternatives of classes."""
+    `alternatives`: whether it gets the data set's alternatives of merged classes too.
+    """
+    own = None
     try:
-        own = data_set_label_space(root)
+        if root and (alternatives or not space.splits):
+            own = data_set_label_space(root)
     except UsageError as error:
         if not space.splits:
             raise
         warn_once(log, f"{error}: label space {space.name} is taken without it")
-        return space
-    if own is not None and is_merged(space, own):
+    if alternatives and own is not None and is_merged(space, own):
         space = ClassMerging.between(own, space).space
-    return _with_splits_of(own, space)
+    if space.splits:
+        return space
+    return replace(space, splits=(own and own.splits) or label_space().splits)
 
 
 def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> LabelSpace:
@@ -189,12 +185,6 @@ def evenly_spaced(files: Sequence[Item], count: int) -> list[Item]:
     if count == 0 or count >= len(files):
         return list(files)
     return [files[i] for i in np.linspace(0, len(files) - 1, count).round().astype(int)]
-
-
-def select_evenly(source: Path, selection: ScanSelection, space: LabelSpace) -> list[ScanFile]:
-    """Find the scans of a selection, as `select_scans`; a limit takes evenly spaced ones."""
-    scans = select_scans(source, replace(selection, limit=None), space)
-    return evenly_spaced(scans, selection.limit or 0)
 
 
 def space_of_labels(

@@ -24,11 +24,11 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.measures.paired import RunComparison, ScanPair
 from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
 from salsanext_cli.measures.scores import Confusion, class_sums
-from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.comparison import change_picture, comparison_page
 from salsanext_cli.results.layout import ScanFile, output_path, with_outputs
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import space_of_labels
 from salsanext_cli.sensors.sensor import Sensor
@@ -77,22 +77,19 @@ def compare(
     after: Path,
     *,
     by_distance: bool = False,
-    dataset: Path | None = None,
-    space: LabelSpace | None = None,
-    classes: LabelSpace | None = None,
-    selection: ScanSelection = ScanSelection(),
+    query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> tuple[RunComparison, tuple[Failure, ...]]:
     """Compare two output folders; write `compare.json` and `compare.html` into the second one.
 
     Scans that the weights of either run were trained on have no part in the scores. `by_distance`:
-    score rings of distance too, for which the scans are read; `space`, `classes`: as for
-    `ResultFolder.predicted`.
+    score rings of distance too, for which the scans are read.
     """
-    runs = ResultFolder(before, dataset), ResultFolder(after, dataset)
+    runs = ResultFolder(before, query.dataset), ResultFolder(after, query.dataset)
     OwnedFolder(after).require_own([after / name for name in FILES])
-    chosen, compared = runs[0].predicted(selection, space, classes)
-    others, own = runs[1].predicted(selection, space, classes)
+    (chosen, compared), (others, own) = (
+        run.predicted(query.selection, query.label_space, query.classes) for run in runs
+    )
     if not compared.fits(own):
         found = f"{first_few(compared.differences(own))}"
         raise UsageError(after, found, f"the classes of {before}", "merge both, --classes coarse")
@@ -106,7 +103,7 @@ def compare(
         raise NoInputError(after, f"no scan that {before} has labels of", "the same scans")
     if alone := len(keys[0] ^ keys[1]):
         log.warning("%s left out, with labels of one run only", counted(alone, "scan"))
-    labels, sensor = space_of_labels(both, compared, space), runs[0].sensor()
+    labels, sensor = space_of_labels(both, compared, query.label_space), runs[0].sensor()
     trained_on = runs[0].trained_on() | runs[1].trained_on()
     task = partial(compare_scan, runs=runs, space=compared, labels=labels, sensor=sensor)
     task = partial(task, by_distance=by_distance, trained_on=trained_on)

@@ -10,6 +10,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, Progress, RunOptions
 from salsanext_cli.results.layout import ERROR, find_outputs
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.export_ply import export_ply
@@ -86,5 +87,5 @@ def demo(
         evaluation = evaluate(files, out, space, run, settings=ResultFolder(out).provenance(valid))
     pictures = tuple(find_outputs(out, "pictures").values())
     with step("report") as run:
-        page = report(out, by_distance=True, selection=valid, options=run).page
+        page = report(out, by_distance=True, query=ResultQuery(selection=valid), options=run).page
     return Demonstration(evaluation, pictures, page, failures)

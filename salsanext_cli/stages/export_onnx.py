@@ -24,7 +24,7 @@ from salsanext_cli.network.weights import read_weights
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.selection import select_evenly
+from salsanext_cli.results.selection import select_scans
 from salsanext_cli.sensors.sensor import Sensor
 
 MIN_SCANS = 2
@@ -65,7 +65,7 @@ def export_onnx(
     scans: list[ScanFile] = []
     if calibrate is not None:
         import_nncf()
-        scans = select_evenly(calibrate, selection, card.space)
+        scans = select_scans(calibrate, selection, card.space, evenly=True)
         if len(scans) < MIN_SCANS:
             raise UsageError("--calibrate", "a single scan", "some tens, of different places")
     require_target(target, overwrite, ONNX_SUFFIX)

@@ -23,12 +23,12 @@ from salsanext_cli.fusion.drive_map import (
     poses_of_map,
 )
 from salsanext_cli.fusion.poses import POSES
-from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
 from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile, drive_order
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, scalar_columns
 from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
@@ -90,10 +90,7 @@ def export_ply(
     max_error: float | None = None,
     form: str = "ply",
     voxel: float | None = None,
-    dataset: Path | None = None,
-    space: LabelSpace | None = None,
-    classes: LabelSpace | None = None,
-    selection: ScanSelection = ScanSelection(),
+    query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
     """Write `OUT/sequences/<seq>/ply/*.ply` or the like: positions, colours and every known scalar.
@@ -105,10 +102,9 @@ def export_ply(
     scans, otherwise what most points of the first scans span; `max_error`: points whose error, 0…1,
     is above it are written as unlabelled; `form`: of `FORMATS`; `voxel`: instead of scans, the
     map of each drive with fused labels goes to `OUT/sequences/<seq>/map.ply`, with one point in
-    each voxel of such an edge in metres, in the frame of the poses; `space`, `classes`: as for
-    `ResultFolder.predicted`.
+    each voxel of such an edge in metres, in the frame of the poses.
     """
-    results = ResultFolder(out, dataset)
+    results = ResultFolder(out, query.dataset)
     require_colouring([colour], scale)
     if max_error is not None and not 0 <= max_error <= 1:
         raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
@@ -121,7 +117,7 @@ def export_ply(
             raise UsageError("--map", "with --max-error, --shard or the truth", "none of these")
         if not MIN_VOXEL_M <= voxel <= MAX_VOXEL_M:
             raise UsageError("--map-voxel", f"{voxel:g}", f"{MIN_VOXEL_M} to {MAX_VOXEL_M} metres")
-    chosen = results.chosen(selection, space, classes)
+    chosen = results.chosen(query)
     scans, space = chosen.scans, chosen.space
     if max_error is not None:
         results.require_column("error", scans)
@@ -157,7 +153,7 @@ def export_ply(
         record_scans=False,
     ) as output:
         task = partial(export_scan, colours=colours, sensor=sensor, output=output)
-        task = partial(task, classes=classes, labels=chosen.labels, max_error=max_error)
+        task = partial(task, classes=query.classes, labels=chosen.labels, max_error=max_error)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=rejected.append
         )

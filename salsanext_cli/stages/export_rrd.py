@@ -12,14 +12,15 @@ from pathlib import Path
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, OutputError, printable
 from salsanext_cli.files.atomic import sweep_stale
-from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
 from salsanext_cli.report.colours import PointColours, common_scales
 from salsanext_cli.report.rerun_recording import Columns, LogScan, import_rerun, recording
-from salsanext_cli.results.layout import UNCERTAINTY, ScanFile
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
+from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
 FOLDER = "rrd"
@@ -32,25 +33,21 @@ log = logging.getLogger(__name__)
 def export_rrd(
     out: Path,
     *,
-    dataset: Path | None = None,
-    space: LabelSpace | None = None,
-    classes: LabelSpace | None = None,
-    selection: ScanSelection = ScanSelection(),
+    query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
     """Write `OUT/rrd/<seq>.rrd`: points, classes, uncertainties and every other known scalar.
 
     Recordings of earlier runs are replaced. A sequence gets none if none of its scans can be read.
-    `space`, `classes`: as for `ResultFolder.predicted`.
     """
-    results = ResultFolder(out, dataset)
+    results = ResultFolder(out, query.dataset)
     import_rerun()
     try:
         str(out).encode()
     except UnicodeEncodeError as error:
         found = "its name is no UTF-8, which rerun-sdk cannot open"
         raise OutputError(out, found, remedy="rename it") from error
-    chosen = results.chosen(selection, space, classes)
+    chosen = results.chosen(query)
     scans, space, sensor = chosen.scans, chosen.space, results.sensor()
     OwnedFolder(out).require_own(_path(out, scan.sequence) for scan in scans)
     sweep_stale(out / FOLDER)
@@ -72,7 +69,7 @@ def export_rrd(
             text = _text(file, columns, colourings)
             log_scan[file.sequence](numbers[file], text, points, columns)
 
-        task = partial(_read, out=out, sensor=sensor, classes=classes)
+        task = partial(_read, out=out, sensor=sensor, classes=query.classes)
         task = partial(task, space=space, labels=chosen.labels)
         in_turn = RunOptions(on_error=options.on_error, progress=options.progress)
         outcome = run_over_scans(task, scans, in_turn, on_result=keep)

@@ -15,18 +15,18 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, contradiction
-from salsanext_cli.errors import NoInputError, OutputError, UsageError, counted, first_few
+from salsanext_cli.errors import NoInputError, UsageError, counted, first_few
 from salsanext_cli.files.reading import filled, is_folder, present
 from salsanext_cli.formats.bags import Bag
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.recordings import files_of, recorded_paths, recording_of
 from salsanext_cli.formats.subsets import Mask, subsets_of, write_bag_subset
 from salsanext_cli.fusion.window import movable_classes
-from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import ERROR, LABELLING_STAGES, SCAN_FOLDER, ScanFile, output_path
 from salsanext_cli.results.output_run import encode_array
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder, read_kind
 from salsanext_cli.results.stage_records import as_json, require_same_settings
 
@@ -126,8 +126,7 @@ def filter_scans(
     max_error: float | None = None,
     split: bool = False,
     indices: bool = False,
-    dataset: Path | None = None,
-    selection: ScanSelection = ScanSelection(),
+    query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
     """Write `FOLDER/sequences/<seq>/velodyne/`: the scans as they are, without some points.
@@ -140,8 +139,8 @@ def filter_scans(
         raise UsageError("--drop, --keep, --max-error, --split", "none given", "one of them")
     if max_error is not None and not 0 <= max_error <= 1:
         raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
-    results, owned = ResultFolder(out, dataset), OwnedFolder(folder, "filter")
-    chosen = results.chosen(selection)
+    results, owned = ResultFolder(out, query.dataset), OwnedFolder(folder, "filter")
+    chosen = results.chosen(query)
     scans, space = chosen.scans, chosen.space
     stays = named_classes(keep, space) if keep else np.ones(space.class_count, bool)
     stays &= ~named_classes(drop, space)
@@ -241,6 +240,5 @@ def _begin(owned: OwnedFolder, settings: dict[str, Any], overwrite: bool) -> Non
     if replaced and not overwrite:
         require_same_settings(owned.record_path, recorded or {}, settings)
     if replaced and owned.is_shared():
-        found, remedy = "another run of `filter` is at work in it", "wait until it has ended"
-        raise OutputError(owned.root, found, remedy=remedy)
+        raise owned.busy()
     owned.begin(settings, [path for path in replaced if path != owned.record_path])

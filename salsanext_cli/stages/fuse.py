@@ -50,7 +50,7 @@ from salsanext_cli.fusion.window import (
     voting,
 )
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.options import FusionReach, ScanSelection
+from salsanext_cli.options import FusionReach
 from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.worker import Attempt, AttemptFunction
@@ -67,6 +67,7 @@ from salsanext_cli.results.layout import (
 )
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import MissingResults, choose, scans_of
 from salsanext_cli.sensors.sensor import Sensor
@@ -162,8 +163,7 @@ def fuse_results(
     *,
     poses: Path | None = None,
     reach: FusionReach = FusionReach(),
-    dataset: Path | None = None,
-    selection: ScanSelection = ScanSelection(),
+    query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
     """Fuse what `predict` said of the scans of drives into `TARGET/sequences/<seq>/predictions`.
@@ -175,11 +175,9 @@ def fuse_results(
     target = target or out / FUSED
     if target.resolve() == out.resolve():
         raise UsageError("TARGET", f"{target}, the folder of the single labels", "another folder")
-    if OwnedFolder(out, "predict").is_shared():
-        raise OutputError(
-            out, "a run of `predict` is at work in it", remedy="wait until it has ended"
-        )
-    results = ResultFolder(out, dataset)
+    if (predicted := OwnedFolder(out, "predict")).is_shared():
+        raise predicted.busy()
+    results = ResultFolder(out, query.dataset)
     present_scans = results.scans()
     known = with_outputs(present_scans, out, *SOFTMAX_FOLDERS)
     known = with_outputs(known, out, "predictions")
@@ -190,7 +188,9 @@ def fuse_results(
     if not space.fits(of_softmax):
         found = f"labels in the classes of {space.name}, softmax in those of {of_softmax.name}"
         raise OutputError(out, found, "the same for both", "predict both anew")
-    wanted = choose(present_scans, selection, results.compared_space(known, own_ids=True), out)
+    wanted = choose(
+        present_scans, query.selection, results.compared_space(known, own_ids=True), out
+    )
     scans = [file for file in wanted if file in set(known)]
     missing = MissingResults(tuple(file for file in wanted if file not in set(known)), 0)
     missing.log_error(len(wanted), "softmax and labels")

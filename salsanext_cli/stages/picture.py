@@ -11,7 +11,6 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, NoInputError, UsageError
 from salsanext_cli.files.json_files import RecordedSettings
 from salsanext_cli.fitting.scan_fit import fitted_view
-from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.animation import animate, find_ffmpeg, require_animations_replaceable
 from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
@@ -24,6 +23,7 @@ from salsanext_cli.results.layout import (
     find_outputs,
 )
 from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import FOLDERS, ChosenResults, ResultFolder, scalar_columns
 from salsanext_cli.results.selection import MissingResults, choose, scans_of, space_of_labels
 from salsanext_cli.sensors.sensor import Sensor, sensor
@@ -65,10 +65,7 @@ def picture(
     scale: tuple[float, float] | None = None,
     animations: Collection[str] = (),
     frames_per_second: float = 5.0,
-    dataset: Path | None = None,
-    space: LabelSpace | None = None,
-    classes: LabelSpace | None = None,
-    selection: ScanSelection = ScanSelection(),
+    query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
     """Write `OUT/sequences/<seq>/pictures/*.png`, and `pictures.gif` or `.mp4` beside that.
@@ -78,15 +75,12 @@ def picture(
 
     `colours`: of `COLOURS`, otherwise everything known of each scan; `scale`: values at the ends of
     the colour map, the same for all scans, otherwise what most points of some scans span;
-    `animations`: of "gif" and "mp4"; `space`, `classes`: as for `ResultFolder.predicted`.
+    `animations`: of "gif" and "mp4".
     """
-    results = ResultFolder(out, dataset)
+    results = ResultFolder(out, query.dataset)
     _require_usable(colours, scale, animations, frames_per_second, options)
     has_results = any(find_outputs(out, folder) for folder in FOLDERS)
-    if has_results:
-        chosen = results.chosen(selection, space, classes)
-    else:
-        chosen = _scans_alone(out, selection, dataset, space, classes)
+    chosen = results.chosen(query) if has_results else _scans_alone(out, query)
     scans, space = chosen.scans, chosen.space
     meant = {"uncertainty": results.meant_uncertainty(scans)}
     colours = list(dict.fromkeys(meant.get(colour, colour) for colour in colours))
@@ -110,7 +104,7 @@ def picture(
         *(out, STAGE, settings, (FOLDER,), scans), overwrite=overwrite, record_scans=not has_results
     ) as output:
         task = partial(picture_scan, colours=colours, scales=scales, space=space, sensor=seen)
-        task = partial(task, output=output, classes=classes, labels=chosen.labels)
+        task = partial(task, output=output, classes=query.classes, labels=chosen.labels)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
         log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
         failed = {failure.scan for failure in outcome.failures}
@@ -142,23 +136,18 @@ def _require_usable(
         find_ffmpeg()
 
 
-def _scans_alone(
-    out: Path,
-    selection: ScanSelection,
-    dataset: Path | None,
-    space: LabelSpace | None,
-    classes: LabelSpace | None,
-) -> ChosenResults:
+def _scans_alone(out: Path, query: ResultQuery) -> ChosenResults:
     """Choose among the scans of a data set, or of what else a folder holds, without any labels."""
-    results = ResultFolder(out)
+    results, dataset = ResultFolder(out), query.dataset
     if dataset is None and not any(find_outputs(out, folder) for folder in SUFFIX_OF_FOLDER):
         found = "holds no results" if out.is_dir() else "no such folder"
         remedy = f"run `salsanext predict SCANS {out}` first, or name scans with --dataset"
         raise NoInputError(out, found, "the output folder of an earlier stage", remedy)
     found_scans = scans_of(dataset) if dataset else results.scans()
-    given, space = space, results.compared_space(found_scans, space, classes, own_ids=True)
-    scans = choose(found_scans, selection, space, dataset or out)
-    labels = space_of_labels(found_scans, space, given)
+    own, classes = query.label_space, query.classes
+    space = results.compared_space(found_scans, own, classes, own_ids=True)
+    scans = choose(found_scans, query.selection, space, dataset or out)
+    labels = space_of_labels(found_scans, space, own)
     return ChosenResults(scans, space, labels, MissingResults(), found_scans)
 
 

@@ -11,12 +11,10 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
 from salsanext_cli.fusion.drive_map import poses_of_map
 from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
-from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.colours import PointColours, legend_of, map_on_dark
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of
@@ -34,6 +32,7 @@ from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.report.scan_pictures import NARROW_PX, REACH_M, TITLES, scan_picture
 from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile, drive_order
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import MissingResults, evenly_spaced, space_of_labels
 from salsanext_cli.results.stage_records import StageRecords
@@ -50,11 +49,8 @@ SAMPLED = 5
 class RunChoice(TypedDict, total=False):
     """Arguments of `read_run` but the output folder."""
 
-    dataset: Path | None
-    space: LabelSpace | None
-    classes: LabelSpace | None
+    query: ResultQuery
     by_distance: bool
-    selection: ScanSelection
     options: RunOptions
 
 
@@ -234,26 +230,21 @@ def view(out: Path, *, port: int = 0, **choice: Unpack[RunChoice]) -> View:
 def read_run(
     out: Path,
     *,
-    dataset: Path | None = None,
-    space: LabelSpace | None = None,
-    classes: LabelSpace | None = None,
+    query: ResultQuery = ResultQuery(),
     by_distance: bool = False,
-    selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> tuple[RunResults, tuple[Failure, ...]]:
     """Read the results of all scans of a run, and name the scans that cannot be read.
 
-    `dataset`: where scans and labels are, if not where the scans came from; `space`, `classes`: as
-    for `ResultFolder.predicted`; `by_distance`: score rings of distance too, for which all labelled
-    scans are read.
+    `by_distance`: score rings of distance too, for which all labelled scans are read.
     """
-    results = ResultFolder(out, dataset)
-    asked, results_space = results.predicted(selection, space, classes)
+    results = ResultFolder(out, query.dataset)
+    asked, results_space = results.predicted(query.selection, query.label_space, query.classes)
     results.require_same_weights()
     files = results.with_results(asked)
     missing = results.missing_results(set(asked) - set(files))
     missing.log_error(len(asked), "results")
-    labels = space_of_labels(files, results_space, space)
+    labels = space_of_labels(files, results_space, query.label_space)
     merging = results.merging_into(results_space)
     sensor = results.sensor()
     reader = RunReader(out, results_space, labels, merging, sensor, StageRecords(out).rejection())

@@ -13,7 +13,7 @@ from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import MOVING, RAW_ID_COUNT, LabelSpace, RawIds, label_space
+from salsanext_cli.classes.label_space import MOVING, RAW_ID_COUNT, LabelSpace, label_space
 from salsanext_cli.classes.merging import is_merged
 from salsanext_cli.errors import (
     LabelError,
@@ -42,6 +42,17 @@ SCANS_OF_TEST = {
     **{"17": 491, "18": 1801, "19": 4981, "20": 831, "21": 2721},
 }
 """Number of scans of each test sequence of SemanticKITTI, named 000000, 000001, …"""
+REFUSED_IDS = {
+    "unknown-id": (
+        "ids that {} lacks",
+        "write raw ids, not train ids, or give --label-space",
+    ),
+    "moving": (
+        "classes that move, which the benchmark of single scans does not know",
+        "give them the ids of their classes at rest, such as 10 instead of 252",
+    ),
+}
+"""Meaning of the raw ids of these problems, in a label space of some name, and the remedy."""
 Predictions = dict[tuple[str, str], Path]
 """Label files by sequence and stem."""
 
@@ -142,7 +153,12 @@ def submit(
         points = {scan.stem: scan.path for scan in scans if scan.sequence == sequence}
         found += problems(sequence, stems, labels, points, space, advance)
     if not found:
-        write_zip(target, {**texts, **_members(expected, files)}, advance)
+        members = {
+            f"sequences/{sequence}/predictions/{stem}.label": files[sequence, stem]
+            for sequence, stems in sorted(expected.items())
+            for stem in stems
+        }
+        write_zip(target, texts | members, advance)
     return Submission(total, not unseen, tuple(found))
 
 
@@ -188,15 +204,6 @@ def _expected(
     return {sequence: sorted(named) for sequence, named in stems.items()}
 
 
-def _members(expected: Mapping[str, list[str]], files: Predictions) -> dict[str, Path]:
-    """Return the label files by their names in the ZIP file, in its order."""
-    return {
-        f"sequences/{sequence}/predictions/{stem}.label": files[sequence, stem]
-        for sequence, stems in sorted(expected.items())
-        for stem in stems
-    }
-
-
 def problems(
     sequence: str,
     stems: Sequence[str],
@@ -211,47 +218,46 @@ def problems(
     stem; without a scan, labels are not counted; `space`: classes that may be predicted; `advance`:
     called for each stem.
     """
-    found: dict[str, list[str]] = {"length": [], "unreadable": []}
-    unknown: list[list[int]] = []
-    moving: list[list[int]] = []
+    errors: dict[str, list[str]] = {"length": [], "unreadable": []}
+    refused_ids: dict[str, list[set[int]]] = {code: [] for code in REFUSED_IDS}
+    moving_ids = {i for i, name in space.labels.items() if name.startswith(MOVING)}
     for stem in stems:
         if stem in files:
             try:
-                count = _point_count(scans[stem]) if stem in scans else None
-                raw = _wide_labels(files[stem], count)
-                ids = np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist()
-                unknown.append([i for i in ids if i not in space.learning_map])
-                moving.append([i for i in ids if space.labels.get(i, "").startswith(MOVING)])
+                ids = _ids_of(files[stem], _point_count(scans[stem]) if stem in scans else None)
+                refused_ids["unknown-id"].append(ids - space.learning_map.keys())
+                refused_ids["moving"].append(ids & moving_ids)
             except SalsanextError as error:
                 code = "length" if isinstance(error, LabelError) else "unreadable"
-                found[code].append(str(error))
+                errors[code].append(str(error))
         advance()
     yield from _missing(sequence, stems, files, scans)
-    for code, errors in found.items():
-        if errors:
-            others = f" · and {len(errors) - 1} more" if len(errors) > 1 else ""
-            yield Problem(code, sequence, len(errors), f"{errors[0]}{others}")
-    what = f"ids that {space.name} lacks"
-    remedy = "write raw ids, not train ids, or give --label-space"
-    yield from _refused_ids("unknown-id", sequence, unknown, what, remedy, space)
-    what = "classes that move, which the benchmark of single scans does not know"
-    remedy = "give them the ids of their classes at rest, such as 10 instead of 252"
-    yield from _refused_ids("moving", sequence, moving, what, remedy, space)
+    for code, messages in errors.items():
+        if messages:
+            others = f" · and {len(messages) - 1} more" if len(messages) > 1 else ""
+            yield Problem(code, sequence, len(messages), f"{messages[0]}{others}")
+    for code, of_scans in refused_ids.items():
+        if count := sum(map(bool, of_scans)):
+            what, remedy = REFUSED_IDS[code]
+            every = sorted(set().union(*of_scans))
+            shown = first_few([f"{i} {space.labels.get(i, '')}".rstrip() for i in every])
+            found = f"{what.format(space.name)}, in {counted(count, 'scan')}: {shown}"
+            yield Problem(code, sequence, count, f"sequence {sequence} · {found} · {remedy}")
 
 
 def _point_count(scan: Path) -> int:
     return count_points(scan) if scan_suffix(scan.name) == ".bin" else len(read_scan(scan))
 
 
-def _wide_labels(path: Path, count: int | None) -> RawIds:
-    """Read labels of four bytes, which the benchmark counts; others are read elsewhere."""
+def _ids_of(path: Path, count: int | None) -> set[int]:
+    """Read the ids of labels of four bytes, which the benchmark counts; others are refused."""
     raw = read_labels(path, count)
     with reading(path) as file:
         size = size_of(file)
     if size != 4 * len(raw):
         found = f"{counted(size // len(raw), 'byte')} per label"
         raise LabelError(path, found, "4, one uint32 per point", "write them as uint32")
-    return raw
+    return {*np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist()}
 
 
 def _missing(
@@ -270,19 +276,3 @@ def _missing(
         yield Problem(
             "missing", sequence, len(lacking), f"sequence {sequence} · {found} · {remedy}"
         )
-
-
-def _refused_ids(
-    code: str,
-    sequence: str,
-    of_scans: Sequence[Sequence[int]],
-    what: str,
-    remedy: str,
-    space: LabelSpace,
-) -> Iterator[Problem]:
-    """Yield the problem of ids that the benchmark refuses, if there are any in some scans."""
-    if ids := sorted({i for ids in of_scans for i in ids}):
-        scans = sum(bool(ids) for ids in of_scans)
-        shown = first_few([f"{i} {space.labels.get(i, '')}".rstrip() for i in ids])
-        where = f"{what}, in {counted(scans, 'scan')}: {shown}"
-        yield Problem(code, sequence, scans, f"sequence {sequence} · {where} · {remedy}")

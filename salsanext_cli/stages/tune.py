@@ -12,7 +12,7 @@ from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.report.plots import rate_curve
-from salsanext_cli.results.selection import select_evenly
+from salsanext_cli.results.selection import select_scans
 from salsanext_cli.training.tuning.batchnorm import fit_batchnorm
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout
 from salsanext_cli.training.tuning.error import fit_error_model
@@ -53,7 +53,7 @@ def tune(
     loaded = network.load()
     if part == "batchnorm":
         space = loaded.card.space
-        files = select_evenly(source, selection or ScanSelection(), space)
+        files = select_scans(source, selection or ScanSelection(), space, evenly=True)
     else:
         files, space = labelled_scans(source, selection or VALIDATION, loaded.card)
     require_target(target, overwrite)

@@ -20,6 +20,7 @@ from salsanext_cli import write_labels
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import report, view
 
@@ -218,7 +219,7 @@ def found_in(said: str) -> dict[str, Any]:
 
 
 def test_the_page_draws_and_its_controls_work(world, tmp_path):
-    made = report(world.out, dataset=world.dataset, scans=["000001", "000000"])
+    made = report(world.out, query=ResultQuery(world.dataset), scans=["000001", "000000"])
     page = tmp_path / "with a probe.html"
     page.write_text(made.page.read_text("utf-8").replace("</body>", f"{PROBE}</body>"), "utf-8")
     wanted = {"scan": "08/000000", "colour": "wrong", "by": "entropy", "above": "0.5", "size": "4"}
@@ -267,7 +268,7 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
 def test_the_live_page_plays_the_drive_and_names_what_fails(world, tmp_path, monkeypatch):
     for stem in ("000002", "000003"):
         world.add(stem, [CAR, ROAD], [CAR, CAR])
-    with view(world.out, dataset=world.dataset) as server, served(server):
+    with view(world.out, query=ResultQuery(world.dataset)) as server, served(server):
         (world.dataset / "sequences/08/velodyne/000002.bin").write_bytes(b"damaged")
         page = server.page.replace(b"</body>", f"{LIVE_PROBE}</body>".encode())
         monkeypatch.setattr(server, "page", page)

@@ -243,7 +243,7 @@ def test_of_two_with_other_settings_one_has_the_folder(tmp_path: Path, overwrite
         said = dict(zip("ab", threads.map(begin, "ab"), strict=True))
     (winner,) = (name for name, words in said.items() if words == "begun")
     (loser,) = {"a", "b"} - {winner}
-    assert "weights was" in said[loser] or "another run of `predict` is at work" in said[loser]
+    assert "weights was" in said[loser] or "a run of `predict` is at work" in said[loser]
     assert StageRecords(tmp_path).settings("predict") == {"weights": winner}
     assert list(files_below(tmp_path)) == ["predict.json"]
 
@@ -256,7 +256,7 @@ def test_results_that_are_being_made_are_not_removed(tmp_path: Path) -> None:
     before = files_below(out)
     with output_run(out, "predict", SETTINGS, ("predictions",), scans, overwrite=False):
         for stage in ("predict", "knn-refine"):
-            with pytest.raises(OutputError, match="another run of `predict` is at work in it · w"):
+            with pytest.raises(OutputError, match="a run of `predict` is at work in it · w"):
                 begin_and_end(out, stage, {"k": 3}, ["predictions"], scans, overwrite=True)
     assert files_below(out) == before
     (out / f".predict.{'0' * 32}.lock").touch()
@@ -277,7 +277,7 @@ def test_runs_side_by_side(tmp_path: Path) -> None:
     ):
         assert path.exists()
         begin_and_end(*export, overwrite=True)
-        with pytest.raises(OutputError, match="another run of `export-ply`"):
+        with pytest.raises(OutputError, match="a run of `export-ply`"):
             begin_and_end(*export[:2], {"colour": "range"}, ["ply"], overwrite=True)
     assert path.exists()
 

@@ -16,7 +16,6 @@ from salsanext_cli.results.selection import (
     select_scans,
     space_of,
     with_splits,
-    with_splits_and_alternatives,
 )
 
 
@@ -67,7 +66,8 @@ def test_splits_are_those_given_else_of_the_data_set_else_semantic_kittis(world,
         text = yaml.safe_dump(label_space().to_dict() | {"split": own})
         (world.data / "labels.yaml").write_text(text)
     space = LabelSpace.from_dict(SAME_IDS | {"split": given})
-    for found in (with_splits(space, world.data), with_splits_and_alternatives(space, world.data)):
+    for alternatives in (False, True):
+        found = with_splits(space, world.data, alternatives=alternatives)
         usual = ("00", "08") if own else ("08",)
         assert found.splits["valid"] == (("00",) if given else usual)
         assert found.fits(space)
@@ -80,13 +80,13 @@ def test_a_broken_label_space_is_read_only_where_it_is_needed(world, caplog):
     whole = LabelSpace.from_dict(SAME_IDS | {"split": {"train": ["00"]}})
     assert with_splits(whole, world.data) is whole
     for _ in range(2):
-        assert with_splits_and_alternatives(whole, world.data) is whole
+        assert with_splits(whole, world.data, alternatives=True) is whole
     (said,) = caplog.messages
     assert "labels.yaml · not a label space" in said
     assert said.endswith("label space coarse is taken without it")
-    for complete in (with_splits, with_splits_and_alternatives):
+    for alternatives in (False, True):
         with pytest.raises(UsageError, match=r"labels\.yaml · not a label space"):
-            complete(label_space("coarse"), world.data)
+            with_splits(label_space("coarse"), world.data, alternatives=alternatives)
 
 
 def test_the_label_space_of_scans_elsewhere_is_the_fallback(tmp_path):

@@ -11,6 +11,7 @@ from salsanext_cli import label_space, read_scan, sensor
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.results.layout import find_scans, output_path
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.compare import compare
 from salsanext_cli.stages.evaluate import evaluate
 
@@ -38,8 +39,9 @@ def one_picture(monkeypatch):
     monkeypatch.setattr("salsanext_cli.stages.compare.SHOWN", 1)
 
 
-def compared(runs, **options):
-    found, failures = compare(runs[0].out, runs[1].out, dataset=runs[0].dataset, **options)
+def compared(runs, classes=None, **options):
+    query = ResultQuery(runs[0].dataset, classes=classes)
+    found, failures = compare(runs[0].out, runs[1].out, query=query, **options)
     return found, failures, json.loads((runs[1].out / "compare.json").read_text())
 
 
@@ -109,7 +111,7 @@ def test_what_cannot_be_compared_is_said(runs, tmp_path, caplog):
     assert data["alone"] == 1
     assert "1.label · 3 labels · expected 20, as" in failures[0].reason
     with pytest.raises(NoInputError):
-        compare(runs[0].out, tmp_path / "nowhere", dataset=runs[0].dataset)
+        compare(runs[0].out, tmp_path / "nowhere", query=ResultQuery(runs[0].dataset))
     shutil.rmtree(runs[1].out / "sequences")
     runs[1].add("8", None, [CAR])
     with pytest.raises(NoInputError, match=r"no scan that .* has labels of"):

@@ -26,6 +26,7 @@ from salsanext_cli.formats.las import classification
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.picture import picture
@@ -209,7 +210,7 @@ def test_a_scale_may_be_given(predicted):
 
 def test_uncertainty_is_the_least_confidence_until_another_is_known(predicted):
     one = ScanSelection(limit=1)
-    assert export(predicted, colour="uncertainty", selection=one).done == 1
+    assert export(predicted, colour="uncertainty", query=ResultQuery(selection=one)).done == 1
     assert ply(predicted, "00").comments[0].startswith("colour least_confidence viridis ")
     with pytest.raises(NoInputError, match=r"no entropy known .*`salsanext uncertainty SCANS "):
         export(predicted, colour="entropy")
@@ -250,7 +251,7 @@ def test_other_classes_than_those_predicted_are_refused(predicted):
     small |= {"learning_map_inv": {0: 0, 1: 1}, "name": "two"}
     two = LabelSpace.from_dict(small)
     with pytest.raises(LabelError, match="predictions in the classes of"):
-        export(predicted, space=two)
+        export(predicted, query=ResultQuery(label_space=two))
     with pytest.raises(LabelError, match="predictions in the classes of"):
         ResultFolder(predicted.out).predicted(ScanSelection(), space=two)
 
@@ -292,7 +293,12 @@ def test_several_colourings_lie_side_by_side(predicted):
     before = files_below(predicted.out)
     for colour in ("label", "intensity", "wrong"):
         assert export(predicted, colour=colour).done == 3
-        assert export(predicted, colour=colour, selection=ScanSelection(limit=1)).skipped == 1
+        assert (
+            export(
+                predicted, colour=colour, query=ResultQuery(selection=ScanSelection(limit=1))
+            ).skipped
+            == 1
+        )
     assert export(predicted, **first).skipped == 3
     after = files_below(predicted.out)
     assert before.items() <= after.items()
@@ -323,8 +329,11 @@ def test_scans_that_have_moved_are_exported_from_where_one_says(predicted):
     moved = predicted.data.rename(predicted.data.with_name("moved"))
     with pytest.raises(NoInputError, match="--dataset"):
         export(predicted)
-    assert export(predicted, dataset=moved).done == 3
-    assert export(predicted, dataset=moved, colour="uncertainty", options=OVERWRITE).done == 3
+    assert export(predicted, query=ResultQuery(moved)).done == 3
+    assert (
+        export(predicted, query=ResultQuery(moved), colour="uncertainty", options=OVERWRITE).done
+        == 3
+    )
 
 
 def test_odd_points_are_exported(world):
@@ -338,7 +347,7 @@ def test_odd_points_are_exported(world):
 
 
 def test_a_run_that_goes_on_colours_alike_and_most_points_are_in_the_range(predicted):
-    export(predicted, colour="range", selection=ScanSelection(limit=1))
+    export(predicted, colour="range", query=ResultQuery(selection=ScanSelection(limit=1)))
     export(predicted, colour="range")
     (comment,) = {ply(predicted, s).comments[0] for s in ("00", "08")}
     low, high = (float(n) for n in comment.split()[-2:])

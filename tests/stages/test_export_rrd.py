@@ -14,6 +14,7 @@ from salsanext_cli.errors import MissingDependency, OutputError
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.report.rerun_recording import import_rerun
 from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages import export_rrd as stage
 from salsanext_cli.stages.export_rrd import export_rrd
 
@@ -59,8 +60,8 @@ def recorded(monkeypatch):
     return found
 
 
-def export(world, **options):
-    return export_rrd(world.out, **{"dataset": world.dataset, **options})
+def export(world, selection=ScanSelection()):
+    return export_rrd(world.out, query=ResultQuery(world.dataset, selection))
 
 
 def written(world):

@@ -16,6 +16,7 @@ from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageErr
 from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.filter import filter_scans, named_classes
 
 SPACE = label_space()
@@ -34,7 +35,7 @@ def world(tmp_path):
 
 @pytest.fixture
 def apply(world, tmp_path):
-    return partial(filter_scans, world.out, tmp_path / "to", dataset=world.dataset)
+    return partial(filter_scans, world.out, tmp_path / "to", query=ResultQuery(world.dataset))
 
 
 def left(tmp_path, stem="000000", folder="velodyne", suffix=".bin"):
@@ -143,7 +144,7 @@ def test_results_made_anew_are_not_mixed_with_earlier_ones(apply, world):
 def test_no_scans_or_results_are_written_over(world, tmp_path, place):
     before = files_below(tmp_path)
     with pytest.raises(OutputError, match="holds something else"):
-        filter_scans(world.out, tmp_path / place, drop=["car"], dataset=world.dataset)
+        filter_scans(world.out, tmp_path / place, drop=["car"], query=ResultQuery(world.dataset))
     after = {name: data for name, data in files_below(tmp_path).items() if "lock" not in name}
     assert after == before
 
@@ -215,7 +216,7 @@ def contents(bag):
 def test_a_bag_keeps_all_but_the_points_that_go(bag_of, tmp_path, kind, compression):
     path = bag_of(kind, compression=compression)
     source = (path if kind == ".bag" else path.parent) / TOPIC.strip("/")
-    options = {"drop": ["car"], "dataset": source}
+    options = {"drop": ["car"], "query": ResultQuery(source)}
     outcome = filter_scans(tmp_path / "out", tmp_path / "to", **options)
     assert (outcome.done, outcome.kept_points) == (3, (18, 11))
     target = tmp_path / "to" / ("drive.bag" if kind == ".bag" else "drive")
@@ -240,20 +241,20 @@ def test_a_bag_is_written_whole_or_not_at_all(bag_of, tmp_path):
     call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
     for options in ({"split": True}, {"options": RunOptions(shard=Shard(1, 2))}):
         with pytest.raises(UsageError, match="a bag is written whole"):
-            call(dataset=bag / TOPIC.strip("/"), **options)
+            call(query=ResultQuery(bag / TOPIC.strip("/")), **options)
     last = output_path(tmp_path / "out", "drive", "predictions", f"{START + STEP}_1")
     last.write_bytes(bytes(4))
     with pytest.raises(LabelError, match="6 points · expected 1, as it has labels"):
-        call(dataset=bag / TOPIC.strip("/"))
+        call(query=ResultQuery(bag / TOPIC.strip("/")))
     last.unlink()
     with pytest.raises(NoInputError, match=r"no results of 1 of 3 clouds: \d+_1"):
-        call(dataset=bag / TOPIC.strip("/"))
+        call(query=ResultQuery(bag / TOPIC.strip("/")))
     assert {path.name for path in (tmp_path / "to").iterdir()} <= {
         "filter.json",
         ".salsanext.files",
     }
     again = RunOptions(overwrite=True)
-    call(dataset=bag / TOPIC.strip("/"), indices=True, options=again)
+    call(query=ResultQuery(bag / TOPIC.strip("/")), indices=True, options=again)
     mask = np.load(tmp_path / f"to/sequences/drive/masks/{START}.npy")
     assert mask.tolist() == [False, True, False, True, True, False]
 

@@ -24,6 +24,7 @@ from salsanext_cli.fusion.poses import encode_poses
 from salsanext_cli.fusion.window import disagreement, fuse, fused_labels
 from salsanext_cli.options import FusionReach, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
@@ -193,7 +194,7 @@ def test_what_cannot_be_fused_is_said(world, drive):
     with pytest.raises(UsageError, match="another folder"):
         fuse_results(drive.out, drive.out)
     with pytest.raises(NoInputError, match="no scans of sequence 77"):
-        fuse_results(drive.out, selection=ScanSelection(sequences=("77",)))
+        fuse_results(drive.out, query=ResultQuery(selection=ScanSelection(sequences=("77",))))
     shutil.rmtree(drive.out / "sequences/08/probabilities")
     with pytest.raises(NoInputError, match="--fuse"):
         fuse_results(drive.out)

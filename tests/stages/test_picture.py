@@ -15,6 +15,7 @@ from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.colours import WRONG, screen_colours
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.project import project_scans
@@ -40,8 +41,8 @@ def labelled(world):
     return world
 
 
-def draw(world, **options):
-    return picture(world.out, dataset=world.data, **options)
+def draw(world, selection=ScanSelection(), **options):
+    return picture(world.out, query=ResultQuery(world.data, selection), **options)
 
 
 def pngs(world):
@@ -142,7 +143,7 @@ def test_scans_alone(world):
         path.unlink()
     with pytest.raises(NoInputError, match="or name scans with --dataset"):
         picture(world.out)
-    assert picture(world.out, dataset=world.data, selection=ONE).done == 1
+    assert picture(world.out, query=ResultQuery(world.data, ONE)).done == 1
     record = json.loads((world.out / "picture.json").read_text())
     assert set(record["settings"]["scales"]) == {"intensity", "range"}
     # It is known from now on where they are.
@@ -158,7 +159,7 @@ def test_scans_alone(world):
 def test_range_images_alone(world):
     seen = world.network.load().sensor
     project_scans(world.data, world.out, sensor=seen, selection=ONE)
-    assert picture(world.out, selection=ONE, classes=label_space("coarse")).done == 1
+    assert picture(world.out, query=ResultQuery(None, ONE, classes=label_space("coarse"))).done == 1
     settings = json.loads((world.out / "picture.json").read_text())["settings"]
     assert settings["sensor"]["name"] == seen.name
     colours = screen_colours(label_space("coarse"))

@@ -14,6 +14,7 @@ from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import read_run, report
 
@@ -60,9 +61,9 @@ def world(tmp_path, monkeypatch):
     return world
 
 
-def made(world, **options):
-    options.setdefault("dataset", world.dataset)
-    found = report(world.out, **options)
+def made(world, space=None, **options):
+    query = ResultQuery(world.dataset, label_space=space)
+    found = report(world.out, query=query, **options)
     assert found.page == world.out / "report.html"
     assert found.bytes == found.page.stat().st_size
     return found, Page(found.page)
@@ -230,5 +231,6 @@ def test_probabilities_of_merged_classes_are_added(world):
 
 def shown_of(world, space=None, classes=None):
     """Return the scans as a page shows them."""
-    run, _ = read_run(world.out, dataset=world.dataset, space=space, classes=classes)
+    query = ResultQuery(world.dataset, label_space=space, classes=classes)
+    run, _ = read_run(world.out, query=query)
     return [run.read(row) for row in run.rows]

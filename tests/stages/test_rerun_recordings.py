@@ -15,6 +15,7 @@ from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.report.colours import EMPTY, map_on_dark, screen_colours
 from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.export_rrd import export_rrd
 
 pytestmark = pytest.mark.slow
@@ -48,9 +49,9 @@ def scan_path(world, stem):
     return world.dataset / f"sequences/08/velodyne/{stem}.bin"
 
 
-def exported(world, **options):
+def exported(world, **choice):
     """Export; return the recording."""
-    export_rrd(world.out, dataset=world.dataset, **options)
+    export_rrd(world.out, query=ResultQuery(world.dataset, **choice))
     return world.out / "rrd/08.rrd"
 
 

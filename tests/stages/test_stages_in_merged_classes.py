@@ -18,6 +18,7 @@ from salsanext_cli.measures.histograms import softmax_errors
 from salsanext_cli.measures.scores import Confusion
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
@@ -228,7 +229,7 @@ def test_a_split_is_the_data_sets_where_the_label_space_has_none(coarse):
 
 def test_clouds_have_the_colours_of_merged_classes(world):
     predict(world, selection=ONE)
-    assert export_ply(world.out, classes=COARSE).done == 1
+    assert export_ply(world.out, query=ResultQuery(classes=COARSE)).done == 1
     cloud = plyfile.PlyData.read(world.result("ply", "00"))
     assert "label space coarse" in cloud.comments
     vertex = cloud["vertex"]

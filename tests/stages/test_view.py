@@ -16,6 +16,7 @@ from served import served
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.report.page.run_results import RunResults
+from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import report, view
 
@@ -44,13 +45,13 @@ def asker(server):
 
 @pytest.fixture
 def ask(world):
-    with view(world.out, dataset=world.dataset) as server, served(server):
+    with view(world.out, query=ResultQuery(world.dataset)) as server, served(server):
         yield asker(server)
 
 
 def test_every_scan_is_as_a_report_holds_it(world, ask):
     names = [f"08/{number:06}" for number in range(7)]
-    page = report(world.out, dataset=world.dataset, scans=names).page.read_text()
+    page = report(world.out, query=ResultQuery(world.dataset), scans=names).page.read_text()
     for place, name in enumerate(names):
         status, text = ask(f"/cloud/TOKEN/{place}")
         cloud = json.loads(text)
@@ -68,7 +69,7 @@ def test_of_a_thousand_scans_any_can_be_looked_at(world, monkeypatch):
     read = []
     shown = RunResults.read
     monkeypatch.setattr(RunResults, "read", lambda *a, **k: read.append(a) or shown(*a, **k))
-    with view(world.out, dataset=world.dataset) as server, served(server):
+    with view(world.out, query=ResultQuery(world.dataset)) as server, served(server):
         assert server.scans == 1000
         assert len(read) < 10
         _, text = asker(server)("/cloud/TOKEN/999")
@@ -78,7 +79,7 @@ def test_of_a_thousand_scans_any_can_be_looked_at(world, monkeypatch):
 def test_names_and_scans_without_labels_are_text_and_no_markup(tmp_path):
     world = World(tmp_path / "<script>\"'")
     world.add("a<b>", None, [CAR, ROAD])
-    with view(world.out, dataset=world.dataset) as server:
+    with view(world.out, query=ResultQuery(world.dataset)) as server:
         page = server.page.decode()
     assert "<h1>&lt;script&gt;&quot;&#x27;/öut</h1>" in page
     assert "<b>" not in page.partition('id="data">')[2].partition("</script>")[0]
@@ -104,7 +105,7 @@ def test_the_page_of_an_earlier_server_is_told_so(ask):
 def test_results_made_anew_are_not_shown_as_those_of_the_start(world):
     record = StageRecord("predict", {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()})
     record.write(world.out)
-    with view(world.out, dataset=world.dataset) as server, served(server):
+    with view(world.out, query=ResultQuery(world.dataset)) as server, served(server):
         ask = asker(server)
         assert ask("/cloud/TOKEN/1")[0] == 200
         replace(record, folders=("predictions",)).write(world.out)
@@ -114,7 +115,7 @@ def test_results_made_anew_are_not_shown_as_those_of_the_start(world):
 
 
 def test_a_browser_that_leaves_is_no_error(ask, world, capfd):
-    with view(world.out, dataset=world.dataset) as server, served(server):
+    with view(world.out, query=ResultQuery(world.dataset)) as server, served(server):
         connection = socket.create_connection(("127.0.0.1", server.server_port))
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         connection.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
@@ -139,9 +140,9 @@ def test_a_scan_moved_away_is_an_answer_and_not_the_end(world, ask):
 
 
 def test_a_taken_port_is_one_line(world):
-    first = view(world.out, dataset=world.dataset)
+    first = view(world.out, query=ResultQuery(world.dataset))
     with first, pytest.raises(UsageError, match=r"--port .* in use .* 0 for any free one"):
-        view(world.out, port=first.server_port, dataset=world.dataset)
+        view(world.out, port=first.server_port, query=ResultQuery(world.dataset))
 
 
 def test_scans_that_cannot_be_read_and_scans_moved_away_are_told(world, caplog):
@@ -149,7 +150,7 @@ def test_scans_that_cannot_be_read_and_scans_moved_away_are_told(world, caplog):
     (scans / "000000.bin").write_bytes(b"damaged")
     (scans / "000004.bin").unlink()
     (scans / "000005.bin").unlink()
-    server = view(world.out, dataset=world.dataset)
+    server = view(world.out, query=ResultQuery(world.dataset))
     server.server_close()
     assert server.scans == 5
     assert [failure.scan.stem for failure in server.failures] == ["000000"]

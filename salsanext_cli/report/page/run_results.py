@@ -37,11 +37,12 @@ from salsanext_cli.measures.uncertainty_evaluation import (
 )
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.records import Float
-from salsanext_cli.results.layout import ERROR, UNCERTAINTY, ScanFile, find_outputs, output_path
+from salsanext_cli.results.layout import ERROR, ScanFile, find_outputs, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
 from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)

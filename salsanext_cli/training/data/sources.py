@@ -25,7 +25,6 @@ from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import (
     data_set_label_space,
     with_splits,
-    with_splits_and_alternatives,
 )
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 from salsanext_cli.training.data.augment import LabelledScan
@@ -174,7 +173,7 @@ def with_splits_of(dataset: Path, space: LabelSpace | None) -> LabelSpace:
     """Return the label space of a data set with splits; parameters as of `labelled_split`."""
     if space is None:
         return with_splits(data_set_label_space(dataset) or label_space())
-    return with_splits_and_alternatives(space, dataset)
+    return with_splits(space, dataset, alternatives=True)
 
 
 def _name_unsplit(dataset: Path, space: LabelSpace) -> None:

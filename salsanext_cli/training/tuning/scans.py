@@ -21,7 +21,7 @@ from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.results.selection import select_evenly, space_of
+from salsanext_cli.results.selection import select_scans, space_of
 from salsanext_cli.training.data.class_counts import require_labels
 from salsanext_cli.training.data.sources import read_labelled
 from salsanext_cli.training.data.targets import class_sets
@@ -91,7 +91,7 @@ def labelled_scans(
     dataset: Path, selection: ScanSelection, card: WeightsCard
 ) -> tuple[list[ScanFile], LabelSpace]:
     """Find labelled scans, evenly spaced if limited, and their classes: those of a network."""
-    scans = select_evenly(dataset, selection, card.space)
+    scans = select_scans(dataset, selection, card.space, evenly=True)
     space = space_of(scans, card.space)
     if not space.fits(card.space):
         raise LabelError(

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: MIT
+"""The kinds of uncertainty that stages write, in the order in which they are listed."""
+
+from typing import NamedTuple
+
+BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
+PURPLE = "#cc79a7"
+"""Colours that colour-blind people can tell apart."""
+PREDICT, UNCERTAINTY_STAGE, FUSE = (
+    f"run `salsanext {command}` first"
+    for command in ("predict SCANS {out}", "uncertainty SCANS {out}", "fuse {out}")
+)
+PREDICT_ERROR = (
+    "run `salsanext predict SCANS {out} --error`, with weights that know it: "
+    "the default ones, or what `salsanext tune error` writes"
+)
+
+
+class UncertaintyKind(NamedTuple):
+    """Kind of uncertainty of points, in the folder `uncertainty/<kind>`."""
+
+    title: str  # Over pictures
+    made_by: str  # What to do for an output folder `out` that lacks it
+    colour: str  # Of its line in plots
+    is_dashed: bool = False
+    unit: str = ""
+    most: float = float("inf")
+
+
+UNCERTAINTY = {
+    "error": UncertaintyKind(
+        "error: probability that the label is wrong", PREDICT_ERROR, PURPLE, most=1.0
+    ),
+    "epistemic": UncertaintyKind("epistemic uncertainty", UNCERTAINTY_STAGE, BLUE),
+    "aleatoric": UncertaintyKind("aleatoric uncertainty", UNCERTAINTY_STAGE, ORANGE),
+    "total": UncertaintyKind("total uncertainty", UNCERTAINTY_STAGE, RED),
+    "entropy": UncertaintyKind(
+        "uncertainty: entropy of the classes", UNCERTAINTY_STAGE, GREEN, unit="nats"
+    ),
+    "mutual_information": UncertaintyKind(
+        "uncertainty: mutual information", UNCERTAINTY_STAGE, BLUE, is_dashed=True, unit="nats"
+    ),
+    "least_confidence": UncertaintyKind(
+        "uncertainty: 1 − the largest probability", PREDICT, SKY, most=1.0
+    ),
+    "disagreement": UncertaintyKind(
+        "disagreement: share of the views against the label", FUSE, PURPLE, is_dashed=True, most=1.0
+    ),
+}
+"""The kinds of uncertainty that stages may have written; "error" is a probability."""
+MEANT_BY_UNCERTAINTY = ("entropy", "disagreement", "least_confidence")
+"""Kinds of which "uncertainty" is the first that is known, without the error."""
+COLOUR_HELP = (
+    "label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
+    f"{', '.join(UNCERTAINTY)}"
+)
+"""Help of the options for the values that scans are coloured by."""
