@@ -92,19 +92,19 @@ class KeptLabels:
     people: int  # Number of points of people, and of them, kept with a label of something else
     missed_people: int
     classes: dict[str, tuple[int, int]]  # Kept points and wrong ones of them, by predicted class
-    # Name, kept points and wrong ones, of the scan with the largest share of wrong among its kept
-    worst: tuple[str, int, int]
+    # Name, points, kept and wrong ones, of the scan with the largest share that is kept and wrong
+    worst: tuple[str, int, int, int]
 
     @classmethod
     def of_confusion(
-        cls, confusion: Confusion, space: LabelSpace, scans: Mapping[str, tuple[int, int]]
+        cls, confusion: Confusion, space: LabelSpace, scans: Mapping[str, tuple[int, int, int]]
     ) -> Self:
         """Count the points whose predicted class is not 0; `scans`: as `worst`, by name."""
         matrix = confusion.counted(space.scored)
         kept, right = matrix[:, 1:].sum(axis=0), matrix.diagonal()[1:]
         pairs = zip(kept.tolist(), (kept - right).tolist(), strict=True)
         people = np.isin(space.names, PEOPLE)
-        worst = max(scans, key=lambda name: scans[name][1] / max(scans[name][0], 1))
+        worst = max(scans, key=lambda name: scans[name][2] / max(scans[name][0], 1))
         return cls(
             points=int(matrix.sum()),
             kept=int(kept.sum()),
@@ -121,9 +121,10 @@ class KeptLabels:
         points, wrong = max(self.points, 1), self.wrong / max(self.kept, 1)
         text = f"kept: {self.kept / points:.1%} of {self.points:,} points, of which {wrong:.1%} are"
         yield f"{text} wrong ({self.wrong / points:.1%} of all)"
-        name, in_worst, errors = self.worst
-        risk = errors / max(in_worst, 1)
-        yield f"worst scan: {name}, {risk:.1%} of {in_worst:,} kept points are wrong"
+        name, in_worst, kept, errors = self.worst
+        loss, risk = errors / max(in_worst, 1), errors / max(kept, 1)
+        of_kept = f"{risk:.1%} of the {kept:,} kept"
+        yield f"worst scan: {name}, {loss:.1%} of its points are kept and wrong, {of_kept}"
         if self.people:
             missed = f"{self.missed_people:,} of {self.people:,} points of people"
             yield f"missed people: {missed} are kept with a label of something else"
@@ -133,11 +134,11 @@ def promise(risk: Mapping[str, Any]) -> str:
     """Say what the threshold of weights holds for, of the `risk` in their card."""
     level, scans = f"{100 * risk['at_most']:.3g} %", counted(risk["scans"], "scan")
     kept = f"{risk['kind']} up to {risk['threshold']:.4g} kept"
-    like = f"like the {scans} of {first_few(risk['sequences'])} that it was chosen on"
+    like = f"of the drives that it was chosen on ({scans} of {first_few(risk['sequences'])})"
     if risk["confidence"] is None:
-        expected = f"{level} of the points are expected to be kept and wrong"
-        return f"{kept}: of a new scan {like}, at most {expected}"
+        expected = f"{level} of the points of known classes are expected to be kept and wrong"
+        return f"{kept}: of another scan {like}, at most {expected}"
     sure = f"{100 * risk['confidence']:.3g} %"
     rest = f"{100 - 100 * risk['confidence']:.3g} %"
-    more = f"more than {level} of their points kept and wrong"
+    more = f"more than {level} of their points of known classes kept and wrong"
     return f"{kept}: with {sure} confidence, at most {rest} of scans {like} have {more}"

@@ -73,8 +73,8 @@ class ScanCounts:
     left_out: int = 0  # Number of scans that are not counted since the weights were trained on them
     missing: list[ScanFile] = field(default_factory=list)  # Scans without predictions
     files: Counter[str] = field(default_factory=Counter)  # Number of scans with a file, by folder
-    # Of each scan of a run that rejected labels: kept scored points, and wrong ones of them
-    kept: dict[str, tuple[int, int]] = field(default_factory=dict)
+    # Of each scan of a run that rejected labels: scored points, kept ones, and wrong ones of these
+    kept: dict[str, tuple[int, int, int]] = field(default_factory=dict)
     calibration_errors: list[float] = field(default_factory=list)  # Of each scan with a softmax
     # Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `RING`, or
     # `CLASS`, which is the most probable class for the confidence, else the true one
@@ -224,7 +224,8 @@ def count_scan(
         rejected = values[rejection[0]] > rejection[1]
         values = {kind: np.where(rejected, np.nan, each) for kind, each in values.items()}
         labelled = predicted[scored] != 0
-        counts.kept[scan.name] = int(labelled.sum()), int((labelled & wrong).sum())
+        kept = int(labelled.sum()), int((labelled & wrong).sum())
+        counts.kept[scan.name] = len(labelled), *kept
     for kind, of_points in values.items():
         for name, group in groups.items():
             counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)

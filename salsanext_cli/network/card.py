@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -28,8 +29,11 @@ KEY = "salsanext"
 FORMAT = "salsanext-2"
 TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
 """Parts of a card that are mappings."""
-FITTED = ("risk", "accuracy")
-"""Parts that are mappings and may be absent."""
+FITTED = {
+    "risk": ("threshold", "at_most", "scans"),
+    "accuracy": ("slope", "offset", "deviation"),
+}
+"""Parts that are mappings and may be absent, and the numbers that each holds."""
 TEMPERATURES = (1e-3, 1e3)
 """Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
 ONNX_SUFFIX = ".onnx"
@@ -138,13 +142,23 @@ class WeightsCard:
                 description=str(values["description"]),
                 temperature=_temperature(values["temperature"]),
                 error=ErrorModel.from_dict(values["error"]) if "error" in values else None,
-                **{name: values[name] for name in FITTED if name in values},
+                **{name: _numbers_of(name, values[name]) for name in FITTED if name in values},
                 trained_on=frozenset(parted(values.get("trained_on", ""))),
             )
         except UsageError as error:
             raise WeightsError(source, f"damaged metadata: {error.found}") from error
         except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
             raise WeightsError(source, f"damaged metadata: {error_text(error)}") from error
+
+
+def _numbers_of(part: str, values: Any) -> dict[str, Any]:
+    """Check the numbers of a part that is a mapping."""
+    numbers = [values[name] for name in FITTED[part]]
+    if not all(type(each) in (int, float) and math.isfinite(each) for each in numbers):
+        raise ValueError(f"{part} holds {shortened(numbers)}")
+    if part == "risk" and not {"kind", "confidence", "sequences"} <= values.keys():
+        raise ValueError("risk does not say what it holds for")
+    return dict(values)
 
 
 def _temperature(value: Any) -> float:

@@ -178,6 +178,9 @@ def fuse_results(
     if (predicted := OwnedFolder(out, "predict")).is_shared():
         raise predicted.busy()
     results = ResultFolder(out, query.dataset)
+    if results.rejection():
+        found, remedy = "labels of which some were rejected", "predict without --reject"
+        raise OutputError(out, found, "all labels: others vote for what was rejected", remedy)
     present_scans = results.scans()
     known = with_outputs(present_scans, out, *SOFTMAX_FOLDERS)
     known = with_outputs(known, out, "predictions")

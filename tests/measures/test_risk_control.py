@@ -56,6 +56,25 @@ def test_few_scans_lose_more_as_often_as_is_said(streets, scans, confidence):
     assert likely - noise - 0.02 <= broken <= 1 - confidence + noise
 
 
+def broken_on_other_drives(drives, scans, draws=500):
+    """Return how often the promise of 90 % confidence is broken, of drives that differ by much."""
+    random, curve = np.random.default_rng(2), np.linspace(0, 1, 200) ** 2
+
+    def losses(drives, scans):
+        hardness = random.beta(1, 4, (drives, 1)) * random.normal(1, 0.15, (drives, scans))
+        return np.clip(hardness, 0, 1).reshape(-1, 1) * curve
+
+    losing = np.append((losses(400, 20) > 0.05).mean(axis=0), 0)
+    held = [held_thresholds(losses(drives, scans), 0.05, 0.9) - 1 for _ in range(draws)]
+    return (losing[held] > 0.1).mean()
+
+
+def test_a_promise_of_few_drives_is_none_of_another():
+    assert broken_on_other_drives(22, 1) < 0.1 + 3 * math.sqrt(0.1 * 0.9 / 500)
+    assert broken_on_other_drives(4, 6) > 0.3
+    assert broken_on_other_drives(1, 22) > 0.6
+
+
 def test_shares_of_scans_by_closed_forms():
     assert binomial(3, 9, 0.3) == pytest.approx(
         sum(math.comb(9, k) * 0.3**k * 0.7 ** (9 - k) for k in range(4))
@@ -84,15 +103,15 @@ def test_labels_that_are_kept_are_counted():
     truth = np.array([0, car, car, person, person, person, road, rider])
     predicted = np.array([car, car, 0, road, person, 0, road, person])
     confusion = Confusion(space.class_count).update(truth, predicted)
-    scans = {"a/0": (4, 1), "a/1": (1, 1), "a/2": (0, 0)}
+    scans = {"a/0": (20, 4, 2), "a/1": (30, 1, 1), "a/2": (0, 0, 0)}
     kept = KeptLabels.of_confusion(confusion, space, scans)
     assert (kept.points, kept.kept, kept.wrong) == (7, 5, 2)
     assert (kept.people, kept.missed_people) == (4, 1)
     assert kept.classes == {"car": (1, 0), "person": (2, 1), "road": (2, 1)}
-    assert kept.worst == ("a/1", 1, 1)
+    assert kept.worst == ("a/0", 20, 4, 2)
     assert list(kept.sentences) == [
         "kept: 71.4% of 7 points, of which 40.0% are wrong (28.6% of all)",
-        "worst scan: a/1, 100.0% of 1 kept points are wrong",
+        "worst scan: a/0, 10.0% of its points are kept and wrong, 50.0% of the 4 kept",
         "missed people: 1 of 4 points of people are kept with a label of something else",
     ]
 
@@ -101,7 +120,7 @@ def test_a_promise_names_what_it_holds_for():
     risk = {"kind": "error", "threshold": 0.25, "at_most": 0.05, "confidence": None}
     risk |= {"scans": 20, "sequences": ["00", "08"]}
     assert promise(risk) == (
-        "error up to 0.25 kept: of a new scan like the 20 scans of 00, 08 that it was chosen on, "
-        "at most 5 % of the points are expected to be kept and wrong"
+        "error up to 0.25 kept: of another scan of the drives that it was chosen on (20 scans of "
+        "00, 08), at most 5 % of the points of known classes are expected to be kept and wrong"
     )
     assert "with 90 % confidence, at most 10 % of scans" in promise(risk | {"confidence": 0.9})

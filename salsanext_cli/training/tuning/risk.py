@@ -80,7 +80,7 @@ def kept_labels(scans: Sequence[JudgedScan], space: LabelSpace, held: int) -> Ke
         labels = np.where(scan.bins < held, scan.labels, 0)
         confusion.update(scan.truth, labels)
         wrong = (labels > 0) & (labels != scan.truth)
-        counts[scan.file.name] = int((labels > 0).sum()), int(wrong.sum())
+        counts[scan.file.name] = len(labels), int((labels > 0).sum()), int(wrong.sum())
     return KeptLabels.of_confusion(confusion, space, counts)
 
 
@@ -96,6 +96,8 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
     _require_scans(scans, len(scans.files), at_most, confidence)
     network, space = scans.network, scans.space
     kind = "error" if knows_error(network) else "least_confidence"
+    if kind == "error":
+        _warn_of_fitted(scans)
     every = [judged_scan(file, network, space, kind) for file in scans.each()]
     judged = [scan for scan in every if scan]
     if trained_on := len(every) - len(judged):
@@ -127,11 +129,21 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         "left_out": left_out,
         "sentences": [*labels.sentences, *map(_sentence, left_out)],
     }
-    if above := [each["sequence"] for each in left_out if each["loss"] > at_most]:
+    bound, share = (at_most, "loss") if confidence is None else (1 - confidence, "above")
+    if above := [each["sequence"] for each in left_out if each[share] > bound]:
         log.warning("%s: more wrong than that, by the threshold of the others", first_few(above))
     elif not left_out:
         log.warning("scans of one sequence do not tell how the threshold holds on another")
     return Tuned(replace(network.card, risk=risk), report)
+
+
+def _warn_of_fitted(scans: TuningScans) -> None:
+    """Warn where the error of the weights was fitted to sequences of the same names."""
+    model = scans.network.card.error
+    fitted = set(model.scores.get("sequences", ())) if model else set()
+    if same := sorted(fitted & {file.sequence for file in scans.files}):
+        message = "the error was fitted to %s too: a threshold holds for scans that no fit has seen"
+        log.warning(message, first_few(same))
 
 
 def _require_scans(
@@ -146,10 +158,12 @@ def _require_scans(
         found, can = f"no less than {least:g} %", f"--at-most {least:g}%"
     else:
         exceed = bad_share(0, max(count, 1), confidence)
-        found = f"with {confidence:.4g} confidence no less than {exceed:.0%} of scans above"
+        found = f"with {confidence:.0%} confidence no less than {exceed:.0%} of scans above"
         can = "a lower --confidence"
     promised = f"{counted(count, 'scan')} can promise {found}"
-    raise TrainingError(scans.source, promised, f"{missing} more", f"add scans, or {can}")
+    raise TrainingError(
+        scans.source, promised, f"{missing} more", f"add scans of other drives, or {can}"
+    )
 
 
 def _left_out(
@@ -165,6 +179,7 @@ def _left_out(
         held = held_thresholds(kept[~own, 1], **numbers, scans=len(kept))
         shares, losses = kept[own, :, held - 1].T if held else np.zeros((2, own.sum()))
         means = {"kept": shares.mean(), "loss": losses.mean(), "worst": losses.max()}
+        means["above"] = (losses > numbers["at_most"]).mean()
         means = {name: float(value) for name, value in means.items()}
         reports.append({"sequence": str(sequence), "scans": int(own.sum()), **means})
     return reports
