@@ -19,6 +19,7 @@ from statistics import median
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from speed_hardware import least_seconds
 from speed_turn import take_turn
@@ -178,7 +179,7 @@ def benchmark_table(found: Mapping[str, Any]) -> Table:
             )
         )
     headings = ("part", "baseline", "product", "times as fast", "of ceiling", "peak memory, GB")
-    return table_of(headings, rows, title=title, caption=notes)
+    return table_of(headings, rows, title=title, caption=escape(notes))
 
 
 def _time(seconds: float) -> str:
