@@ -101,7 +101,7 @@ def predict(
     selection: ScanSelection,
     topic: options.Topic = None,
     classes: options.MergedInto = None,
-    network: options.AdaptableNetwork,
+    network: options.Network,
     knn: KnnParameters,
     batch: Annotated[
         str,
@@ -266,7 +266,7 @@ def uncertainty(
     selection: ScanSelection,
     topic: options.Topic = None,
     classes: options.MergedInto = None,
-    network: options.AdaptableNetwork,
+    network: options.Network,
     knn: KnnParameters,
     running: RunOptions,
     strict: options.Strict = False,
