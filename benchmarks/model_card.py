@@ -2,8 +2,8 @@
 """Figures of docs/model-card.md: scores of weights on labelled data sets, as `predict` labels them.
 
 Prints the IoU per class; then accuracy, mean IoU over the classes present, expected calibration
-error, and mean IoU over the classes with at least 500 points, in %: as the scans are, with batch
-norm adapted, without intensity, and in coarse classes.
+error, and mean IoU over the classes with at least 500 points, in %: as the scans are, without
+intensity, and in coarse classes.
 
 A data set whose labels have other classes needs two label spaces of the same classes: those that
 the predictions are merged into, and those of its labels (docs/label-spaces.md has both for
@@ -20,7 +20,6 @@ from commands import salsanext
 
 VARIANTS: dict[str, tuple[str, ...]] = {
     "as they are": (),
-    "--adapt": ("--adapt",),
     "--intensity none": ("--intensity", "none"),
     "--classes coarse": ("--classes", "coarse"),
 }

@@ -99,8 +99,7 @@ LabelledSelection = Annotated[
     ),
 ]
 
-AdaptableNetwork = Annotated[NetworkSettings, Default(precision="auto")]
-Network = Annotated[AdaptableNetwork, Without({"adapt"})]
+Network = Annotated[NetworkSettings, Default(precision="auto")]
 SensorWithoutWeights = Annotated[str | None, network_option(help=SENSOR_HELP, show_default="hdl64")]
 Columns = Annotated[str | None, network_option(help=COLUMNS_HELP, show_default=COLUMNS_DEFAULT)]
 

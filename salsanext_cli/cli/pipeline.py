@@ -102,7 +102,7 @@ def predict(
     selection: ScanSelection,
     topic: options.Topic = None,
     classes: options.MergedInto = None,
-    network: options.AdaptableNetwork,
+    network: options.Network,
     knn: KnnParameters,
     batch: Annotated[
         str,
@@ -270,7 +270,7 @@ def uncertainty(
     selection: ScanSelection,
     topic: options.Topic = None,
     classes: options.MergedInto = None,
-    network: options.AdaptableNetwork,
+    network: options.Network,
     knn: KnnParameters,
     running: RunOptions,
     strict: options.Strict = False,

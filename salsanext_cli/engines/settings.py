@@ -70,15 +70,9 @@ class NetworkSettings:
         default=AUTO,
         typed=Literal["auto", "match", "raw", "none"],
     )
-    adapt: bool = network_option(
-        "Adapt batch normalisation to the scans, once for the output folder.",
-        "--adapt",
-        default=False,
-    )
     # Whether a view and a mounting that differ much from the sensor's are those of the scans;
     # None: unless a sensor with a view of its own is named
     fit: bool | None = None
-    adapted: Path | None = None  # The weights file that came of `adapt`: this one is loaded
     sha256: str | None = None  # Of the weights file that a run began with; others are refused
     classes: "LabelSpace | None" = None  # As `load_network` takes them
 
@@ -131,12 +125,11 @@ class NetworkSettings:
         from salsanext_cli.engines.loading import load_network, replaced
         from salsanext_cli.files.identity import fingerprint
 
-        file = self.adapted or self.path
-        if self.sha256 and self.sha256 != fingerprint(file):
-            raise replaced(file)
+        if self.sha256 and self.sha256 != fingerprint(self.path):
+            raise replaced(self.path)
         default = self.weights in (None, DEFAULT_WEIGHTS)
         return load_network(
-            self.adapted or (None if default else self.weights),
+            None if default else self.weights,
             self.device,
             self.named_sensor(),
             self.precision,
@@ -148,11 +141,10 @@ class NetworkSettings:
         """Log what computes, and on what the default weights were trained."""
         default = self.weights in (None, DEFAULT_WEIGHTS)
         name = f"default weights ({network.card.summary()})" if default else self.weights
-        adapted = f", adapted: {self.adapted}" if self.adapted else ""
         merged = f", merged into the classes of {network.space.name}" if network.merging else ""
         library, precision = network.engine.library, network.engine.precision
         computing = f"on {network.device} by {library} in {precision}"
-        log.log(NOTICE, "%s %s%s%s", name, computing, adapted, merged)
+        log.log(NOTICE, "%s %s%s", name, computing, merged)
 
     def resolved(self, network: "Network") -> "NetworkSettings":
         """Log what computes, and return the settings for workers: all the same, same weights.
@@ -172,14 +164,11 @@ class NetworkSettings:
 
     def record(self, network: "Network") -> dict[str, Any]:
         """Return what the results of a stage depend on, as plain data for its record."""
-        from salsanext_cli.files.identity import fingerprint
-
-        engine = network.engine
-        known = {"adapted": engine.sha256} if self.adapted else {}
+        engine, known = network.engine, {}
         if network.card.trained_on:
             known["trained_on"] = "".join(sorted(network.card.trained_on))
         return known | {
-            "weights": fingerprint(self.path) if self.adapted else engine.sha256,
+            "weights": engine.sha256,
             "label_space": network.space.to_dict(),
             "sensor": recorded_view(network.sensor),
             "precision": engine.precision,

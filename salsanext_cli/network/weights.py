@@ -37,13 +37,8 @@ def save_with_card(
     source: Path, target: Path, card: WeightsCard, replaced: Mapping[str, Tensor] = {}
 ) -> None:
     """Write a weights file with another card, bit for bit but for the tensors replaced."""
-    write_bytes(target, with_card(source, card, replaced), durable=True)
-
-
-def with_card(source: Path, card: WeightsCard, replaced: Mapping[str, Tensor] = {}) -> bytes:
-    """Return the content of a weights file as `save_with_card` writes it."""
     tensors = {**safetensors.torch.load_file(source), **replaced}
-    return safetensors.torch.save(tensors, card.to_metadata())
+    write_bytes(target, safetensors.torch.save(tensors, card.to_metadata()), durable=True)
 
 
 def _stored(name: str, tensor: Tensor, half: bool) -> Tensor:

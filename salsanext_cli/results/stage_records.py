@@ -202,7 +202,7 @@ class StageRecords:
     def weights(self, folder: str) -> str | None:
         """Return the SHA-256 of the weights behind a folder of results, if one is recorded.
 
-        Of weights that were adapted to the scans, it is that of the adapted ones.
+        A folder of an earlier version may be of weights that were adapted in it to the scans.
         """
         settings = self._settings_of_network(folder)
         digest = settings.get("adapted", settings.get("weights"))

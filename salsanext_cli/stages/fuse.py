@@ -76,7 +76,7 @@ FUSED = "fused"
 """Folder of the fused labels in that of the labels of single scans."""
 SOFTMAX_FOLDERS = ("probabilities", "votes")
 ABOUT_THE_NETWORK = ("weights", "adapted", "trained_on", "temperature")
-"""Settings of `predict` that the record of fused labels repeats."""
+"""Settings of `predict` that the record of fused labels repeats; "adapted" is of old folders."""
 
 log = logging.getLogger(__name__)
 

@@ -157,25 +157,22 @@ def predict_scans(
     scans = choose(found, selection, space_of(found, loaded.card.space), source)
     reject_by = "error"
     if reject == "risk":
-        reject, reject_by = _chosen_threshold(loaded, network, knn)
+        reject, reject_by = _chosen_threshold(loaded, knn)
     if reject is not None:
         if not 0 <= reject <= 1:
             raise UsageError("--reject", f"{reject:g}", "a probability from 0 to 1")
         if reject_by == "error":
             extras = tuple(dict.fromkeys((*extras, ERROR)))
     if ERROR in extras:
-        if network.adapt:
-            found_error = "the probability of errors is of the weights before they adapt"
-            raise UsageError("--adapt", found_error, "no --error and no --reject")
         error_model(loaded)
-    network, loaded = network_of_run(network, loaded, found, out, overwrite=options.overwrite)
+    loaded = network_of_run(network, loaded, found, out, overwrite=options.overwrite)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     settings |= {} if reject is None else {"reject": reject}
     settings |= {} if reject_by == "error" else {"reject_by": reject_by}
     settings |= {"objects": True} if "objects" in extras else {}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
-    if not network.adapt and reject is None:
+    if reject is None:
         summary.accuracy = loaded.card.accuracy
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
@@ -190,15 +187,13 @@ def predict_scans(
     return replace(outcome, summary=summary, rejected_points=rejected)
 
 
-def _chosen_threshold(
-    loaded: Network, network: NetworkSettings, knn: KnnParameters
-) -> tuple[float, str]:
+def _chosen_threshold(loaded: Network, knn: KnnParameters) -> tuple[float, str]:
     """Return the threshold in the weights and its kind of uncertainty; refuse where it is void."""
     risk = loaded.card.risk
     if not risk:
         remedy = "`salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%` chooses one"
         raise WeightsError(loaded.engine.name, "no threshold of risk", "weights with one", remedy)
-    own = {"--adapt": network.adapt, "--classes": loaded.merging, "--knn-…": knn != KnnParameters()}
+    own = {"--classes": loaded.merging, "--knn-…": knn != KnnParameters()}
     if others := [name for name, given in own.items() if given]:
         found = "`--reject risk` promises nothing of other labels"
         raise UsageError(others[0], found, "the settings of `tune risk`")
@@ -238,8 +233,11 @@ def predict_range_images(
     loaded = loaded.for_sensor(sensor_of_images(folder, projected, loaded.sensor))
     found = with_outputs(ResultFolder(folder).scans(), folder, "range")
     scans = choose(found, selection, space_of(found, loaded.card.space), folder)
-    network, loaded = network_of_run(
-        *(network, loaded, found, out),
+    loaded = network_of_run(
+        network,
+        loaded,
+        found,
+        out,
         overwrite=options.overwrite,
         image_of=lambda file: range_image(file, folder, loaded.sensor)[1],
     )

@@ -83,7 +83,7 @@ def uncertainty(
     # Labels of another stage stay, and with them what they were made with.
     labels_too = StageRecords(out).owner("predictions") in (None, "uncertainty")
     overwrite = options.overwrite and labels_too
-    network, loaded = network_of_run(network, loaded, listed, out, overwrite=overwrite)
+    loaded = network_of_run(network, loaded, listed, out, overwrite=overwrite)
     method.require(loaded)
     settings = network.record(loaded) | {"knn": asdict(knn)} | method.settings(loaded.sensor)
     kinds = tuple(f"uncertainty/{kind}" for kind in method.kinds)
@@ -117,12 +117,11 @@ def _require_network_of_labels(out: Path, settings: dict[str, Any]) -> None:
     compared: dict[str, tuple[str, Callable[..., object]]] = {"sensor": ("sensor", _view)}
     if weights := records.weights("predictions"):
         recorded["weights"] = weights
-        compared = {"weights": ("weights, and --adapt for both or neither", str)} | compared
+        compared = {"weights": ("weights", str)} | compared
         # Those of other programs may be in any classes.
         compared |= {"label_space": ("--classes", _classes)}
-    own = settings | {"weights": settings.get("adapted", settings["weights"])}
     for key, (same, seen) in compared.items():
-        if key in recorded and seen(recorded[key]) != seen(as_json(own[key])):
+        if key in recorded and seen(recorded[key]) != seen(as_json(settings[key])):
             raise OutputError(
                 out / f"{stage}.json",
                 f"labels made with other {key}",

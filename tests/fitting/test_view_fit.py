@@ -98,7 +98,7 @@ def test_a_sensor_in_a_room_stands_upright_where_its_beams_come_from(height):
     assert -46 < found.fov_down < found.fov_up < 46
 
 
-def test_each_scan_is_read_once_for_view_intensity_gaps_and_adaptation(world, monkeypatch):
+def test_each_scan_is_read_once_for_view_intensity_and_gaps(world, monkeypatch):
     read = []
 
     def counted(path, *arguments):

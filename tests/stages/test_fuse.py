@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+import json
 import shutil
 import sys
 
@@ -26,6 +27,7 @@ from salsanext_cli.options import FusionReach, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.fuse import fuse_results
@@ -58,6 +60,19 @@ def drive(world):
 
 def fused_folder(world):
     return world.out / "fused/sequences/08"
+
+
+def test_fused_labels_know_the_weights_of_the_single_ones(drive):
+    own = StageRecords(drive.out).weights("predictions")
+    fuse_results(drive.out)
+    assert StageRecords(drive.out / "fused").weights("predictions") == own
+    # An earlier version adapted weights to the scans, and recorded the SHA-256 of both.
+    path = drive.out / "predict.json"
+    record = json.loads(path.read_text())
+    record["settings"]["adapted"] = 64 * "0"
+    path.write_text(json.dumps(record))
+    fuse_results(drive.out, options=RunOptions(overwrite=True))
+    assert StageRecords(drive.out / "fused").weights("predictions") == 64 * "0"
 
 
 def test_labels_are_those_of_the_function(drive):

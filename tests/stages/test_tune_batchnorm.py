@@ -10,11 +10,12 @@ from scans import SMALL, make_scan
 from salsanext_cli import Scan, load_network, project, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import FormatError, WeightsError
-from salsanext_cli.fitting.batch_norm import norms
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import NORM_SUFFIXES, read_weights, save_weights
 from salsanext_cli.stages.tune import tune
+from salsanext_cli.training.tuning import batchnorm
+from salsanext_cli.training.tuning.batchnorm import norms
 
 WIDER = replace(SMALL, name="wider", width=192, fov_up=5.0, means=(10.0, 9.0, 0.0, -1.0, 0.3))
 
@@ -110,6 +111,13 @@ def test_scans_that_cannot_be_used(folder, target, network):
         tune("batchnorm", folder, target, network=network)
     write_bin(bad, Scan(np.zeros((3, 3), np.float32), np.zeros(3, np.float32)))
     with pytest.raises(FormatError, match=r"000002\.bin · none of its 3 points has a pixel"):
+        tune("batchnorm", folder, target, network=network)
+    assert not target.exists()
+
+
+def test_a_network_without_batch_norm(folder, target, network, monkeypatch):
+    monkeypatch.setattr(batchnorm, "norms", lambda _: {})
+    with pytest.raises(WeightsError, match=r"\.safetensors · its network has no batch norm"):
         tune("batchnorm", folder, target, network=network)
     assert not target.exists()
 

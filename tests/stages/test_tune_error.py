@@ -125,11 +125,6 @@ def test_other_features_and_merged_classes_are_refused(far_is_wrong: World, targ
     coarse = replace(network, classes=label_space("coarse"))
     with pytest.raises(UsageError, match=r"--classes · .*labels before merging"):
         predict_scans(world.data, world.out, network=coarse, extras=(ERROR,))
-    fresh = world.out.with_name("fresh")
-    for asked in ({"extras": (ERROR,)}, {"reject": 0.5}):
-        with pytest.raises(UsageError, match=r"--adapt · .*before they adapt"):
-            predict_scans(world.data, fresh, network=replace(network, adapt=True), **asked)
-    assert not fresh.exists()
     card = read_card(target)
     assert card.error is not None
     names = ("something else", *FEATURES[1:])

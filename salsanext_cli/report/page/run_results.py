@@ -328,8 +328,6 @@ def _labels(stage: str, settings: Mapping[str, Any]) -> str:
         words.append(f"{settings['engine']} in {settings.get('precision')}")
     if isinstance(temperature := settings.get("temperature"), float):
         words.append(f"temperature {temperature:.3g}")
-    if settings.get("adapted"):
-        words.append("batch norm adapted to the scans")
     if settings.get("reject") is not None:
         words.append(f"points unlabelled whose error is above {settings['reject']:g}")
     return ", ".join(words)

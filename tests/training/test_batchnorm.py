@@ -11,11 +11,11 @@ from torch import nn
 
 from salsanext_cli import label_space, project
 from salsanext_cli.engines.loading import network_of_module
-from salsanext_cli.fitting.batch_norm import Statistics, norms, statistics_of_scan
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.rangenet53 import RangeNet53
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
+from salsanext_cli.training.tuning.batchnorm import Statistics, norms, statistics_of_scan
 
 SPACE = label_space()
 
