@@ -309,6 +309,10 @@ ON_DATA = "{data} other --weights {weights}"
             "import-weights {weights} other.safetensors --label-space semantic-kitti",
             "--label-space · {weights} says for itself",
         ),
+        (
+            "predict {data} other --weights {weights} --fuse --reject 0.5",
+            "--fuse · with --reject",
+        ),
     ],
 )
 def test_wrong_settings_are_status_two(run, predicted, weights, monkeypatch, line, says):

@@ -101,3 +101,21 @@ def test_damaged_ones_are_one_line(damage) -> None:
     values["error"] = None
     with pytest.raises(WeightsError, match="error is no table"):
         WeightsCard.from_metadata({KEY: json.dumps(values)}, "w")
+
+
+RISK = {"kind": "error", "threshold": 0.2, "at_most": 0.1, "confidence": None}
+RISK |= {"scans": 12, "sequences": ["00"]}
+LINE = {"slope": 1.0, "offset": 0.1, "deviation": 0.04}
+
+
+@pytest.mark.parametrize(("part", "whole"), [("risk", RISK), ("accuracy", LINE)])
+def test_numbers_that_a_statement_rests_on_are_all_there(part, whole) -> None:
+    values = json.loads(card(None).to_metadata()[KEY])
+    read = WeightsCard.from_metadata({KEY: json.dumps(values | {part: whole})}, "w")
+    assert getattr(read, part) == whole
+    broken = [{k: v for k, v in whole.items() if k != name} for name in whole]
+    numbers = [name for name in whole if isinstance(whole[name], float)]
+    broken += [whole | {name: value} for name in numbers for value in ("x", math.nan, None)]
+    for each in broken:
+        with pytest.raises(WeightsError, match="damaged metadata"):
+            WeightsCard.from_metadata({KEY: json.dumps(values | {part: each})}, "w")
