@@ -252,6 +252,25 @@ def test_it_is_scored_as_the_others_are_and_as_a_probability(world):
 
 
 @pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        ([0.9, 0.9, 0.1, 0.9], "calibrated worse than the softmax"),
+        ([0.1, 0.1, 0.9, 0.1], "ranks labels worse than the confidence"),
+        ([0.01, 0.01, 0.99, 0.01], ""),
+    ],
+)
+def test_an_error_that_is_worse_than_the_softmax_is_said(world, caplog, error, says):
+    truth = [CAR, CAR, ROAD, CAR] if not says or "calibrated" in says else [ROAD, CAR, CAR, CAR]
+    world.add("000000", truth, [CAR] * 4)
+    wrong = truth.index(ROAD)
+    world.put("probabilities", "000000", softmax(*(0.6 if i == wrong else 0.9 for i in range(4))))
+    world.put("uncertainty/error", "000000", error)
+    world.evaluate()
+    warnings = [record.message for record in caplog.records if "the error" in record.message]
+    assert any(says in text for text in warnings) if says else not warnings
+
+
+@pytest.mark.parametrize(
     ("truth", "error", "entropy", "kind"),
     [
         ([CAR, ROAD], [0.1, 0.5], [0.5, 0.1], "error"),
