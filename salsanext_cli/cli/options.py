@@ -75,18 +75,9 @@ DataSet = Annotated[
         help="Data set in SemanticKITTI's layout.", envvar=DATASET_VARIABLE, show_default="."
     ),
 ]
-DataSetOfResults = Annotated[
-    Path | None,
-    _shared("dataset"),
-]
-LabelSpaceName = Annotated[
-    str | None,
-    _shared("label_space"),
-]
-MergedInto = Annotated[
-    str | None,
-    _shared("classes"),
-]
+DataSetOfResults = Annotated[Path | None, _shared("dataset")]
+LabelSpaceName = Annotated[str | None, _shared("label_space")]
+MergedInto = Annotated[str | None, _shared("classes")]
 SpacedSelection = Annotated[ScanSelection, Shown(limit=EVENLY_SPACED)]
 LabelledSelection = Annotated[
     ScanSelection,

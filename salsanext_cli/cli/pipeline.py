@@ -126,8 +126,8 @@ def predict(
     source, out = options.sources(context, scans, out, dataset, topic)
     if fuse:
         if reject is not None:
-            others = "one of them: fused labels are others than those that a threshold was for"
-            raise UsageError("--fuse", "with --reject", others)
+            remedy = "a threshold holds for labels of single scans, which fusion changes"
+            raise UsageError("--fuse", "with --reject", "one of the two", remedy)
         from salsanext_cli.stages.fuse import require_fusable
 
         require_fusable(source, out, running.shard)

@@ -121,8 +121,7 @@ def evaluate_uncertainty(counts: ScanCounts, space: LabelSpace) -> UncertaintyEv
     softmax = _calibration_result(counts, space) if has_softmax else None
     error, confidence = kinds.get("error"), kinds.get("confidence") or kinds.get("least_confidence")
     if counts.kept:
-        # The error is known of kept points only, the softmax of all.
-        return UncertaintyEvaluation(softmax, kinds, _kept(counts))
+        error = None  # Known of kept points only, the softmax of all
     if error and confidence and error.scores.aurc > confidence.scores.aurc:
         log.warning("the error ranks labels worse than the confidence: use --reject with care")
     if error and error.ece and softmax and error.ece > softmax.scores.ece:

@@ -188,7 +188,7 @@ def _filter_bags(
     task: PointFilter,
     scans: list[ScanFile],
     options: RunOptions,
-    counts: list[tuple[str, int, int]],
+    counts: list[Count],
 ) -> Outcome:
     """Write the bag of each sequence, whole or not at all; add to the counts of its clouds."""
     start, skipped = time.monotonic(), 0

@@ -111,6 +111,16 @@ def test_fused_labels_are_a_folder_of_results(drive):
         assert {*found.kinds} >= {"disagreement", *kinds}
 
 
+def test_rejected_labels_are_not_fused(drive):
+    path = drive.out / "predict.json"
+    record = json.loads(path.read_text())
+    record["settings"] |= {"reject": 0.9, "reject_by": "least_confidence"}
+    path.write_text(json.dumps(record))
+    with pytest.raises(OutputError, match="some were rejected"):
+        fuse_results(drive.out)
+    assert not (drive.out / "fused").exists()
+
+
 def test_a_run_goes_on_with_the_same_bytes(drive, tmp_path):
     fuse_results(drive.out)
     before = files_below(fused_folder(drive))

@@ -18,6 +18,7 @@ from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune import tune
+from salsanext_cli.training.tuning.risk import _left_out, exceeds
 
 ALL = ScanSelection()
 
@@ -105,6 +106,26 @@ def test_scans_of_training_promise_nothing(unsure_is_wrong: World, target, tmp_p
         tune(
             "risk", world.data, target, network=network, selection=ALL, at_most=0.3, overwrite=True
         )
+
+
+def test_an_error_that_was_fitted_to_these_scans_is_said(
+    unsure_is_wrong: World, target, tmp_path, caplog
+) -> None:
+    world, fitted = unsure_is_wrong, tmp_path / "fitted.safetensors"
+    tune("error", world.data, fitted, network=world.network, selection=ScanSelection("valid"))
+    network = replace(world.network, weights=fitted)
+    tune("risk", world.data, target, network=network, selection=ALL, at_most=0.6)
+    assert "the error was fitted to 08 too" in caplog.text
+
+
+@pytest.mark.parametrize(("confidence", "is_above"), [(None, False), (0.9, True)])
+def test_a_drive_left_out_is_judged_by_what_is_promised(confidence, is_above) -> None:
+    losses = np.where(np.arange(44) < 35, 0.0, 0.06)  # Nine of 22 scans of the second drive
+    kept = np.stack([np.ones(44), losses], axis=1)[..., None]
+    sequences, numbers = np.repeat(["a", "b"], 22), {"at_most": 0.05, "confidence": confidence}
+    of_b = _left_out(kept, sequences, numbers)[1]
+    assert of_b["above"] == pytest.approx(9 / 22)
+    assert exceeds(of_b, **numbers) == is_above
 
 
 def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path) -> None:

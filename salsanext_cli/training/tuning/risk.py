@@ -129,8 +129,7 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         "left_out": left_out,
         "sentences": [*labels.sentences, *map(_sentence, left_out)],
     }
-    bound, share = (at_most, "loss") if confidence is None else (1 - confidence, "above")
-    if above := [each["sequence"] for each in left_out if each[share] > bound]:
+    if above := [each["sequence"] for each in left_out if exceeds(each, **numbers)]:
         log.warning("%s: more wrong than that, by the threshold of the others", first_few(above))
     elif not left_out:
         log.warning("scans of one sequence do not tell how the threshold holds on another")
@@ -158,7 +157,7 @@ def _require_scans(
         found, can = f"no less than {least:g} %", f"--at-most {least:g}%"
     else:
         exceed = bad_share(0, max(count, 1), confidence)
-        found = f"with {confidence:.0%} confidence no less than {exceed:.0%} of scans above"
+        found = f"with {100 * confidence:.4g} % confidence no less than {exceed:.0%} of scans above"
         can = "a lower --confidence"
     promised = f"{counted(count, 'scan')} can promise {found}"
     raise TrainingError(
@@ -183,6 +182,13 @@ def _left_out(
         means = {name: float(value) for name, value in means.items()}
         reports.append({"sequence": str(sequence), "scans": int(own.sum()), **means})
     return reports
+
+
+def exceeds(left_out: Mapping[str, Any], at_most: float, confidence: float | None) -> bool:
+    """Say whether a sequence that was left out has more than is promised."""
+    if confidence is None:
+        return bool(left_out["loss"] > at_most)
+    return bool(left_out["above"] > 1 - confidence)
 
 
 def _sentence(each: Mapping[str, Any]) -> str:
