@@ -172,6 +172,8 @@ def _then_fused(
         fused = fuse_results(out, query=ResultQuery(selection=selection), options=run)
     output.say(f"fuse: {counted(fused.done, 'scan')} → {out / FUSED}")
     failures = dict.fromkeys((*outcome.failures, *fused.failures))
+    if outcome.summary is not None and fused.summary is not None:
+        outcome.summary.findings.update(fused.summary.findings)
     return replace(outcome, failures=tuple(failures))
 
 

@@ -11,10 +11,9 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError
-from salsanext_cli.files.json_files import read_json
-from salsanext_cli.files.reading import present
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.fusion.poses import DRIVE, POSES, Poses, read_fused_poses
+from salsanext_cli.fusion.drive import Drive, recorded_drive
+from salsanext_cli.fusion.poses import Poses
 from salsanext_cli.fusion.votes import keys_of
 from salsanext_cli.fusion.window import DriveWindow, movable_classes
 from salsanext_cli.geometry.projection import measured_ranges, project
@@ -34,13 +33,10 @@ Columns = dict[str, npt.NDArray[Any]]
 """Values by name, each (N,): x, y, z float64 metres in the world, range, scan, and any others."""
 
 
-def poses_of_map(results: ResultFolder, files: Sequence[ScanFile]) -> Poses | None:
-    """Return the poses by which `fuse` wrote the labels of scans of a sequence, None without."""
+def drive_of_map(results: ResultFolder, files: Sequence[ScanFile]) -> Drive | None:
+    """Return the drive by which `fuse` wrote the labels of scans of a sequence, None without."""
     folder = results.root / "sequences" / files[0].sequence
-    record = read_json(folder / DRIVE)
-    if record is None or not present(folder / POSES):
-        return None
-    return read_fused_poses(folder / POSES, record["scans"], [file.stem for file in files])
+    return recorded_drive(folder, [file.stem for file in files])
 
 
 def one_per_voxel(parts: Sequence[Columns], size: float, origin: Poses) -> Columns:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Poses of the scans of a drive: files of KITTI and TUM, and whether they fit the scans."""
+"""Poses of the scans of a drive, as files of KITTI and TUM hold them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,31 +9,18 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.files.reading import present, reading
-from salsanext_cli.fusion.votes import keys_of
 from salsanext_cli.records import Float
 
 Points = npt.NDArray[np.float64] | Float
 """(N, 3), metres."""
 Poses = npt.NDArray[np.float64]
 """(N, 4, 4), or (4, 4) of one: from the frame of each scan to that of the drive, metres."""
-POSES, CALIBRATION, DRIVE = "poses.txt", "calib.txt", "drive.json"
+POSES, CALIBRATION = "poses.txt", "calib.txt"
 KITTI_NUMBERS, TUM_NUMBERS = 12, 8
 MAX_SHEAR = 1e-2
-"""Largest difference of a rotation times its transpose from 1."""
-MAX_STEP_M = 50.0
-"""Distance of consecutive scans from which on they share no places."""
-GAP_STEPS, MIN_GAP_M = 4.0, 10.0
-"""A gap in a drive is a step of so many long ones, and at least so long."""
-CHECKED_PAIRS = 8
-NEAR_M, FAR_M, ABOVE_GROUND_M = 3.0, 30.0, 0.5
-"""Points that tell whether two scans lie on each other: near, and not of the ground."""
-OVERLAP_VOXEL_M = 0.5
-MIN_OVERLAP = 0.35
-"""Least share of such points on each other: 0.64 or more of real drives, 0.32 without poses."""
-MARGIN = 0.1
-"""Least gain in overlap of another reading of poses that is said to be the right one."""
-CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-"""From x forward, y left, z up to the camera's x right, y down, z forward."""
+"""Largest difference of a rotation in a file times its transpose from 1."""
+ROUNDED = 1e-12
+"""The same of a rotation with all its digits."""
 
 
 def line_numbers(path: Path, lines: int, scans: Sequence[str], wanted: Sequence[str]) -> list[int]:
@@ -44,7 +31,7 @@ def line_numbers(path: Path, lines: int, scans: Sequence[str], wanted: Sequence[
     """
     if lines == len(scans):
         places = {name: number for number, name in enumerate(scans)}
-        numbers = [places[name] for name in wanted]
+        numbers = [places.get(name, lines) for name in wanted]
     else:
         numbers = [int(name) if name.isdecimal() else lines for name in wanted]
     if max(numbers, default=-1) >= lines:
@@ -64,14 +51,8 @@ def read_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses
     values = [_numbers(path, number, rows[number]) for number in numbers]
     poses = np.tile(np.eye(4), (len(values), 1, 1))
     for number, row, pose in zip(numbers, values, poses, strict=True):
-        if len(row) == KITTI_NUMBERS:
-            pose[:3] = row.reshape(3, 4)
-        else:
-            pose[:3, :3], pose[:3, 3] = _rotation(row[4:]), row[1:4]
-        if not np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() < MAX_SHEAR:
-            raise FormatError(path, f"line {number + 1} is no rotation", "rigid poses")
-        if np.linalg.det(pose[:3, :3]) < 0:
-            raise FormatError(path, f"line {number + 1} mirrors the scan", "rigid poses")
+        is_kitti = len(row) == KITTI_NUMBERS
+        pose[:3] = _rigid(path, f"line {number + 1}", row if is_kitti else _of_tum(row))
     calibration = path.with_name(CALIBRATION)
     if present(calibration) and values and len(values[0]) == KITTI_NUMBERS:
         to_camera = _calibration(calibration)
@@ -102,16 +83,29 @@ def _numbers(path: Path, number: int, line: str) -> Poses:
     return row
 
 
-def _rotation(quaternion: Poses) -> Poses:
-    """Return the rotation (3, 3) of a quaternion x, y, z, w."""
-    x, y, z, w = quaternion
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+def _of_tum(row: Poses) -> Poses:
+    """Return 3 × 4 numbers of time, place and quaternion x, y, z, w."""
+    x, y, z, w = row[4:]
+    rotation = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.column_stack([rotation, row[1:4]])
+
+
+def _rigid(path: Path, name: str, row: Poses) -> Poses:
+    """Return 3 × 4 numbers whose rotation, rounded in a file, is one to the last digit."""
+    pose = row.reshape(3, 4)
+    shear = np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max()
+    if not shear < MAX_SHEAR:
+        raise FormatError(path, f"{name} is no rotation", "rigid poses")
+    if np.linalg.det(pose[:, :3]) < 0:
+        raise FormatError(path, f"{name} mirrors the scan", "rigid poses")
+    if shear < ROUNDED:
+        return pose
+    left, _, right = np.linalg.svd(pose[:, :3])
+    return np.column_stack([left @ right, pose[:, 3]])
 
 
 def _calibration(path: Path) -> Poses:
@@ -121,89 +115,11 @@ def _calibration(path: Path) -> Poses:
         if name in ("Tr", "Tr_velo_to_cam", "Tr_velo_cam"):
             row = _numbers(path, 0, values)
             if len(row) == KITTI_NUMBERS:
-                return np.vstack([row.reshape(3, 4), [0, 0, 0, 1]])
+                return np.vstack([_rigid(path, name, row), [0, 0, 0, 1]])
     raise FormatError(path, "no line Tr", "12 numbers from scan to camera, or no such file")
 
 
 def encode_poses(poses: Poses) -> bytes:
-    """Return poses as KITTI writes them, one of 12 numbers per line."""
-    rows = (" ".join(f"{value:.12e}" for value in pose[:3].ravel()) for pose in poses)
+    """Return poses as KITTI writes them, one of 12 numbers per line, to the last digit."""
+    rows = (" ".join(f"{value:.16e}" for value in pose[:3].ravel()) for pose in poses)
     return "".join(f"{row}\n" for row in rows).encode("ascii")
-
-
-def segments(poses: Poses) -> npt.NDArray[np.int64]:
-    """Return the part of a drive (N,) that each scan is of; too long a step begins another."""
-    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    # A drive may stand most of the time.
-    usual = float(np.percentile(steps, 90)) if len(steps) else 0.0
-    gaps = (steps > MAX_STEP_M) | ((steps > MIN_GAP_M) & (steps > GAP_STEPS * usual))
-    return np.concatenate([[0], np.cumsum(gaps)])
-
-
-def overlap(points: Points, others: Points, pose: Poses) -> float:
-    """Return which share of a scan's upright points near the sensor lies on those of another.
-
-    `points`, `others`: (N, 3), (M, 3) metres, each in its own frame; `pose`: (4, 4) from the first
-    to the second.
-    """
-    upright = _upright(points)
-    if not len(upright):
-        return 0.0
-    keys = keys_of(upright @ pose[:3, :3].T + pose[:3, 3], OVERLAP_VOXEL_M)
-    occupied = np.unique(keys_of(others.astype(np.float64), OVERLAP_VOXEL_M))
-    return float(np.isin(keys, occupied).mean())
-
-
-def _upright(points: Points) -> Poses:
-    distance = np.hypot(points[:, 0], points[:, 1])
-    near = points[(distance > NEAR_M) & (distance < FAR_M)].astype(np.float64)
-    if not len(near):
-        return near
-    upright: Poses = near[near[:, 2] > np.percentile(near[:, 2], 40) + ABOVE_GROUND_M]
-    return upright
-
-
-def require_fitting(
-    path: Path, poses: Poses, parts: npt.NDArray[np.int64], read: Callable[[int], Float]
-) -> None:
-    """Refuse poses by which consecutive scans do not come to lie on each other.
-
-    `read`: returns the points (N, 3) of a scan by its number.
-    """
-    pairs = np.flatnonzero(np.diff(parts) == 0)
-    # Poses in another unit may put all scans apart.
-    pairs = pairs if len(pairs) else np.arange(len(poses) - 1)
-    if not len(pairs):
-        return
-    chosen = np.unique(pairs[np.linspace(0, len(pairs) - 1, CHECKED_PAIRS).astype(int)])
-    readings = {
-        "": poses,
-        "are from the world to the scans": np.linalg.inv(poses),
-        "are of the camera": np.linalg.inv(CAMERA) @ poses @ CAMERA,
-        "are in centimetres": _scaled(poses, 0.01),
-        "are in millimetres": _scaled(poses, 0.001),
-        "fit worse than none": np.tile(np.eye(4), (len(poses), 1, 1)),
-    }
-    shares = dict.fromkeys(readings, 0.0)
-    for first in chosen:
-        points, others = read(first), read(first + 1)
-        for name, each in readings.items():
-            step = np.linalg.inv(each[first + 1]) @ each[first]
-            shares[name] += overlap(points, others, step) / len(chosen)
-    best = max(shares, key=lambda name: shares[name])
-    if shares[best] < shares[""] + MARGIN:
-        best = ""
-    is_apart = (np.diff(parts) > 0).all() and not best
-    if (best and shares[best] >= MIN_OVERLAP) or (shares[""] < MIN_OVERLAP and not is_apart):
-        found = f"poses that {best or 'do not fit the scans'}: {shares['']:.0%} of the points meet"
-        expected = "poses from each scan to the world, in metres"
-        remedy = "leave the poses out to have them computed"
-        if best == "are of the camera":
-            remedy = f"put the {CALIBRATION} of the drive beside them, or {remedy}"
-        raise FormatError(path, found, expected, remedy)
-
-
-def _scaled(poses: Poses, factor: float) -> Poses:
-    scaled = poses.copy()
-    scaled[:, :3, 3] *= factor
-    return scaled

@@ -2,12 +2,15 @@
 """Poses of a drive from its scans alone: registration to a map of the last ones (small_gicp)."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from salsanext_cli.files.optional_packages import import_extra
-from salsanext_cli.fusion.poses import MIN_OVERLAP, Poses, overlap
+from salsanext_cli.fusion.drive import Drive
+from salsanext_cli.fusion.pose_checks import MIN_UPRIGHT, min_overlap, overlap, upright_points
+from salsanext_cli.fusion.poses import Points, Poses
 from salsanext_cli.records import Float
 
 MIN_RANGE_M = 2.0
@@ -15,8 +18,6 @@ MIN_RANGE_M = 2.0
 DOWNSAMPLED_M, MAP_VOXEL_M, MAX_CORRESPONDENCE_M = 0.3, 1.0, 2.0
 MAP_SCANS = 100
 """Scans after which a place that was not seen again leaves the map."""
-MIN_POINTS = 200
-"""Fewer points tell no motion."""
 OTHER_STEPS = tuple(
     np.block([[np.eye(3), np.array(place)[:, None]], [0, 0, 0, 1]])
     for size in (2.0, -2.0, 5.0, 9.0, 14.0)
@@ -27,54 +28,72 @@ PART_M = 1000.0
 """Distance to the origin of the next part of a drive."""
 
 
-def register(scans: Iterable[Float]) -> Poses:
-    """Return the poses of scans, each (M, 3) metres in its own frame.
+@dataclass(slots=True)
+class Part:
+    """Part of a drive that may go on: a map of its last scans, and the last of them."""
 
-    The first is the frame of the drive. Where a scan does not come to lie on the one before, a
-    part of the drive begins whose place is not known: it starts `PART_M` farther along x.
+    number: int
+    map: Any
+    index: int  # Of the last scan
+    pose: Poses  # Its pose
+    step: Poses  # From the one before to it
+    upright: Points  # Its points that tell whether another lies on it
+
+
+def register(scans: Iterable[Float]) -> Drive:
+    """Return the poses of scans, each (M, 3) metres in its own frame, and the parts they are of.
+
+    The first is the frame of the drive. A scan that comes to lie on none of the two last parts
+    begins one whose place is not known: it starts `PART_M` farther along x.
     """
     small_gicp = import_extra("small_gicp", "fuse")
     poses: list[Poses] = []
-    target: Any = None
-    before, step = np.zeros((0, 3)), np.eye(4)
-    for points in scans:
+    numbers: list[int] = []
+    parts: list[Part] = []
+    for index, points in enumerate(scans):
         far = points[np.linalg.norm(points, axis=1) > MIN_RANGE_M].astype(np.float64)
-        cloud: Any = None
-        pose: Poses | None = None
-        if len(far) >= MIN_POINTS:
+        upright = upright_points(far)
+        start = np.eye(4)
+        start[0, 3] = PART_M + max(each[0, 3] for each in poses) if poses else 0
+        part = Part(max(numbers, default=-1) + 1, None, index, start, np.eye(4), upright)
+        # Where nothing stands upright, no motion is told.
+        if len(upright) >= MIN_UPRIGHT:
             # With the covariances of the points' neighbourhoods.
             cloud, _ = small_gicp.preprocess_points(
                 far, downsampling_resolution=DOWNSAMPLED_M, num_threads=1
             )
-        if cloud is not None and target is not None:
-            for guess in (step, *OTHER_STEPS):
-                pose = _aligned(small_gicp, target, cloud, poses[-1] @ guess)
-                back = np.linalg.inv(pose) @ poses[-1]
-                if overlap(before, far, back) >= MIN_OVERLAP:
+            for each in parts:
+                if (pose := _aligned(small_gicp, each, cloud, index, upright)) is not None:
+                    step = np.linalg.inv(each.pose) @ pose
+                    # A step over scans that did not fit is none to go on with.
+                    step = step if index == each.index + 1 else each.step
+                    part = Part(each.number, each.map, index, pose, step, upright)
                     break
-                pose = None
-        if pose is None:
-            target, step = small_gicp.GaussianVoxelMap(MAP_VOXEL_M), np.eye(4)
-            target.set_lru(horizon=MAP_SCANS)
-            pose = np.eye(4)
-            pose[0, 3] = PART_M + max(each[0, 3] for each in poses) if poses else 0
-        else:
-            step = np.linalg.inv(poses[-1]) @ pose
-        if cloud is not None:
-            target.insert(cloud, pose)
-        poses.append(pose)
-        before = far
-    return np.array(poses).reshape(-1, 4, 4)
+            if part.map is None:
+                part.map = small_gicp.GaussianVoxelMap(MAP_VOXEL_M)
+                part.map.set_lru(horizon=MAP_SCANS)
+            part.map.insert(cloud, part.pose)
+            parts = [part, *(each for each in parts if each.number != part.number)][:2]
+        poses.append(part.pose)
+        numbers.append(part.number)
+    return Drive(np.array(poses).reshape(-1, 4, 4), np.array(numbers, np.int64))
 
 
-def _aligned(small_gicp: Any, target: Any, cloud: Any, guess: Poses) -> Poses:
-    """Return the pose of a cloud in the map; where none is found, it is anywhere."""
-    result = small_gicp.align(
-        target,
-        cloud,
-        init_T_target_source=guess,
-        max_correspondence_distance=MAX_CORRESPONDENCE_M,
-        num_threads=1,
-    )
-    pose: Poses = result.T_target_source
-    return pose if np.isfinite(pose).all() else guess
+def _aligned(small_gicp: Any, part: Part, cloud: Any, index: int, upright: Points) -> Poses | None:
+    """Return the pose by which a scan comes to lie on the last one of a part, None without any."""
+    going_on = np.linalg.matrix_power(part.step, index - part.index)
+    for guess in (going_on, *OTHER_STEPS):
+        result = small_gicp.align(
+            part.map,
+            cloud,
+            init_T_target_source=part.pose @ guess,
+            max_correspondence_distance=MAX_CORRESPONDENCE_M,
+            num_threads=1,
+        )
+        pose: Poses = result.T_target_source
+        if not np.isfinite(pose).all():
+            continue
+        step = np.linalg.inv(part.pose) @ pose
+        if overlap(upright, part.upright, step) >= min_overlap(step):
+            return pose
+    return None

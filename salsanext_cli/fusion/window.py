@@ -9,7 +9,9 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import SalsanextError
-from salsanext_cli.fusion.poses import Poses, segments
+from salsanext_cli.fusion.drive import Drive
+from salsanext_cli.fusion.pose_checks import Parts, fitting_parts
+from salsanext_cli.fusion.poses import Poses
 from salsanext_cli.fusion.votes import VOXEL_SIZES_M, Tally, View, tally, view_of
 from salsanext_cli.options import FusionReach
 from salsanext_cli.records import Float, Scan
@@ -40,8 +42,8 @@ def movable_classes(space: LabelSpace) -> npt.NDArray[np.bool_]:
 class DriveWindow(Generic[Content]):
     """Content of the scans around one of a drive, each read once while the window moves on."""
 
-    def __init__(self, poses: Poses, reach: int, read: Callable[[int], Content]) -> None:
-        self.parts, self.reach, self.read = segments(poses), reach, read
+    def __init__(self, parts: Parts, reach: int, read: Callable[[int], Content]) -> None:
+        self.parts, self.reach, self.read = parts, reach, read
         self.contents: dict[int, Content | SalsanextError] = {}
 
     def around(self, index: int) -> tuple[Content, dict[int, Content]]:
@@ -69,14 +71,14 @@ class DriveWindow(Generic[Content]):
 class FusionWindow:
     """Votes of the scans around one of a drive.
 
-    `poses`: (S, 4, 4) of the drive; `movable`: (C,) which classes may move.
+    `movable`: (C,) which classes may move.
     """
 
     def __init__(
-        self, poses: Poses, read: ReadScan, reach: FusionReach, movable: npt.NDArray[np.bool_]
+        self, drive: Drive, read: ReadScan, reach: FusionReach, movable: npt.NDArray[np.bool_]
     ) -> None:
-        self.poses, self.read, self.reach = poses, read, reach
-        self.window = DriveWindow(poses, reach.reach, self._views)
+        self.poses, self.read, self.reach = drive.poses, read, reach
+        self.window = DriveWindow(drive.parts, reach.reach, self._views)
         self.counted = {True: np.ones(len(movable), np.uint8), False: (~movable).astype(np.uint8)}
 
     def tally(self, index: int) -> Tally:
@@ -151,7 +153,9 @@ def fuse(
         return scans[index].points, softmax, voting(softmax)
 
     movable = movable_classes(space or label_space("semantic-kitti"))
-    window = FusionWindow(np.asarray(poses, np.float64), read, reach, movable)
+    poses = np.asarray(poses, np.float64)
+    drive = Drive(poses, fitting_parts(poses, lambda index: scans[index].points)[0])
+    window = FusionWindow(drive, read, reach, movable)
     return [window.tally(index) for index in range(len(scans))]
 
 

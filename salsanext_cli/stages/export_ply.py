@@ -19,8 +19,8 @@ from salsanext_cli.fusion.drive_map import (
     MERGED_POINTS,
     Columns,
     MapTask,
+    drive_of_map,
     one_per_voxel,
-    poses_of_map,
 )
 from salsanext_cli.fusion.poses import POSES
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -206,7 +206,7 @@ def map_of_drive(
 ) -> tuple[Columns, Outcome]:
     """Return the map of scans of a sequence with fused labels; no columns if none can be read."""
     files = tuple(sorted(files, key=drive_order))
-    poses = poses_of_map(results, files)
+    poses = drive_of_map(results, files)
     if poses is None:
         path = results.root / "sequences" / files[0].sequence / POSES
         remedy = f"run `salsanext fuse {results.root}`, and give the folder of the fused labels"

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Stage `fuse`: labels of the scans of a drive by all scans that see the same places."""
 
-import hashlib
 import logging
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -30,16 +28,9 @@ from salsanext_cli.fitting.scan_checks import Finding
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array, read_probabilities
-from salsanext_cli.fusion.poses import (
-    DRIVE,
-    POSES,
-    Poses,
-    encode_poses,
-    read_fused_poses,
-    read_poses,
-    require_fitting,
-    segments,
-)
+from salsanext_cli.fusion.drive import DRIVE, Drive, recorded_drive
+from salsanext_cli.fusion.pose_checks import require_fitting
+from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, read_fused_poses, read_poses
 from salsanext_cli.fusion.registration import register
 from salsanext_cli.fusion.top_classes import KEPT, softmax_of
 from salsanext_cli.fusion.window import (
@@ -61,12 +52,13 @@ from salsanext_cli.results.layout import (
     SCAN_FOLDER,
     ScanFile,
     drive_order,
+    find_outputs,
     find_scans,
     output_path,
     with_outputs,
 )
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import MissingResults, choose, scans_of
@@ -86,7 +78,7 @@ class DriveScans:
     """Scans of a drive in order, all with a softmax, and their poses."""
 
     files: tuple[ScanFile, ...]
-    poses: Poses
+    drive: Drive
     numbers: dict[ScanFile, int]  # Place of each in the drive
 
 
@@ -118,15 +110,15 @@ class FuseTask:
                 yield file, None, error
 
     def _window(self, sequence: str) -> FusionWindow:
-        drive = self.drives[sequence]
+        scans = self.drives[sequence]
 
         def read(index: int) -> tuple[Float, Float, Any]:
-            file = drive.files[index]
+            file = scans.files[index]
             points = read_scan(file.path, self.sensor).points
             softmax = kept_softmax(self.single.root, file, len(points), self.space)
             return points, softmax, voting(softmax)
 
-        return FusionWindow(drive.poses, read, self.reach, movable_classes(self.space))
+        return FusionWindow(scans.drive, read, self.reach, movable_classes(self.space))
 
     def _fuse(self, file: ScanFile, window: FusionWindow) -> ScanSummary:
         self.single.require_replaceable(file)
@@ -225,10 +217,13 @@ def fuse_results(
     folders = (*kinds, "predictions")
     fused = output_run(target, "fuse", made_with | of_labels, folders, scans, overwrite=overwrite)
     with single as of_single, fused as of_fused, summary.kept_in(of_fused, scans):
-        drives = {name: _drive(members[name], given[name], of_fused, sensor) for name in chosen}
-        for drive in drives.values():
-            if finding := _finding(drive):
-                summary.add_finding(drive.files[0], finding)
+        drives = {
+            name: _drive_scans(members[name], given[name], of_single, of_fused, sensor)
+            for name in chosen
+        }
+        for of_drive in drives.values():
+            if finding := _finding(of_drive.drive):
+                summary.add_finding(of_drive.files[0], finding)
         task = FuseTask(drives, space, sensor, reach, of_single, of_fused)
         outcome = run_over_scans(
             task,
@@ -257,15 +252,17 @@ def _beside(files: Sequence[ScanFile]) -> Path | None:
     return path if present(path) else None
 
 
-def _given(path: Path | None, files: Sequence[ScanFile], sensor: Sensor) -> Poses | None:
+def _given(path: Path | None, files: Sequence[ScanFile], sensor: Sensor) -> Drive | None:
     """Read the poses of scans, if there are any, and look whether they fit the scans."""
     if path is None:
         return None
     beside = sorted(find_scans(files[0].path.parent), key=drive_order)
     stems, wanted = ([file.stem for file in each] for each in (beside, files))
-    poses = read_poses(path, stems, wanted)
-    require_fitting(path, poses, segments(poses), lambda index: _points(files[index], sensor))
-    return poses
+    return _checked(path, read_poses(path, stems, wanted), files, sensor)
+
+
+def _checked(path: Path, poses: Poses, files: Sequence[ScanFile], sensor: Sensor) -> Drive:
+    return Drive(poses, require_fitting(path, poses, lambda index: _points(files[index], sensor)))
 
 
 def _points(file: ScanFile, sensor: Sensor) -> Float:
@@ -278,34 +275,50 @@ def _points(file: ScanFile, sensor: Sensor) -> Float:
     return points[np.isfinite(points).all(axis=1)]
 
 
-def _drive(
-    files: Sequence[ScanFile], poses: Poses | None, output: OutputRun, sensor: Sensor
+def _drive_scans(
+    files: Sequence[ScanFile],
+    given: Drive | None,
+    single: OutputRun,
+    fused: OutputRun,
+    sensor: Sensor,
 ) -> DriveScans:
     """Return a sequence with poses, computed if not given, and record both."""
     name, stems = files[0].sequence, [file.stem for file in files]
-    folder = output.root / "sequences" / name
+    folder = fused.root / "sequences" / name
     used, record = folder / POSES, folder / DRIVE
-    before, edited = read_json(record), bool(output.others([used]))
-    recorded: dict[str, Any] = {"scans": stems}
+    before, edited = read_json(record), bool(fused.others([used]))
     known = before is not None and before.get("scans") == stems
-    if before is not None and not known and not output.overwrite:
+    if before is not None and not known and not fused.overwrite:
         raise _other_drive(record, before, len(stems))
-    if poses is None and present(used) and (edited or (known and not output.overwrite)):
-        poses = read_fused_poses(used, stems, stems)
-        if edited:
-            points = partial(_points, sensor=sensor)
-            require_fitting(used, poses, segments(poses), lambda index: points(files[index]))
-    elif poses is None:
+    if given is not None:
+        drive = given
+    elif edited:
+        drive = _checked(used, read_fused_poses(used, stems, stems), files, sensor)
+    elif known and not fused.overwrite and (earlier := recorded_drive(folder)) is not None:
+        drive = earlier
+    else:
         log.log(NOTICE, "sequence %s: no %s, computing poses of its scans", name, POSES)
-        poses = register(_points(file, sensor) for file in files)
-    content = encode_poses(poses)
-    recorded["poses"] = hashlib.sha256(content).hexdigest()
-    if before not in (None, recorded) and not output.overwrite:
-        raise _other_drive(record, before or {}, len(stems))
-    if not edited:
-        output.write(used, content)
-    output.write(record, encode_json(recorded))
-    return DriveScans(tuple(files), poses, {file: number for number, file in enumerate(files)})
+        drive = register(_points(file, sensor) for file in files)
+    if edited and not np.array_equal(read_fused_poses(used, stems, stems), drive.poses):
+        raise not_own(used)
+    recorded = drive.record(stems)
+    with fused.locked_records():
+        if read_json(record) != recorded:
+            results = [(run, _results_of(run, name)) for run in (single, fused)]
+            if any(paths for _, paths in results) and not fused.overwrite:
+                raise _other_drive(record, before or {}, len(stems))
+            for run, paths in results:
+                run.remove_own(paths)
+            if not edited:
+                fused.write(used, encode_poses(drive.poses))
+            # It comes last: without it, a run that was killed before begins anew.
+            fused.write(record, encode_json(recorded))
+    return DriveScans(tuple(files), drive, {file: number for number, file in enumerate(files)})
+
+
+def _results_of(run: OutputRun, sequence: str) -> list[Path]:
+    results = (find_outputs(run.root, folder) for folder in run.folders)
+    return [path for found in results for (of, _), path in found.items() if of == sequence]
 
 
 def _other_drive(record: Path, before: Mapping[str, Any], scans: int) -> OutputError:
@@ -316,9 +329,9 @@ def _other_drive(record: Path, before: Mapping[str, Any], scans: int) -> OutputE
     return OutputError(record, found, "the same scans and poses for all of it", remedy)
 
 
-def _finding(drive: DriveScans) -> Finding | None:
+def _finding(drive: Drive) -> Finding | None:
     """Return what is doubtful about a drive that is cut into parts."""
-    parts = np.bincount(segments(drive.poses))
+    parts = np.bincount(drive.parts)
     if len(parts) == 1:
         return None
     alone = (parts == 1).all()

@@ -12,7 +12,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
-from salsanext_cli.fusion.drive_map import poses_of_map
+from salsanext_cli.fusion.drive_map import drive_of_map
 from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
@@ -132,7 +132,7 @@ def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[
         in_order = sorted(results.with_column("label", [*group]), key=drive_order)
         files = tuple(evenly_spaced(in_order, MAP_SCANS))
         try:
-            if not files or (poses := poses_of_map(results, files)) is None:
+            if not files or (poses := drive_of_map(results, files)) is None:
                 continue
             # About those that a pixel shows.
             span = float(np.ptp(poses[:, :3, 3], axis=0).max()) + 2 * REACH_M

@@ -1,29 +1,38 @@
 # SPDX-License-Identifier: MIT
 import numpy as np
 import pytest
-from test_poses import street
+from test_pose_checks import street
+from test_poses import along
 
-from salsanext_cli.fusion.poses import segments
 from salsanext_cli.fusion.registration import register
 
 pytest.importorskip("small_gicp")
+WAY = along(0, 2, 4, 6, 8, 10)
+SEEN = street(WAY)
+ELSEWHERE = np.random.default_rng(1).uniform([-30, -15, -1.7], [30, 15, 2], (8000, 3))
 
 
 def test_the_way_is_found_from_the_scans_alone():
-    poses, seen = street()
-    found = register(seen(number) for number in range(len(poses)))
-    np.testing.assert_allclose(found[:, :3, 3], poses[:, :3, 3], atol=0.1)
-    np.testing.assert_allclose(found[:, :3, :3], poses[:, :3, :3], atol=0.01)
+    drive = register(SEEN(number) for number in range(len(WAY)))
+    np.testing.assert_allclose(drive.poses[:, :3, 3], WAY[:, :3, 3], atol=0.1)
+    np.testing.assert_allclose(drive.poses[:, :3, :3], WAY[:, :3, :3], atol=0.01)
+    assert not drive.parts.any()
 
 
 def test_what_does_not_lie_on_the_scan_before_begins_a_part():
-    _, seen = street()
-    elsewhere = np.random.default_rng(1).uniform([-30, -15, -1.7], [30, 15, 2], (8000, 3))
-    nothing = np.zeros((10, 3))
-    found = register([seen(0), seen(1), elsewhere, nothing, seen(0), seen(1)])
-    assert segments(found).tolist() == [0, 0, 1, 2, 3, 3]
-    np.testing.assert_allclose(np.linalg.inv(found[4]) @ found[5], found[1], atol=0.1)
+    drive = register([SEEN(0), SEEN(1), ELSEWHERE, ELSEWHERE, ELSEWHERE])
+    assert drive.parts.tolist() == [0, 0, 1, 1, 1]
+    assert drive.poses[2, 0, 3] > 900
+
+
+@pytest.mark.parametrize("bad", [np.zeros((10, 3)), ELSEWHERE, np.full((500, 3), np.nan)])
+def test_a_drive_goes_on_behind_a_scan_that_shows_nothing(bad):
+    scans = [bad if number == 3 else SEEN(number) for number in range(len(WAY))]
+    drive = register(scans)
+    assert drive.parts.tolist() == [0, 0, 0, 1, 0, 0]
+    good = [0, 1, 2, 4, 5]
+    np.testing.assert_allclose(drive.poses[good, :3, 3], WAY[good, :3, 3], atol=0.1)
 
 
 def test_no_scans_have_no_poses():
-    assert register([]).shape == (0, 4, 4)
+    assert register([]).poses.shape == (0, 4, 4)

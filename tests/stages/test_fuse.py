@@ -22,7 +22,7 @@ from salsanext_cli.errors import (
 )
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.fusion.poses import encode_poses
-from salsanext_cli.fusion.window import disagreement, fuse, fused_labels
+from salsanext_cli.fusion.window import FusionWindow, disagreement, fuse, fused_labels
 from salsanext_cli.options import FusionReach, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.query import ResultQuery
@@ -245,6 +245,60 @@ def test_computed_poses_are_written_and_kept(drive):
     path.write_bytes(edited)
     fuse_results(drive.out, options=RunOptions(overwrite=True))
     assert path.read_bytes() == edited
+
+
+def shifted(folder, metres):
+    """Write poses by which a drive at one place stands at another."""
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[:, 0, 3] = metres
+    (folder / "sequences/08/poses.txt").write_bytes(encode_poses(poses))
+
+
+def test_a_killed_run_by_other_poses_leaves_no_labels_of_the_earlier_ones(drive, monkeypatch):
+    overwrite = RunOptions(overwrite=True)
+    shifted(drive.data, 0.07)
+    fuse_results(drive.out)
+    expected = {
+        stem: (fused_folder(drive) / f"predictions/{stem}.label").read_bytes() for stem in STEMS
+    }
+    shifted(drive.data, 0.2)
+    fuse_results(drive.out, options=overwrite)
+    shifted(drive.data, 0.07)
+    tally = FusionWindow.tally
+    with monkeypatch.context() as patch:
+
+        def killed(window, index):
+            if index == 1:
+                raise KeyboardInterrupt
+            return tally(window, index)
+
+        patch.setattr(FusionWindow, "tally", killed)
+        with pytest.raises(KeyboardInterrupt):
+            fuse_results(drive.out, options=overwrite)
+    assert fuse_results(drive.out).done == 2
+    assert files_below(labels) == expected
+
+
+def test_edited_poses_are_not_those_of_the_labels(drive):
+    fuse_results(drive.out)
+    path, moved = fused_folder(drive) / "poses.txt", np.tile(np.eye(4), (3, 1, 1))
+    moved[:, 1, 3] = 1
+    path.write_bytes(encode_poses(moved))
+    with pytest.raises(OutputError, match="not the poses that the scans were fused by"):
+        export_ply(drive.out / "fused", voxel=0.1)
+    for overwrite in (False, True):
+        with pytest.raises(OutputError, match="is kept"):
+            fuse_results(drive.out, options=RunOptions(overwrite=overwrite))
+
+
+def test_computed_poses_are_the_same_when_a_run_goes_on(drive):
+    pytest.importorskip("small_gicp")
+    (drive.data / "sequences/08/poses.txt").unlink()
+    fuse_results(drive.out)
+    before = files_below(fused_folder(drive))
+    (fused_folder(drive) / "predictions/000001.label").unlink()
+    assert fuse_results(drive.out).done == 1
+    assert files_below(fused_folder(drive)) == before
 
 
 def test_predict_can_fuse_at_once(world):

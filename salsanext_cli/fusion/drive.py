@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: MIT
+"""Record of the poses by which the scans of a drive were fused, beside their labels."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.files.json_files import read_json
+from salsanext_cli.files.reading import present
+from salsanext_cli.fusion.pose_checks import Parts
+from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, read_fused_poses
+
+DRIVE = "drive.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Poses (N, 4, 4) of the scans of a drive, and the parts (N,) that they fit in."""
+
+    poses: Poses
+    parts: Parts
+
+    def record(self, stems: Sequence[str]) -> dict[str, Any]:
+        """Return what is recorded of a drive whose scans have such stems."""
+        digest = hashlib.sha256(encode_poses(self.poses)).hexdigest()
+        return {"scans": [*stems], "poses": digest, "parts": self.parts.tolist()}
+
+
+def recorded_drive(folder: Path, wanted: Sequence[str] | None = None) -> Drive | None:
+    """Return the drive by which `fuse` wrote the labels in the folder of a sequence.
+
+    `wanted`: stems, all by default. None if no scans were fused, or others.
+    """
+    record, path = read_json(folder / DRIVE), folder / POSES
+    if record is None or not present(path):
+        return None
+    stems, parts = record["scans"], np.array(record.get("parts", ()), np.int64)
+    wanted = stems if wanted is None else wanted
+    drive = Drive(read_fused_poses(path, stems, stems), parts)
+    if drive.record(stems) != record:
+        remedy = "fuse the sequence anew with --overwrite"
+        raise OutputError(path, "not the poses that the scans were fused by", remedy=remedy)
+    numbers = {stem: number for number, stem in enumerate(stems)}
+    if not numbers.keys() >= {*wanted}:
+        return None
+    chosen = [numbers[stem] for stem in wanted]
+    return Drive(drive.poses[chosen], parts[chosen])

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: MIT
+"""Whether poses bring the scans of a drive to lie on each other, and the parts where they do."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.errors import FormatError
+from salsanext_cli.fusion.poses import CALIBRATION, Points, Poses
+
+Parts = npt.NDArray[np.int64]
+"""(N,): number of the part of a drive that each scan is of, whose poses fit each other."""
+ReadPoints = Callable[[int], Points]
+"""Function from the number of a scan to its measured points (M, 3), metres."""
+
+NEAR_M, FAR_M, ABOVE_GROUND_M, GROUND_PERCENTILE = 3.0, 30.0, 0.5, 40
+"""Points that tell whether two scans lie on each other: near, and not of the ground."""
+THINNED = 2
+"""Of such points of one of the scans every so many are looked up in the other."""
+MIN_UPRIGHT = 100
+"""Fewer such points tell nothing."""
+COLUMN_M, COLUMN_HEIGHT_M = 0.5, 2.0
+"""Edges of the voxels that both scans must have points in."""
+GRID = (160, 160, 16)
+"""Voxels around a scan."""
+MIN_OVERLAP = 0.4
+"""Least share of points on each other: 0.59 or more of consecutive scans of real drives, 0.46 with
+half of the lasers; half of such pairs have less than 0.31 at the same place, 0.2 when turned."""
+OVERLAP_REACH_M = 8.0
+"""Distance of two scans from which on they share the less, the farther apart they are."""
+SURE_OVERLAP = 0.75
+"""Share from which on no other pose is looked at."""
+MARGIN = 0.1
+"""Least gain in overlap by another pose, which is then said to be the right one."""
+COMPARED_M, COMPARED_SCANS = 5.0, 10
+"""How far back a scan is compared at most: slow drives move little from scan to scan."""
+OUT_OF_SIGHT_M = 50.0
+"""Distance from which on two scans are not compared."""
+MAX_MISFIT = 1 / 3
+"""Share of the scans between pairs that do not fit, above which poses are refused."""
+SAMPLED_PAIRS = 8
+CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+"""From x forward, y left, z up to the camera's x right, y down, z forward."""
+
+
+def upright_points(points: Points) -> Points:
+    """Return the points (U, 3) of a scan (M, 3) that tell whether another one lies on it."""
+    distance = np.hypot(points[:, 0], points[:, 1])
+    is_near = (distance > NEAR_M) & (distance < FAR_M) & np.isfinite(points[:, 2])
+    if not is_near.any():
+        return points[:0]
+    ground = np.percentile(points[is_near, 2], GROUND_PERCENTILE)
+    upright: Points = points[(distance > NEAR_M) & (points[:, 2] > ground + ABOVE_GROUND_M)]
+    return upright
+
+
+def overlap(points: Points, others: Points, pose: Poses) -> float:
+    """Return which share of a scan's upright points lies on those of another.
+
+    `points`, `others`: (U, 3), (V, 3) metres, each in its own frame; `pose`: (4, 4) from the first
+    to the second.
+    """
+    grid = np.zeros(GRID, bool)
+    # The outermost voxels are of points beyond the grid.
+    grid[_voxels(others)] = True
+    grid[[0, -1]] = grid[:, [0, -1]] = grid[:, :, [0, -1]] = False
+    near = points[np.hypot(points[:, 0], points[:, 1]) < FAR_M][::THINNED]
+    if not len(near):
+        return 0.0
+    return float(grid[_voxels(near @ pose[:3, :3].T + pose[:3, 3])].mean())
+
+
+def _voxels(points: Points) -> tuple[Parts, ...]:
+    scaled = (
+        np.floor(points / np.array([COLUMN_M, COLUMN_M, COLUMN_HEIGHT_M])) + np.array(GRID) // 2
+    )
+    return tuple(np.clip(scaled, 0, np.array(GRID) - 1).astype(np.int64).T)
+
+
+@dataclass(slots=True)
+class Part:
+    """Part of a drive that may go on: its last scans that tell whether another lies on them."""
+
+    number: int
+    scans: list[tuple[int, Points]] = field(default_factory=list)  # Number, upright points
+
+    def compared(self, poses: Poses, index: int) -> tuple[int, Points]:
+        """Return the scan to compare another with: the last, or one before that is not far."""
+        for number, upright in self.scans:
+            near = np.linalg.norm(poses[index, :3, 3] - poses[number, :3, 3]) <= COMPARED_M
+            if near and index - number <= COMPARED_SCANS:
+                return number, upright
+        return self.scans[-1]
+
+    def add(self, index: int, upright: Points) -> None:
+        """Let a scan go on with the part."""
+        self.scans = [*self.scans[1 - COMPARED_SCANS :], (index, upright)]
+
+
+def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
+    """Return the parts of a drive in which each scan lies on those before, and the misfit.
+
+    That is the share of the scans that lie between two that do not fit, but are near by their
+    poses. One scan that does not fit is a part of its own, and the one before goes on behind it;
+    a scan whose points tell nothing goes on with the last part.
+    """
+    numbers = np.zeros(len(poses), np.int64)
+    parts: list[Part] = []
+    misfit = 0
+    for index in range(len(poses)):
+        upright = upright_points(read(index))
+        if len(upright) < MIN_UPRIGHT:
+            numbers[index] = parts[0].number if parts else 0
+            continue
+        part = next((each for each in parts if _fits(each, poses, index, upright)), None)
+        if part is None:
+            if parts:
+                before, _ = parts[0].compared(poses, index)
+                step = np.linalg.norm(poses[index, :3, 3] - poses[before, :3, 3])
+                misfit += index - before if step < OUT_OF_SIGHT_M else 0
+            part = Part(max((each.number for each in parts), default=-1) + 1)
+        part.add(index, upright)
+        # The last one and the one before.
+        parts = [part, *(each for each in parts[:2] if each is not part)]
+        numbers[index] = part.number
+    return numbers, misfit / max(len(poses) - 1, 1)
+
+
+def _fits(part: Part, poses: Poses, index: int, upright: Points) -> bool:
+    before, others = part.compared(poses, index)
+    step = np.linalg.inv(poses[before]) @ poses[index]
+    share = overlap(upright, others, step)
+    if share < min_overlap(step):
+        return False
+    if share >= SURE_OVERLAP:
+        return True
+    # Along a row of houses any step fits more or less.
+    going_on = poses[index - 1] @ np.linalg.inv(poses[index - 2]) @ poses[index - 1]
+    steps = [np.eye(4)] if index < 2 else [np.eye(4), np.linalg.inv(poses[before]) @ going_on]
+    return max(overlap(upright, others, each) for each in steps) <= share + MARGIN
+
+
+def min_overlap(step: Poses) -> float:
+    """Return the least overlap of two scans that fit, by the pose (4, 4) of one in the other."""
+    distance = float(np.linalg.norm(step[:3, 3]))
+    if distance >= OUT_OF_SIGHT_M:
+        return np.inf
+    return MIN_OVERLAP * min(1.0, OVERLAP_REACH_M / max(distance, OVERLAP_REACH_M))
+
+
+def require_fitting(path: Path, poses: Poses, read: ReadPoints) -> Parts:
+    """Return the parts of a drive by given poses; refuse them where too many do not fit the scans.
+
+    `path`: of the poses.
+    """
+    parts, misfit = fitting_parts(poses, read)
+    if misfit <= MAX_MISFIT and 2 * len(np.unique(parts)) <= len(poses) + 1:
+        return parts
+    better = _better_reading(poses, read)
+    if misfit <= MAX_MISFIT and better is None:
+        return parts
+    found = f"poses that {better or f'do not fit {misfit:.0%} of the scans'}"
+    remedy = "leave the poses out to have them computed"
+    if better == "are of the camera":
+        remedy = f"put the {CALIBRATION} of the drive beside them, or {remedy}"
+    raise FormatError(path, found, "poses from each scan to the world, in metres", remedy)
+
+
+def _better_reading(poses: Poses, read: ReadPoints) -> str | None:
+    """Return what the poses are if read otherwise they bring scans to lie on each other."""
+    readings = {
+        "": poses,
+        "are from the world to the scans": np.linalg.inv(poses),
+        "are of the camera": np.linalg.inv(CAMERA) @ poses @ CAMERA,
+        f"are of the scans, not of the camera of {CALIBRATION}": CAMERA
+        @ poses
+        @ np.linalg.inv(CAMERA),
+        "are in centimetres": _scaled(poses, 0.01),
+        "are in millimetres": _scaled(poses, 0.001),
+    }
+    shares = dict.fromkeys(readings, 0.0)
+    firsts = np.unique(np.linspace(0, len(poses) - 2, SAMPLED_PAIRS).astype(int))
+    for first in firsts:
+        points, others = (upright_points(read(index)) for index in (first + 1, first))
+        for name, each in readings.items():
+            step = np.linalg.inv(each[first]) @ each[first + 1]
+            shares[name] += overlap(points, others, step) / len(firsts)
+    best = max(shares, key=lambda name: shares[name])
+    is_better = shares[best] >= max(MIN_OVERLAP, shares[""] + MARGIN)
+    return best if best and is_better else None
+
+
+def _scaled(poses: Poses, factor: float) -> Poses:
+    scaled = poses.copy()
+    scaled[:, :3, 3] *= factor
+    return scaled
