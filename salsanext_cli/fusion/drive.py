@@ -25,6 +25,13 @@ class Drive:
     poses: Poses
     parts: Parts
 
+    @property
+    def origins(self) -> Poses:
+        """Place (P, 3) of the first scan of each part; far from it, voxels have no digits."""
+        origins = np.zeros((self.parts.max(initial=-1) + 1, 3))
+        origins[self.parts[::-1]] = self.poses[::-1, :3, 3]
+        return origins
+
     def record(self, stems: Sequence[str]) -> dict[str, Any]:
         """Return what is recorded of a drive whose scans have such stems."""
         digest = hashlib.sha256(encode_poses(self.poses)).hexdigest()

@@ -13,11 +13,9 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.fusion.drive import Drive, recorded_drive
-from salsanext_cli.fusion.poses import Poses
 from salsanext_cli.fusion.votes import keys_of
-from salsanext_cli.fusion.window import DriveWindow, movable_classes
+from salsanext_cli.fusion.window import DriveWindow, in_drive, movable_classes
 from salsanext_cli.geometry.projection import measured_ranges, project
-from salsanext_cli.options import FusionReach
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
@@ -30,7 +28,7 @@ MERGED_POINTS = 1 << 20
 """Points that wait at least until they are merged into a map."""
 
 Columns = dict[str, npt.NDArray[Any]]
-"""Values by name, each (N,): x, y, z float64 metres in the world, range, scan, and any others."""
+"""Values by name, each (N,): x, y, z float64 metres in the world, range, scan, part, and others."""
 
 
 def drive_of_map(results: ResultFolder, files: Sequence[ScanFile]) -> Drive | None:
@@ -39,14 +37,28 @@ def drive_of_map(results: ResultFolder, files: Sequence[ScanFile]) -> Drive | No
     return recorded_drive(folder, [file.stem for file in files])
 
 
-def one_per_voxel(parts: Sequence[Columns], size: float, origin: Poses) -> Columns:
-    """Join points; keep of each voxel that measured from nearest, of the first scan if several."""
-    names = [name for name in parts[0] if all(name in part for part in parts)]
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in names}
-    keys = keys_of(np.stack([joined[axis] for axis in "xyz"], axis=1) - origin, size)
-    order = np.lexsort((joined["scan"], joined["range"], keys))
-    first = order[np.diff(keys[order], prepend=-1) != 0]
+def one_per_voxel(
+    clouds: Sequence[Columns], size: float, origins: npt.NDArray[np.float64]
+) -> Columns:
+    """Join points; keep of each voxel that measured from nearest, of the first scan if several.
+
+    Each part of the drive has voxels of its own, counted from its place in `origins` (P, 3).
+    """
+    names = [name for name in clouds[0] if all(name in cloud for cloud in clouds)]
+    joined = {name: np.concatenate([cloud[name] for cloud in clouds]) for name in names}
+    places, parts = np.stack([joined[axis] for axis in "xyz"], axis=1), joined["part"]
+    keys = keys_of(places - origins[parts], size)
+    order = np.lexsort((joined["scan"], joined["range"], keys, parts))
+    keys, parts = keys[order], parts[order]
+    is_first = (np.diff(keys, prepend=-1) != 0) | (np.diff(parts, prepend=-1) != 0)
+    first = order[is_first & (keys >= 0)]
     return {name: values[first] for name, values in joined.items()}
+
+
+def apart(columns: Columns) -> str:
+    """Return what is to be said of a map of several parts of a drive; nothing of one part."""
+    count = len(np.unique(columns["part"]))
+    return f"{count} parts whose places to each other are not known" if count > 1 else ""
 
 
 class SeenScan(NamedTuple):
@@ -62,9 +74,10 @@ class MapTask:
 
     results: ResultFolder
     files: tuple[ScanFile, ...]  # Those of one sequence, with labels
-    poses: Poses
+    drive: Drive
     space: LabelSpace
     size: float  # Edge of a voxel, metres
+    reach: int  # Scans before and after each that tell what stands, as `FusionReach` has it
     max_chunk_scans: int = 400  # Neighbours share what they read
 
     def open(self) -> Any:
@@ -73,7 +86,8 @@ class MapTask:
 
     def _attempts(self, files: Iterable[ScanFile]) -> Iterator[tuple[ScanFile, Any, Any]]:
         sensor = self.results.sensor()
-        window = DriveWindow(self.poses, FusionReach().reach, partial(self._seen, sensor=sensor))
+        window = DriveWindow(self.drive.parts, self.reach, partial(self._seen, sensor=sensor))
+        origins = self.drive.origins
         numbers = {file: number for number, file in enumerate(self.files)}
         for file in files:
             try:
@@ -81,7 +95,7 @@ class MapTask:
             except SalsanextError as error:
                 yield file, None, error
                 continue
-            columns = one_per_voxel([own.columns], self.size, self.poses[0, :3, 3])
+            columns = one_per_voxel([own.columns], self.size, origins)
             stays = self._standing(columns, others, sensor)
             yield file, {name: values[stays] for name, values in columns.items()}, None
 
@@ -90,13 +104,13 @@ class MapTask:
     ) -> npt.NDArray[np.bool_]:
         """Return which points (N,) are of what stands still.
 
-        Of a class that may move, more scans see something in their place than see through it; of
+        Of a class that may move, no scan sees through their place, or more see something there; of
         others, whose labels may be wrong, at most twice as many see through it.
         """
         places = np.stack([columns[axis] for axis in "xyz"], axis=1)
         there, through = np.zeros((2, len(places)), np.int32)
         for index, seen in others.items():
-            pose = self.poses[index]
+            pose = self.drive.poses[index]
             points = ((places - pose[:3, 3]) @ pose[:3, :3]).astype(np.float32)
             scan = Scan(points, np.zeros(len(points), np.float32))
             image = project(scan, replace(sensor, out_of_view="drop"))
@@ -106,17 +120,20 @@ class MapTask:
             through += behind > SAME_PLACE_M + GRAZING * image.point_range
         labels = self.space.to_train(columns["label"], strict=False)
         movable = movable_classes(self.space)[labels]
-        return np.where(movable, through < there, through <= 2 * there)
+        stays: npt.NDArray[np.bool_] = through < np.where(movable, there, 2 * there + 1)
+        stays |= through == 0
+        return stays
 
     def _seen(self, index: int, sensor: Sensor) -> SeenScan:
-        file, pose = self.files[index], self.poses[index]
+        file, pose = self.files[index], self.drive.poses[index]
         cloud = self.results.read(file, sensor, self.space)
         columns = scalar_columns(cloud, self.space)
         views = output_path(self.results.root, file.sequence, "views", file.stem)
         columns["views"] = read_array(views, "uint16", (len(cloud.scan),))
-        placed = cloud.scan.points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
+        placed = in_drive(cloud.scan.points, pose[:3, :3], pose[:3, 3])
         columns |= dict(zip("xyz", placed.T, strict=True))
         columns["scan"] = np.full(len(placed), index, np.int32)
+        columns["part"] = np.full(len(placed), self.drive.parts[index], np.int32)
         labels = self.space.to_train(columns["label"], strict=False)
         is_shown = measured_ranges(cloud.scan.points)[1] & (labels > 0)
         image = project(cloud.scan, sensor)

@@ -90,8 +90,7 @@ class Part:
     def compared(self, poses: Poses, index: int) -> tuple[int, Points]:
         """Return the scan to compare another with: the last, or one before that is not far."""
         for number, upright in self.scans:
-            near = np.linalg.norm(poses[index, :3, 3] - poses[number, :3, 3]) <= COMPARED_M
-            if near and index - number <= COMPARED_SCANS:
+            if index - number <= COMPARED_SCANS and _apart(poses, number, index) <= COMPARED_M:
                 return number, upright
         return self.scans[-1]
 
@@ -105,23 +104,25 @@ def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
 
     That is the share of the scans that lie between two that do not fit, but are near by their
     poses. One scan that does not fit is a part of its own, and the one before goes on behind it;
-    a scan whose points tell nothing goes on with the last part.
+    a scan whose points tell nothing goes on with the last part, unless it is far.
     """
     numbers = np.zeros(len(poses), np.int64)
     parts: list[Part] = []
     misfit = 0
     for index in range(len(poses)):
         upright = upright_points(read(index))
-        if len(upright) < MIN_UPRIGHT:
-            numbers[index] = parts[0].number if parts else 0
+        is_blank = len(upright) < MIN_UPRIGHT
+        if is_blank and index and _apart(poses, index - 1, index) < OUT_OF_SIGHT_M:
+            numbers[index] = numbers[index - 1]
             continue
-        part = next((each for each in parts if _fits(each, poses, index, upright)), None)
+        fitting = (each for each in parts if not is_blank and _fits(each, poses, index, upright))
+        part = next(fitting, None)
         if part is None:
-            if parts:
+            if parts and not is_blank:
                 before, _ = parts[0].compared(poses, index)
-                step = np.linalg.norm(poses[index, :3, 3] - poses[before, :3, 3])
-                misfit += index - before if step < OUT_OF_SIGHT_M else 0
-            part = Part(max((each.number for each in parts), default=-1) + 1)
+                is_near = _apart(poses, before, index) < OUT_OF_SIGHT_M
+                misfit += index - before if is_near else 0
+            part = Part(numbers.max() + 1 if index else 0)
         part.add(index, upright)
         # The last one and the one before.
         parts = [part, *(each for each in parts[:2] if each is not part)]
@@ -129,9 +130,15 @@ def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
     return numbers, misfit / max(len(poses) - 1, 1)
 
 
+def _apart(poses: Poses, one: int, other: int) -> float:
+    return float(np.linalg.norm(poses[one, :3, 3] - poses[other, :3, 3]))
+
+
 def _fits(part: Part, poses: Poses, index: int, upright: Points) -> bool:
     before, others = part.compared(poses, index)
     step = np.linalg.inv(poses[before]) @ poses[index]
+    if len(others) < MIN_UPRIGHT:
+        return _apart(poses, before, index) < OUT_OF_SIGHT_M
     share = overlap(upright, others, step)
     if share < min_overlap(step):
         return False

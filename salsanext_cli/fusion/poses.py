@@ -20,7 +20,7 @@ KITTI_NUMBERS, TUM_NUMBERS = 12, 8
 MAX_SHEAR = 1e-2
 """Largest difference of a rotation in a file times its transpose from 1."""
 ROUNDED = 1e-12
-"""The same of a rotation with all its digits."""
+"""Difference of its lengths from 1 of one with all its digits."""
 
 
 def line_numbers(path: Path, lines: int, scans: Sequence[str], wanted: Sequence[str]) -> list[int]:
@@ -94,17 +94,20 @@ def _of_tum(row: Poses) -> Poses:
     return np.column_stack([rotation, row[1:4]])
 
 
+def is_rigid(pose: Poses) -> bool:
+    """Say whether a pose (3, 4) is finite, turns, and neither scales nor mirrors."""
+    shear = np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max()
+    return bool(shear < MAX_SHEAR and np.linalg.det(pose[:, :3]) > 0 and np.isfinite(pose).all())
+
+
 def _rigid(path: Path, name: str, row: Poses) -> Poses:
     """Return 3 × 4 numbers whose rotation, rounded in a file, is one to the last digit."""
     pose = row.reshape(3, 4)
-    shear = np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max()
-    if not shear < MAX_SHEAR:
-        raise FormatError(path, f"{name} is no rotation", "rigid poses")
-    if np.linalg.det(pose[:, :3]) < 0:
-        raise FormatError(path, f"{name} mirrors the scan", "rigid poses")
-    if shear < ROUNDED:
+    if not is_rigid(pose):
+        raise FormatError(path, f"{name} scales, shears or mirrors the scan", "rigid poses")
+    left, lengths, right = np.linalg.svd(pose[:, :3])
+    if np.abs(lengths - 1).max() < ROUNDED:
         return pose
-    left, _, right = np.linalg.svd(pose[:, :3])
     return np.column_stack([left @ right, pose[:, 3]])
 
 

@@ -19,6 +19,8 @@ VOXEL_SIZES_M = (0.3, 0.6)
 """Edges of the voxels, whose shares of the votes are averaged."""
 KEY_BITS = 21
 """Bits of a voxel's place along each axis: 2²¹ voxels of 0.3 m are 629 km."""
+MAX_CELLS = 1 << (KEY_BITS - 1)
+"""Voxels from the origin, along each axis, from which on there are no keys."""
 SCALE = 65535
 """Of a probability in a vote, which is kept as uint16."""
 
@@ -54,23 +56,27 @@ def view_of(
     `points`: (N, 3) float64 metres in the frame of the drive; `probabilities`: (N, C) float32;
     `voting`: (N,) whose points have a vote; `size`: edge of a voxel in metres.
     """
-    keys = keys_of(points[voting], size)
-    order = np.argsort(keys, kind="stable")
-    first = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    voxel = np.repeat(np.arange(len(first)), np.diff(first, append=len(keys)))
+    keys = keys_of(points, size)
+    rows = np.flatnonzero(voting & (keys >= 0))
+    rows = rows[np.argsort(keys[rows], kind="stable")]
+    keys = keys[rows]
+    first = np.flatnonzero(np.diff(keys, prepend=-1))
     voxel_of_point = np.full(len(points), -1, np.int32)
-    voxel_of_point[np.flatnonzero(voting)[order]] = voxel
+    voxel_of_point[rows] = np.repeat(np.arange(len(first)), np.diff(first, append=len(keys)))
     votes = np.empty((len(first), probabilities.shape[1]), np.uint16)
-    rows = np.flatnonzero(voting)[order]
     _mean_of_voxels(argument(probabilities, np.float32), rows, np.append(first, len(keys)), votes)
-    return View(keys[order][first], votes, voxel_of_point)
+    return View(keys[first], votes, voxel_of_point)
 
 
 def keys_of(points: npt.NDArray[np.float64], size: float) -> Keys:
-    """Return the key (N,) of the voxel of a size in metres that each point (N, 3) is in."""
-    cells = np.floor(points / size).astype(np.int64) + (1 << (KEY_BITS - 1))
-    keys: Keys = (cells[:, 0] << (2 * KEY_BITS)) | (cells[:, 1] << KEY_BITS) | cells[:, 2]
-    return keys
+    """Return the key (N,) of the voxel of a size in metres that each point (N, 3) is in.
+
+    It is -1 of points that are NaN, infinite or `MAX_CELLS` voxels or more from the origin.
+    """
+    cells = np.floor(points / size)
+    inside = (np.abs(cells) < MAX_CELLS).all(axis=1)
+    x, y, z = np.where(inside, cells.T, 0).astype(np.int64) + MAX_CELLS
+    return np.where(inside, (x << (2 * KEY_BITS)) | (y << KEY_BITS) | z, -1)
 
 
 @compiled

@@ -1,28 +1,37 @@
 # SPDX-License-Identifier: MIT
 """Fusion of the softmax of scans that see the same places, in a window along the drive."""
 
+import re
 from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import LabelSpace, TrainIds
-from salsanext_cli.errors import SalsanextError
+from salsanext_cli.classes.label_space import LabelSpace, TrainIds, label_space
+from salsanext_cli.errors import SalsanextError, UsageError, counted
 from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.pose_checks import Parts, fitting_parts
-from salsanext_cli.fusion.poses import Poses
-from salsanext_cli.fusion.votes import VOXEL_SIZES_M, Tally, View, tally, view_of
+from salsanext_cli.fusion.poses import Poses, is_rigid
+from salsanext_cli.fusion.votes import MAX_CELLS, VOXEL_SIZES_M, Tally, View, tally, view_of
 from salsanext_cli.options import FusionReach
 from salsanext_cli.records import Float, Scan
 
-MOVABLE_WORDS = (
-    *("car", "truck", "bus", "van", "trailer", "vehicle", "train", "rails", "animal"),
-    *("bicycle", "motorcycle", "cycle", "rider", "cyclist", "person", "pedestrian", "people"),
-)
-"""Words in the names of classes of what may move."""
-
-
+MOVABLE_WORDS = {
+    *("car", "truck", "bus", "van", "trailer", "vehicle", "train", "tram", "rails", "animal"),
+    *("bicycle", "motorcycle", "cycle", "bike", "motorbike", "scooter", "wheeler", "tractor"),
+    *("person", "pedestrian", "people", "human", "rider", "cyclist", "bicyclist", "motorcyclist"),
+}
+"""Words in the names of classes of what may move, in the singular or the plural."""
+STATIC_WORDS = {
+    *("park", "parking", "rack", "stop", "station", "shelter", "sign", "light", "guard"),
+    *("lane", "path", "way", "crossing", "track", "bridge"),
+}
+"""Words that make of such a name that of a place: a bus stop stands."""
+SCAN_M = 500.0
+"""Distance to which voxels reach at least around the farthest scan of a drive."""
+ROUNDING = 1e-3
+"""By which a probability may be above 1."""
 Content = TypeVar("Content")
 ReadScan = Callable[[int], tuple[Float, Float, npt.NDArray[np.bool_]]]
 """Function from the number of a scan in its drive to its points (N, 3), their softmax (N, C)
@@ -33,14 +42,36 @@ def movable_classes(space: LabelSpace) -> npt.NDArray[np.bool_]:
     """Return which train ids (C,) are of what may move, by the names of their raw ids."""
     movable = np.zeros(space.class_count, bool)
     for raw, train in space.learning_map.items():
-        words = space.labels.get(raw, "").lower().replace("-", " ").replace("_", " ").split()
-        movable[train] |= "moving" in words or not set(MOVABLE_WORDS).isdisjoint(words)
+        found = re.findall("[A-Z]?[a-z]+|[A-Z]+", space.labels.get(raw, ""))
+        words = {word.lower() for word in found}
+        single = words | {word.removesuffix(end) for word in words for end in ("s", "es")}
+        is_thing = MOVABLE_WORDS & single and not STATIC_WORDS & single
+        movable[train] |= "moving" in words or bool(is_thing)
     movable[0] = False
     return movable
 
 
+def in_drive(points: Float, rotation: Poses, place: Poses) -> npt.NDArray[np.float64]:
+    """Return points (N, 3) of a scan, turned by (3, 3) and moved by (3,); infinite ones are NaN."""
+    with np.errstate(invalid="ignore"):
+        return points.astype(np.float64) @ rotation.T + place
+
+
+def require_near(
+    places: npt.NDArray[np.float64], size: float, subject: object, remedy: str
+) -> None:
+    """Refuse places (…, 3) of scans, from the first of their part, whose points have no keys."""
+    farthest, most = np.abs(places).max(initial=0), size * MAX_CELLS - SCAN_M
+    if not farthest <= most:
+        found = f"{farthest / 1000:.1f} km from the first scan of its part of the drive"
+        raise UsageError(subject, found, f"at most {most / 1000:.1f} km", remedy)
+
+
 class DriveWindow(Generic[Content]):
-    """Content of the scans around one of a drive, each read once while the window moves on."""
+    """Content of the scans around one of a drive, each read once while the window moves on.
+
+    `parts`: (S,) number of the part of the drive that each scan is of.
+    """
 
     def __init__(self, parts: Parts, reach: int, read: Callable[[int], Content]) -> None:
         self.parts, self.reach, self.read = parts, reach, read
@@ -78,6 +109,7 @@ class FusionWindow:
         self, drive: Drive, read: ReadScan, reach: FusionReach, movable: npt.NDArray[np.bool_]
     ) -> None:
         self.poses, self.read, self.reach = drive.poses, read, reach
+        self.places = drive.poses[:, :3, 3] - drive.origins[drive.parts]
         self.window = DriveWindow(drive.parts, reach.reach, self._views)
         self.counted = {True: np.ones(len(movable), np.uint8), False: (~movable).astype(np.uint8)}
 
@@ -95,11 +127,10 @@ class FusionWindow:
         return Tally(mean, tallies[-1].views)
 
     def _views(self, index: int) -> list[View]:
+        place = self.places[index]
+        require_near(place, VOXEL_SIZES_M[0], f"pose of scan {index}", "fuse shorter drives")
         points, softmax, voting = self.read(index)
-        pose = self.poses[index]
-        # Far from its origin, a frame of the world leaves no digits for voxels.
-        place = pose[:3, 3] - self.poses[0, :3, 3]
-        placed = points.astype(np.float64) @ pose[:3, :3].T + place
+        placed = in_drive(points, self.poses[index, :3, :3], place)
         return [view_of(placed, softmax, voting, size) for size in VOXEL_SIZES_M]
 
 
@@ -136,7 +167,7 @@ def fuse(
     poses : (S, 4, 4) float64
         From the frame of each scan to that of the drive, metres.
     reach : FusionReach
-        How many scans before and after each vote.
+        How many scans before and after each vote, of those whose poses bring them to lie on it.
     space : LabelSpace
         Classes, which tell what may move; the built-in ones by default.
 
@@ -145,17 +176,38 @@ def fuse(
     list of S Tally
         ``probabilities`` (N, C) float32, the mean over the scans that see the place of each point,
         and ``views`` (N,), their number.
+
+    Raises
+    ------
+    SalsanextError
+        If the arrays do not fit each other, or are no softmax or no rigid poses.
     """
-    from salsanext_cli.classes.label_space import label_space
+    known = space or label_space("semantic-kitti")
+    placed, of_all = np.asarray(poses, np.float64), f"for {counted(len(scans), 'scan')}"
+    if len(probabilities) != len(scans):
+        raise UsageError(
+            "probabilities", counted(len(probabilities), "array"), f"one each {of_all}"
+        )
+    if placed.shape != (len(scans), 4, 4):
+        raise UsageError("poses", f"an array {placed.shape}", f"({len(scans)}, 4, 4) {of_all}")
+    for index, pose in enumerate(placed):
+        if not (is_rigid(pose[:3]) and (pose[3] == [0, 0, 0, 1]).all()):
+            found = "NaN, infinite, sheared, scaled or mirrored"
+            raise UsageError(f"pose of scan {index}", found, "rotation and place, then 0 0 0 1")
 
     def read(index: int) -> tuple[Float, Float, npt.NDArray[np.bool_]]:
-        softmax = np.asarray(probabilities[index], np.float32)
-        return scans[index].points, softmax, voting(softmax)
+        points, softmax = scans[index].points, np.asarray(probabilities[index], np.float32)
+        subject, shape = f"probabilities of scan {index}", (len(points), known.class_count)
+        if softmax.shape != shape:
+            expected = f"{shape}, its points and the classes of {known.name}"
+            raise UsageError(subject, f"an array {softmax.shape}", expected)
+        if not ((softmax >= 0) & (softmax < 1 + ROUNDING)).all():
+            raise UsageError(subject, "NaN, below 0 or above 1", "a softmax")
+        softmax = np.minimum(softmax, 1)
+        return points, softmax, voting(softmax)
 
-    movable = movable_classes(space or label_space("semantic-kitti"))
-    poses = np.asarray(poses, np.float64)
-    drive = Drive(poses, fitting_parts(poses, lambda index: scans[index].points)[0])
-    window = FusionWindow(drive, read, reach, movable)
+    drive = Drive(placed, fitting_parts(placed, lambda index: scans[index].points)[0])
+    window = FusionWindow(drive, read, reach, movable_classes(known))
     return [window.tally(index) for index in range(len(scans))]
 
 

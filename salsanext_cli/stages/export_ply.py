@@ -19,10 +19,13 @@ from salsanext_cli.fusion.drive_map import (
     MERGED_POINTS,
     Columns,
     MapTask,
+    apart,
     drive_of_map,
     one_per_voxel,
 )
 from salsanext_cli.fusion.poses import POSES
+from salsanext_cli.fusion.window import require_near
+from salsanext_cli.options import FusionReach
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
 from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile, drive_order
@@ -193,7 +196,8 @@ def _export_maps(
                 raise results.missing_column(colours.colour, files[0])
             points = {axis: columns.pop(axis) for axis in "xyz"}
             folder.replace({path: encode_cloud(path, points, columns, colours)})
-            log.log(NOTICE, "%s: %s", path, counted(len(points["x"]), "point"))
+            found = ", ".join(filter(None, (counted(len(points["x"]), "point"), apart(columns))))
+            log.log(NOTICE, "%s: %s", path, found)
     return outcome
 
 
@@ -206,19 +210,23 @@ def map_of_drive(
 ) -> tuple[Columns, Outcome]:
     """Return the map of scans of a sequence with fused labels; no columns if none can be read."""
     files = tuple(sorted(files, key=drive_order))
-    poses = drive_of_map(results, files)
-    if poses is None:
+    drive = drive_of_map(results, files)
+    if drive is None:
         path = results.root / "sequences" / files[0].sequence / POSES
         remedy = f"run `salsanext fuse {results.root}`, and give the folder of the fused labels"
         raise NoInputError(path, "no poses", "those that `fuse` wrote", remedy)
-    parts, origin = list[Columns](), poses[0, :3, 3]
+    clouds, origins = list[Columns](), drive.origins
+    ways = drive.poses[:, :3, 3] - origins[drive.parts]
+    require_near(ways, voxel, "--map-voxel", "make a map of larger voxels")
 
     def add(columns: Columns) -> None:
-        parts.append(columns)
-        first, *waiting = (len(part["x"]) for part in parts)
+        clouds.append(columns)
+        first, *waiting = (len(cloud["x"]) for cloud in clouds)
         if sum(waiting) > max(first, MERGED_POINTS):
-            parts[:] = [one_per_voxel(parts, voxel, origin)]
+            clouds[:] = [one_per_voxel(clouds, voxel, origins)]
 
-    task = MapTask(results, files, poses, space, voxel)
+    fused = results.settings("fuse")
+    reach = fused.table("reach")["reach"] if fused else FusionReach().reach
+    task = MapTask(results, files, drive, space, voxel, reach)
     outcome = run_over_scans(task, files, options, on_result=add)
-    return one_per_voxel(parts, voxel, origin) if parts else {}, outcome
+    return one_per_voxel(clouds, voxel, origins) if clouds else {}, outcome

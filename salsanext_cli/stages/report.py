@@ -12,7 +12,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
-from salsanext_cli.fusion.drive_map import drive_of_map
+from salsanext_cli.fusion.drive_map import apart, drive_of_map
 from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
 from salsanext_cli.measures.scores import plain
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
@@ -132,10 +132,12 @@ def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[
         in_order = sorted(results.with_column("label", [*group]), key=drive_order)
         files = tuple(evenly_spaced(in_order, MAP_SCANS))
         try:
-            if not files or (poses := drive_of_map(results, files)) is None:
+            if not files or (drive := drive_of_map(results, files)) is None:
                 continue
             # About those that a pixel shows.
-            span = float(np.ptp(poses[:, :3, 3], axis=0).max()) + 2 * REACH_M
+            way, borders = drive.poses[:, :3, 3], np.flatnonzero(np.diff(drive.parts)) + 1
+            span = float(np.ptp(way, axis=0).max()) + 2 * REACH_M
+            way = np.insert(way, borders, np.nan, axis=0)
             columns, _ = map_of_drive(results, files, space, max(0.1, span / NARROW_PX), options)
         except SalsanextError as error:
             reasons.append(str(error))
@@ -146,14 +148,15 @@ def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[
         # Drawn with y up; a few far points would make all others small.
         low, high = np.percentile(points, (1, 99), axis=0)
         turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-        points, way = ((each - (low + high) / 2) @ turn.T for each in (points, poses[:, :3, 3]))
+        points, way = ((each - (low + high) / 2) @ turn.T for each in (points, way))
         reach = max(1.0, float((high - low)[:2].max()) / 2)
         legend = legend_of(space, space.to_train(columns["label"], strict=False))
         shares = [(f"{step / 255:.0%}", (*map_on_dark()[step],)) for step in (0, 64, 128, 191, 255)]
         for colour, meaning in {"label": legend, "disagreement": shares}.items():
             if colour in columns:
                 colours = PointColours(colour, (0.0, 1.0), space, dark=True).of_points(columns)
-                view, words = {TITLES[colour]: colours}, f"{name}: {TITLES[colour]}"
+                view = {TITLES[colour]: colours}
+                words = ", ".join(filter(None, (f"{name}: {TITLES[colour]}", apart(columns))))
                 maps[words] = scan_picture(name, points, view, (), meaning, (), reach, way)
     return maps, reasons
 

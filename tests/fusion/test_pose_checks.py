@@ -77,6 +77,8 @@ def test_scans_without_upright_points_go_on_with_the_part():
     flat = fitting_parts(WAY, lambda number: SEEN(number) * [1, 1, 0])
     assert flat[0].tolist() == [0] * 12
     assert flat[1] == 0
+    away = moved(WAY, 6, shift(500, 0))
+    assert fitting_parts(away, lambda number: SEEN(number)[:9])[0].tolist() == [0] * 6 + [1] * 6
 
 
 def test_poses_of_a_slow_drive_must_fit_over_some_metres():

@@ -6,10 +6,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli import Scan, label_space
+from salsanext_cli import LabelSpace, Scan, label_space
+from salsanext_cli.errors import UsageError
+from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.top_classes import KEPT, LEVELS, softmax_of, top_classes
-from salsanext_cli.fusion.votes import SCALE, VOXEL_SIZES_M
-from salsanext_cli.fusion.window import disagreement, fuse, fused_labels, movable_classes
+from salsanext_cli.fusion.votes import MAX_CELLS, SCALE, VOXEL_SIZES_M, keys_of
+from salsanext_cli.fusion.window import (
+    FusionWindow,
+    disagreement,
+    fuse,
+    fused_labels,
+    movable_classes,
+)
 from salsanext_cli.options import FusionReach
 
 CLASSES = 20
@@ -124,6 +132,149 @@ def test_points_without_a_label_neither_vote_nor_are_judged():
 )
 def test_what_may_move_is_told_by_the_names(name, expected):
     assert np.flatnonzero(movable_classes(label_space(name))).tolist() == list(expected)
+
+
+MOVABLE_NAMES = """
+    car cars Trucks people pedestrians bicycles cyclists riders motorcyclist bicyclist
+    scooter tram bus buses person-or-cycle two-wheeler on-rails moving-other vehicle.car vehicle_bus
+    human.pedestrian.adult vehicle.bus.rigid PickupTruck TYPE_CYCLIST"""
+STATIC_NAMES = """
+    carriageway pole trailer-park bus_stop static_object.bicycle_rack bike-lane building
+    TrafficSign guard-rails busy-road scarf manmade pedestrian-crossing"""
+
+
+@pytest.mark.parametrize(("names", "expected"), [(MOVABLE_NAMES, True), (STATIC_NAMES, False)])
+def test_what_may_move_in_the_words_of_other_data_sets(names, expected):
+    labels = dict(enumerate(["unlabeled", *names.split()]))
+    same = {i: i for i in labels}
+    colours = np.zeros((len(labels), 3), np.uint8)
+    space = LabelSpace("own", labels, same, same, (False,) * len(labels), colours, {})
+    found = movable_classes(space)
+    assert [labels[i] for i in same if i and found[i] != expected] == []
+
+
+def test_keys_tell_voxels_apart_and_what_is_outside_has_none():
+    random = np.random.default_rng(0)
+    edge = MAX_CELLS * 0.3
+    points = random.uniform(-1, 1, (500, 3)) * [[edge, 2, 2]]
+    points[:6] = [
+        [edge + 1, 0, 0],
+        [0, -1e6, 0],
+        [0, 0, np.nan],
+        [np.inf, 0, 0],
+        [0] * 3,
+        [0.1] * 3,
+    ]
+    keys = keys_of(points, 0.3)
+    assert (keys[:4] == -1).all()
+    assert (keys[4:] >= 0).all()
+    cells = [tuple(np.floor(point / 0.3)) for point in points[4:]]
+    assert len(set(keys[4:].tolist())) == len(set(cells)) < 496
+    assert keys[4] == keys[5]
+
+
+def test_a_stray_point_has_no_vote_and_does_no_harm():
+    scans, softmax, poses = drive(0)
+    expected = fuse(scans, softmax, poses)
+    stray = np.float32([[1e6, 0, 0], [0, np.nan, 0], [0, 0, -np.inf], [3e38, 0, 0]])
+    points = np.concatenate([scans[1].points, stray])
+    scans[1] = Scan(points, np.zeros(len(points), np.float32))
+    softmax[1] = np.concatenate([softmax[1], np.eye(CLASSES, dtype=np.float32)[[ROAD] * 4]])
+    found = fuse(scans, softmax, poses)
+    assert not found[1].views[-4:].any()
+    for one, other in zip(found, expected, strict=True):
+        count = len(other.views)
+        np.testing.assert_array_equal(one.probabilities[:count], other.probabilities)
+        np.testing.assert_array_equal(one.views[:count], other.views)
+
+
+def test_parts_may_be_any_distance_apart_but_not_the_scans_of_one():
+    scans, softmax, poses = drive(0)
+    alone = [*fuse(scans[:3], softmax[:3], poses[:3]), *fuse(scans[3:], softmax[3:], poses[3:])]
+    poses[3:, 0, 3] += 1e8
+    for one, other in zip(fuse(scans, softmax, poses), alone, strict=True):
+        np.testing.assert_array_equal(one.probabilities, other.probabilities)
+        np.testing.assert_array_equal(one.views, other.views)
+    window = FusionWindow(
+        Drive(poses, np.zeros(5, np.int64)),
+        lambda index: (scans[index].points, softmax[index], np.ones(60, bool)),
+        FusionReach(),
+        np.zeros(CLASSES, bool),
+    )
+    assert window.tally(0).views.max() <= 3
+    with pytest.raises(UsageError, match=r"scan 4 .* 100000.0 km .* at most 314.1 km"):
+        window.tally(4)
+
+
+def test_a_drive_may_be_cut_by_its_caller():
+    scans, softmax, poses = drive(0)
+    parts = np.int64([0, 0, 1, 1, 1])
+
+    def read(index):
+        return scans[index].points, softmax[index], np.ones(60, bool)
+
+    window = FusionWindow(Drive(poses, parts), read, FusionReach(), np.zeros(CLASSES, bool))
+    assert window.tally(1).views.max() <= 2
+    assert window.tally(2).views.max() == 3
+
+
+def sheared(poses):
+    poses[1, 0, 1] += 0.1
+
+
+def mirrored(poses):
+    poses[1, :3, 2] *= -1
+
+
+def infinite(poses):
+    poses[1, 2, 3] = np.inf
+
+
+def not_a_number(poses):
+    poses[1, 0, 0] = np.nan
+
+
+def not_homogeneous(poses):
+    poses[1, 3, 3] = 2
+
+
+@pytest.mark.parametrize(
+    "damage", [sheared, mirrored, infinite, not_a_number, not_homogeneous], ids=lambda f: f.__name__
+)
+def test_poses_that_are_none_are_refused(damage):
+    scans, softmax, poses = drive(0)
+    damage(poses)
+    with pytest.raises(UsageError, match="pose of scan 1 "):
+        fuse(scans, softmax, poses)
+
+
+@pytest.mark.parametrize(
+    ("softmax", "found"),
+    [
+        (np.ones((60, CLASSES - 1)), "an array \\(60, 19\\) .* semantic-kitti"),
+        (np.ones((59, CLASSES)), "an array \\(59, 20\\)"),
+        (np.ones(60), "an array \\(60,\\)"),
+        (np.full((60, CLASSES), np.nan), "NaN"),
+        (np.full((60, CLASSES), np.inf), ".*above 1"),
+        (np.full((60, CLASSES), -0.1), ".*below 0"),
+        (np.full((60, CLASSES), 5.0), ".*above 1"),
+    ],
+)
+def test_what_is_no_softmax_of_the_scan_is_refused(softmax, found):
+    scans, of_scans, poses = drive(0)
+    of_scans[2] = softmax
+    with pytest.raises(UsageError, match=f"probabilities of scan 2 · {found}"):
+        fuse(scans, of_scans, poses)
+
+
+def test_as_many_of_each_as_scans_are_expected():
+    scans, softmax, poses = drive(0)
+    for wrong in ((scans, softmax[1:], poses), (scans, softmax, poses[1:])):
+        with pytest.raises(UsageError, match="for 5 scans"):
+            fuse(*wrong)
+    with pytest.raises(UsageError, match="poses · an array"):
+        fuse(scans, softmax, poses[:, :3])
+    assert fuse([], [], np.zeros((0, 4, 4))) == []
 
 
 @given(st.integers(0, 10_000), st.integers(2, CLASSES))

@@ -1,4 +1,7 @@
 # SPDX-License-Identifier: MIT
+import shutil
+from dataclasses import replace
+
 import numpy as np
 import plyfile
 import pytest
@@ -7,10 +10,13 @@ from typer.testing import CliRunner
 
 from salsanext_cli import Scan, label_space, read_labels, read_scan, write_labels
 from salsanext_cli.cli.app import app
-from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError
 from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.fusion import drive_map
+from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.drive_map import MapTask
 from salsanext_cli.fusion.poses import encode_poses
+from salsanext_cli.options import FusionReach
 from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
@@ -46,7 +52,9 @@ def ray_cast(x, walls):
     return points[seen].astype(np.float32), labels[seen]
 
 
-def test_what_moves_leaves_no_trail_and_what_is_parked_stays(tmp_path):
+@pytest.fixture
+def street(tmp_path):
+    """Return the task of a map of five scans of a parked and a moving car between two walls."""
     poses = np.tile(np.eye(4), (5, 1, 1))
     for i in range(5):
         poses[i, 0, 3] = i
@@ -57,13 +65,33 @@ def test_what_moves_leaves_no_trail_and_what_is_parked_stays(tmp_path):
         write_labels(tmp_path / f"out/sequences/08/predictions/{i}.label", labels)
         write_array(tmp_path / f"out/sequences/08/views/{i}.npy", np.ones(len(points), np.uint16))
     files = tuple(find_scans(tmp_path / "08"))
-    task = MapTask(ResultFolder(tmp_path / "out"), files, poses, SPACE, 0.1)
-    found = [columns for _, columns, error in task.open()(files) if error is None]
-    assert len(found) == 5
+    drive = Drive(poses, np.zeros(5, np.int64))
+    return MapTask(ResultFolder(tmp_path / "out"), files, drive, SPACE, 0.1, 20)
+
+
+def cars_and_buildings(task):
+    """Return whether there is a parked car, a moving one, and a building behind that."""
+    found = [columns for _, columns, error in task.open()(task.files) if error is None]
+    assert len(found) == len(task.files)
     places, labels = (np.concatenate([part[name] for part in found]) for name in ("y", "label"))
-    assert (labels[places > 4.9] == CAR).any()
-    assert not (labels[places < 0] == CAR).any()
-    assert (labels[places < 0] == BUILDING).any()
+    moving = labels[places < 0]
+    return (labels[places > 4.9] == CAR).any(), (moving == CAR).any(), (moving == BUILDING).any()
+
+
+def test_what_moves_leaves_no_trail_and_what_is_parked_stays(street):
+    assert cars_and_buildings(street) == (True, False, True)
+
+
+def test_what_a_single_scan_sees_stays(street):
+    drive = Drive(street.drive.poses[:1], street.drive.parts[:1])
+    one = replace(street, files=street.files[:1], drive=drive)
+    assert cars_and_buildings(one) == (True, True, True)
+
+
+def test_only_scans_in_reach_and_of_the_part_tell_what_moves(street):
+    assert cars_and_buildings(replace(street, reach=0)) == (True, True, True)
+    apart = Drive(street.drive.poses, np.arange(5))
+    assert cars_and_buildings(replace(street, drive=apart)) == (True, True, True)
 
 
 @pytest.fixture
@@ -109,6 +137,50 @@ def test_a_map_holds_the_fused_points_in_the_frame_of_the_poses(fused):
         labels = read_labels(path)[apart.argmin(axis=1)]
         np.testing.assert_array_equal(vertices["scalar_label"][of_scan], labels)
         assert labels.all()
+
+
+def test_a_map_takes_the_reach_of_the_votes(fused, monkeypatch):
+    fuse_results(fused.out, reach=FusionReach(7, 2), options=RunOptions(overwrite=True))
+    reaches = []
+
+    class Window(drive_map.DriveWindow):
+        def __init__(self, parts, reach, read):
+            reaches.append(reach)
+            super().__init__(parts, reach, read)
+
+    monkeypatch.setattr(drive_map, "DriveWindow", Window)
+    export(fused)
+    assert reaches == [7]
+
+
+def test_parts_of_a_drive_do_not_cover_each_other(world, caplog):
+    folder = world.data / "sequences/08"
+    for number in range(1, 4):
+        shutil.copy(world.scan(), world.scan(stem=f"00000{number}"))
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[:, 0, 3] = 0, 60, 120, 120
+    poses[1, :2, :2] = [[0, -1], [1, 0]]  # Else they would fit in millimetres
+    (folder / "poses.txt").write_bytes(encode_poses(poses))
+    predict_scans(folder, world.out, network=world.network, extras=("votes",))
+    fuse_results(world.out)
+    caplog.clear()
+    caplog.set_level(NOTICE)
+    export(world)
+    vertices = plyfile.PlyData.read(map_of(world))["vertex"]
+    counts = np.bincount(vertices["scalar_part"])
+    assert counts[0] == counts[1] == counts[2]
+    assert "3 parts whose places to each other are not known" in caplog.text
+    assert "3 parts whose places" in report(world.out / "fused").page.read_text()
+
+
+def test_voxels_too_small_for_the_way_are_refused(fused, monkeypatch):
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[1, 0, 3] = 12e3
+    drive = Drive(poses, np.zeros(2, np.int64))
+    monkeypatch.setattr("salsanext_cli.stages.export_ply.drive_of_map", lambda *_: drive)
+    with pytest.raises(UsageError, match=r"--map-voxel · 12\.0 km .* larger voxels"):
+        export(fused, voxel=0.01)
+    assert export(fused, voxel=0.02).done == 2
 
 
 def test_las_has_the_same_points_with_an_offset(fused):
