@@ -222,7 +222,7 @@ def fuse_results(
             for name in chosen
         }
         for of_drive in drives.values():
-            if finding := _finding(of_drive.drive):
+            if finding := _finding(of_drive):
                 summary.add_finding(of_drive.files[0], finding)
         task = FuseTask(drives, space, sensor, reach, of_single, of_fused)
         outcome = run_over_scans(
@@ -329,14 +329,13 @@ def _other_drive(record: Path, before: Mapping[str, Any], scans: int) -> OutputE
     return OutputError(record, found, "the same scans and poses for all of it", remedy)
 
 
-def _finding(drive: Drive) -> Finding | None:
+def _finding(scans: DriveScans) -> Finding | None:
     """Return what is doubtful about a drive that is cut into parts."""
-    parts = np.bincount(drive.parts)
+    parts = np.bincount(scans.drive.parts)
     if len(parts) == 1:
         return None
-    alone = (parts == 1).all()
-    found = (
-        "its scans see no common places" if alone else f"{len(parts)} parts see no common places"
-    )
-    remedy = "labels stay" if alone else "they have no votes for each other; look at its poses"
-    return Finding("apart", f"of the sequence, {found}", remedy)
+    if (parts == 1).all():
+        return Finding("apart", "of the sequence, its scans see no common places", "labels stay")
+    second = scans.files[int(np.argmax(scans.drive.parts == 1))].stem
+    found = f"of the sequence, poses fit in {len(parts)} parts only, the second from {second} on"
+    return Finding("apart", found, "parts have no votes for each other; look at its poses")
