@@ -15,6 +15,7 @@ from salsanext_cli.files.json_files import read_json
 from salsanext_cli.files.reading import present
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.fusion.poses import DRIVE, POSES, Poses, read_fused_poses, segments
+from salsanext_cli.fusion.visibility import GRAZING, SAME_PLACE_M
 from salsanext_cli.fusion.votes import keys_of
 from salsanext_cli.fusion.window import DriveWindow, Parts, in_drive, movable_classes, origins_of
 from salsanext_cli.geometry.projection import measured_ranges, project
@@ -23,9 +24,6 @@ from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
-SAME_PLACE_M, GRAZING = 0.3, 0.1
-"""Difference of ranges up to which two scans see the same thing, and the share of the range that
-must come to it until one sees through: that much it differs within a pixel on flat ground."""
 MERGED_POINTS = 1 << 20
 """Points that wait at least until they are merged into a map."""
 
