@@ -32,7 +32,7 @@ Columns = dict[str, npt.NDArray[Any]]
 
 
 class DrivePlaces(NamedTuple):
-    """Where the scans of a map are, S of them."""
+    """Poses of the S scans of a map, and their parts of the drive."""
 
     poses: Poses  # (S, 4, 4)
     parts: Parts  # (S,) part of the drive; the places of parts to each other are not known
@@ -140,7 +140,8 @@ class MapTask:
             through += behind > SAME_PLACE_M + GRAZING * image.point_range
         labels = self.space.to_train(columns["label"], strict=False)
         movable = movable_classes(self.space)[labels]
-        return (through == 0) | (through < np.where(movable, there, 2 * there + 1))
+        stays: npt.NDArray[np.bool_] = through < np.where(movable, there, 2 * there + 1)
+        return stays | (through == 0)
 
     def _seen(self, index: int, sensor: Sensor) -> SeenScan:
         file, pose = self.files[index], self.places.poses[index]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What scans see of places: something there, or through them to what is behind."""
+"""Visibility of places: scans see something there, or through them to what is behind."""
 
 import math
 from collections.abc import Iterable
