@@ -140,8 +140,9 @@ class MapTask:
             through += behind > SAME_PLACE_M + GRAZING * image.point_range
         labels = self.space.to_train(columns["label"], strict=False)
         movable = movable_classes(self.space)[labels]
-        stays: npt.NDArray[np.bool_] = through < np.where(movable, there, 2 * there + 1)
-        return stays | (through == 0)
+        most = np.where(movable, there, 2 * there + 1)
+        stays: npt.NDArray[np.bool_] = (through == 0) | (through < most)
+        return stays
 
     def _seen(self, index: int, sensor: Sensor) -> SeenScan:
         file, pose = self.files[index], self.places.poses[index]
