@@ -125,7 +125,9 @@ class FusionReach:
         "Options", "Scans before and after each that vote for its labels.", default=20
     )
     movable_reach: int = option(
-        "Options", "Of these, those that vote for vehicles, people and riders.", default=3
+        "Options",
+        "Of these, those that vote for vehicles, people and riders not seen to stand.",
+        default=3,
     )
 
     def __post_init__(self) -> None:

@@ -13,6 +13,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.fusion.drive import Drive, recorded_drive
+from salsanext_cli.fusion.visibility import GRAZING, SAME_PLACE_M
 from salsanext_cli.fusion.votes import keys_of
 from salsanext_cli.fusion.window import DriveWindow, in_drive, movable_classes
 from salsanext_cli.geometry.projection import measured_ranges, project
@@ -21,9 +22,6 @@ from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
-SAME_PLACE_M, GRAZING = 0.3, 0.1
-"""Difference of ranges up to which two scans see the same thing, and the share of the range that
-must come to it until one sees through: that much it differs within a pixel on flat ground."""
 MERGED_POINTS = 1 << 20
 """Points that wait at least until they are merged into a map."""
 
@@ -120,8 +118,8 @@ class MapTask:
             through += behind > SAME_PLACE_M + GRAZING * image.point_range
         labels = self.space.to_train(columns["label"], strict=False)
         movable = movable_classes(self.space)[labels]
-        stays: npt.NDArray[np.bool_] = through < np.where(movable, there, 2 * there + 1)
-        stays |= through == 0
+        most = np.where(movable, there, 2 * there + 1)
+        stays: npt.NDArray[np.bool_] = (through == 0) | (through < most)
         return stays
 
     def _seen(self, index: int, sensor: Sensor) -> SeenScan:

@@ -35,6 +35,7 @@ class View:
     keys: Keys  # (V,) ascending
     votes: Votes  # (V, C): mean softmax × `SCALE`
     voxel_of_point: npt.NDArray[np.int32]  # (N,): index in `keys`, -1 for a point without a vote
+    points: npt.NDArray[np.intp]  # (V,): index of a point in each voxel
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +66,7 @@ def view_of(
     voxel_of_point[rows] = np.repeat(np.arange(len(first)), np.diff(first, append=len(keys)))
     votes = np.empty((len(first), probabilities.shape[1]), np.uint16)
     _mean_of_voxels(argument(probabilities, np.float32), rows, np.append(first, len(keys)), votes)
-    return View(keys[first], votes, voxel_of_point)
+    return View(keys[first], votes, voxel_of_point, rows[first])
 
 
 def keys_of(points: npt.NDArray[np.float64], size: float) -> Keys:
@@ -94,13 +95,18 @@ def _mean_of_voxels(probabilities: Float, rows: Keys, borders: Keys, votes: Vote
             votes[voxel, c] = np.uint16(total[c] / count * SCALE + 0.5)
 
 
-def tally(own: View, others: Iterable[tuple[View, npt.NDArray[np.uint8]]]) -> Tally:
+def tally(
+    own: View,
+    others: Iterable[tuple[View, npt.NDArray[np.uint8]]],
+    stands: npt.NDArray[np.uint8],
+) -> Tally:
     """Add up the votes of a scan and of others for the places of its points.
 
     Of each class it is the mean over the scans whose votes for it count, so that scans that have no
     say about it are not against it; then the classes are scaled to add up to 1.
 
-    `others`: views of the same voxels, and (C,) whether the votes of each for a class count.
+    `others`: views of the same voxels, and (C,) whether the votes of each for a class count;
+    `stands`: (V,) in which voxels all of them count.
     """
     total = own.votes.astype(np.uint32)
     counts = np.ones(total.shape, np.uint16)
@@ -108,7 +114,7 @@ def tally(own: View, others: Iterable[tuple[View, npt.NDArray[np.uint8]]]) -> Ta
     for view, counted in others:
 
         def add(part: slice, view: View = view, counted: npt.NDArray[np.uint8] = counted) -> None:
-            sums = total[part], counts[part], seen[part]
+            sums = stands[part], total[part], counts[part], seen[part]
             _add(own.keys[part], view.keys, view.votes, counted, *sums)
 
         parallel_for_slices(add, len(own.keys))
@@ -126,6 +132,7 @@ def _add(
     keys: Keys,
     votes: Votes,
     counted: npt.NDArray[np.uint8],
+    stands: npt.NDArray[np.uint8],
     total: npt.NDArray[np.uint32],
     counts: npt.NDArray[np.uint16],
     seen: npt.NDArray[np.uint16],
@@ -142,5 +149,6 @@ def _add(
         if keys[there] == own[here]:
             seen[here] += 1
             for c in range(total.shape[1]):
-                total[here, c] += votes[there, c] * counted[c]
-                counts[here, c] += counted[c]
+                counts_here = counted[c] | stands[here]
+                total[here, c] += votes[there, c] * counts_here
+                counts[here, c] += counts_here

@@ -2,8 +2,8 @@
 """Fusion of the softmax of scans that see the same places, in a window along the drive."""
 
 import re
-from collections.abc import Callable, Sequence
-from typing import Generic, TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,8 @@ from salsanext_cli.errors import SalsanextError, UsageError, counted
 from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.pose_checks import Parts, fitting_parts
 from salsanext_cli.fusion.poses import Poses, is_rigid
-from salsanext_cli.fusion.votes import MAX_CELLS, VOXEL_SIZES_M, Tally, View, tally, view_of
+from salsanext_cli.fusion.visibility import nearest_ranges, seen_by
+from salsanext_cli.fusion.votes import MAX_CELLS, SCALE, VOXEL_SIZES_M, Tally, View, tally, view_of
 from salsanext_cli.options import FusionReach
 from salsanext_cli.records import Float, Scan
 
@@ -28,6 +29,8 @@ STATIC_WORDS = {
     *("lane", "path", "way", "crossing", "track", "bridge"),
 }
 """Words that make of such a name that of a place: a bus stop stands."""
+MOVABLE_SHARE = 0.2
+"""Share of a scan's vote for classes that may move from which on others are asked what stands."""
 SCAN_M = 500.0
 """Distance to which voxels reach at least around the farthest scan of a drive."""
 ROUNDING = 1e-3
@@ -99,6 +102,14 @@ class DriveWindow(Generic[Content]):
             return error
 
 
+class SeenScan(NamedTuple):
+    """A scan in the frame of the drive."""
+
+    points: npt.NDArray[np.float64]  # (N, 3)
+    views: list[View]  # Of both sizes of voxels
+    ranges: Float  # Of the nearest points, by direction
+
+
 class FusionWindow:
     """Votes of the scans around one of a drive.
 
@@ -110,28 +121,42 @@ class FusionWindow:
     ) -> None:
         self.poses, self.read, self.reach = drive.poses, read, reach
         self.places = drive.poses[:, :3, 3] - drive.origins[drive.parts]
-        self.window = DriveWindow(drive.parts, reach.reach, self._views)
+        self.window = DriveWindow(drive.parts, reach.reach, self._seen)
+        self.movable = movable
         self.counted = {True: np.ones(len(movable), np.uint8), False: (~movable).astype(np.uint8)}
 
     def tally(self, index: int) -> Tally:
         """Return what the scans of the window say about the places of a scan's points."""
         own, others = self.window.around(index)
         tallies = []
-        for size, view in enumerate(own):
+        for size, view in enumerate(own.views):
             votes = []
-            for each, views in others.items():
+            for each, seen in others.items():
                 near = abs(each - index) <= self.reach.movable_reach
-                votes.append((views[size], self.counted[near]))
-            tallies.append(tally(view, votes))
+                votes.append((seen.views[size], self.counted[near]))
+            tallies.append(tally(view, votes, self._stands(view, own, others)))
         mean = np.mean([each.probabilities for each in tallies], axis=0)
         return Tally(mean, tallies[-1].views)
 
-    def _views(self, index: int) -> list[View]:
+    def _stands(
+        self, view: View, own: SeenScan, others: Mapping[int, SeenScan]
+    ) -> npt.NDArray[np.uint8]:
+        """Return in which voxels (V,), of what may move, more scans see something than through."""
+        stands = np.zeros(len(view.keys), np.uint8)
+        movable = view.votes[:, self.movable].sum(axis=1, dtype=np.uint32)
+        asked = np.flatnonzero(movable > MOVABLE_SHARE * SCALE)
+        scans = [(self.poses[i, :3, :3], self.places[i], e.ranges) for i, e in others.items()]
+        there, through = seen_by(own.points[view.points[asked]], scans)
+        stands[asked] = through < there
+        return stands
+
+    def _seen(self, index: int) -> SeenScan:
         place = self.places[index]
         require_near(place, VOXEL_SIZES_M[0], f"pose of scan {index}", "fuse shorter drives")
         points, softmax, voting = self.read(index)
         placed = in_drive(points, self.poses[index, :3, :3], place)
-        return [view_of(placed, softmax, voting, size) for size in VOXEL_SIZES_M]
+        views = [view_of(placed, softmax, voting, size) for size in VOXEL_SIZES_M]
+        return SeenScan(placed, views, nearest_ranges(points))
 
 
 def fused_labels(tally: Tally, labels: TrainIds) -> TrainIds:

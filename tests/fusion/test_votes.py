@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+import math
 from collections import defaultdict
 
 import numpy as np
@@ -43,6 +44,35 @@ def drive(seed, scans=5, points=60, extent=1.5):
     return of_scans, softmax, poses
 
 
+def slow_direction(point):
+    x, y, z = map(float, point)
+    column = math.floor((math.atan2(y, x) / math.pi + 1) / 2 * 1024)
+    return column, math.floor(math.degrees(math.atan2(z, math.hypot(x, y))) / 90 * 256)
+
+
+def slowly_standing(places, number, scans, poses, reach):
+    """Return of each place whether more of the other scans see something there than through."""
+    standing = {}
+    for voxel, place in places.items():
+        there = through = 0
+        for other in range(max(0, number - reach), min(len(scans), number + reach + 1)):
+            nearest = {}
+            for point in scans[other].points.astype(float):
+                here = slow_direction(point)
+                nearest[here] = min(nearest.get(here, np.inf), np.linalg.norm(point))
+            point = (place - poses[other][:3, 3]) @ poses[other][:3, :3]
+            distance = np.linalg.norm(point)
+            behind = nearest.get(slow_direction(point), np.nan) - distance
+            is_seen = (
+                other != number
+                and abs(math.degrees(math.atan2(point[2], math.hypot(*point[:2])))) < 45
+            )
+            there += is_seen and abs(behind) <= 0.3
+            through += is_seen and behind > 0.3 + 0.1 * distance
+        standing[voxel] = through < there
+    return standing
+
+
 def slowly(scans, softmax, poses, reach, movable):
     """Add up votes in dictionaries."""
     results = []
@@ -58,6 +88,12 @@ def slowly(scans, softmax, poses, reach, movable):
                         voxels[tuple(np.floor(place / size))].append(probabilities)
                 views.append({voxel: np.mean(all_, axis=0) for voxel, all_ in voxels.items()})
             world = scans[index].points.astype(float) @ poses[index][:3, :3].T + poses[index][:3, 3]
+            firsts = {}
+            for place, probabilities in zip(world, softmax[index], strict=True):
+                if probabilities[0] < 1:
+                    firsts.setdefault(tuple(np.floor(place / size)), place)
+            asked = {k: v for k, v in firsts.items() if views[index][k][movable].sum() > 0.2}
+            standing = slowly_standing(asked, index, scans, poses, reach.reach)
             seen = np.zeros(len(world), int)
             for number, place in enumerate(world):
                 voxel = tuple(np.floor(place / size))
@@ -67,7 +103,9 @@ def slowly(scans, softmax, poses, reach, movable):
                 for other, view in enumerate(views):
                     away = abs(other - index)
                     if away <= reach.reach and voxel in view:
-                        counted = (away <= reach.movable_reach) | ~movable
+                        counted = (
+                            (away <= reach.movable_reach) | ~movable | standing.get(voxel, False)
+                        )
                         total += view[voxel] * counted
                         counts += counted
                         seen[number] += 1
@@ -110,12 +148,27 @@ def test_a_label_changes_only_where_another_scan_sees_the_place():
 
 
 def test_scans_too_far_away_to_speak_of_cars_are_not_against_them():
-    scan = Scan(np.zeros((1, 3), np.float32), np.zeros(1, np.float32))
+    scan = Scan(np.zeros((1, 3), np.float32), np.zeros(1, np.float32))  # Seen in no direction
     softmax = np.zeros((1, CLASSES), np.float32)
     softmax[0, [CAR, ROAD]] = 0.8, 0.2
     tallies = fuse([scan] * 41, [softmax] * 41, np.tile(np.eye(4), (41, 1, 1)))
     np.testing.assert_allclose(tallies[20].probabilities, softmax, atol=1e-3)
     assert tallies[20].views.tolist() == [41]
+
+
+@pytest.mark.parametrize(("gone", "expected"), [(False, PERSON), (True, CAR)])
+def test_all_scans_vote_for_what_stands_and_the_near_ones_for_what_may_have_left(gone, expected):
+    """Of 13 scans the first three say car, the last ten say person, and may see through to 9 m."""
+    points = [np.float32([[5, 0.05, 0.05]])] * 13
+    softmax = [np.eye(CLASSES, dtype=np.float32)[[CAR if i < 3 else PERSON]] for i in range(13)]
+    if gone:
+        for i in range(4, 13):
+            # The same direction: what is farther, and the person beside it in the same voxel
+            points[i] = np.float32([[9, 0.09, 0.09], [5, 0.2, 0.05]])
+            softmax[i] = np.eye(CLASSES, dtype=np.float32)[[ROAD, PERSON]]
+    scans = [Scan(each, np.zeros(len(each), np.float32)) for each in points]
+    tally = fuse(scans, softmax, np.tile(np.eye(4), (13, 1, 1)), FusionReach(20, 2))[0]
+    assert tally.probabilities[0].argmax() == expected
 
 
 def test_points_without_a_label_neither_vote_nor_are_judged():
