@@ -10,9 +10,6 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, ClassVar
 
-# Who uses the package says where its warnings go.
-logging.getLogger("salsanext_cli").addHandler(logging.NullHandler())
-
 NOTICE = 25
 """Log level of messages for every user that are not warnings."""
 MAX_NAMES_SHOWN = 3

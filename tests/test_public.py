@@ -3,6 +3,8 @@
 
 import ast
 import importlib
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -144,12 +146,19 @@ def test_label_labels_as_the_command_line_does(other_sensor, tmp_path, caplog):
     assert "no intensity" in caplog.text
 
 
+def test_warnings_are_on_stderr_without_any_logging_set_up():
+    words = "from salsanext_cli.fitting import scan_fit as s; s.log.warning('so')"
+    process = subprocess.run([sys.executable, "-c", words], capture_output=True, check=True)
+    assert process.stderr.decode().strip() == "so"
+
+
 @pytest.mark.parametrize(
     ("points", "intensity", "message"),
     [
         (np.zeros((9, 4)), None, r"an array \(9, 4\) of float64 · expected numbers \(N, 3\)"),
         (np.zeros((9, 3)), np.zeros(8), r"intensity · an array \(8,\) .* expected numbers \(9,\)"),
         ([["a", "b", "c"]], None, "points · an array"),
+        ([[1, 2, 3], [4, 5]], None, "points · an array"),
         (np.zeros((200, 3)), None, "none of its 200 points is a measurement"),
         (np.full((200, 3), 1e300), None, "none of its 200 points is a measurement"),
         (np.full((200, 3), 5e3), None, "a median range of 8.66e.03 m"),

@@ -152,10 +152,19 @@ def sources(
     if present(out) and not is_folder(out):
         remedy = "give it last: salsanext predict a.bin b.bin out/"
         raise UsageError("OUT", f"{out} is a file", "a folder for the results", remedy)
-    if len(several) < 2:
-        return source(scans, dataset, topic), out
     from salsanext_cli.results.layout import require_none_hidden
 
+    if len(several) < 2:
+        one = source(scans, dataset, topic)
+        places = one.resolve(), out.resolve()
+        # Results may lie beside the scans that they are of.
+        if (
+            scans is not None
+            and out not in (one, *one.parents)
+            and not any(a.is_relative_to(b) for a, b in (places, places[::-1]))
+        ):
+            require_none_hidden(out)
+        return one, out
     if topic is not None:
         raise UsageError("--topic", f"{len(several)} sources", "one recording")
     require_none_hidden(out)

@@ -128,6 +128,9 @@ def predict(
         if reject is not None:
             remedy = "a threshold holds for labels of single scans, which fusion changes"
             raise UsageError("--fuse", "with --reject", "one of the two", remedy)
+        if objects:
+            remedy = "objects are of the labels of single scans, which fusion changes"
+            raise UsageError("--fuse", "with --objects", "one of the two", remedy)
         from salsanext_cli.stages.fuse import require_fusable
 
         require_fusable(source, out, running.shard)

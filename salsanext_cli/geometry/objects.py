@@ -23,6 +23,8 @@ LARGEST_COSINE = np.float32(np.cos(np.radians(8.0)))
 """Of the angle between beam and line above which points are connected."""
 NEAR_M, FAR_M = np.float32(0.4), np.float32(1.5)
 """Distances below which points are connected at any angle, and above which at none."""
+MOST = np.iinfo(np.uint16).max
+"""Objects of a scan that have a number in 16 bits."""
 SAME_M, MIN_POINTS = np.float32(1.0), 10
 """Largest difference in range to the pixel whose object a point joins; fewest points of one."""
 ANGLES_RAD = np.radians(np.arange(0.0, 90.0, 1.5))
@@ -48,8 +50,9 @@ def find_objects(image: RangeImage, labels: TrainIds, things: npt.NDArray[np.boo
     own = component[found[inside]]
     _, place, sizes = np.unique(own, return_inverse=True, return_counts=True)
     large = sizes >= MIN_POINTS
+    numbers = np.cumsum(large) * large
     objects = np.zeros(len(labels), np.uint16)
-    objects[inside] = (np.cumsum(large) * large)[place]
+    objects[inside] = np.where(numbers <= MOST, numbers, 0)[place]
     return objects
 
 

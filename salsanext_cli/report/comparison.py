@@ -8,6 +8,7 @@ from html import escape as escape_html
 
 import numpy as np
 from rich.console import Console, Group
+from rich.table import Table
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, printable
@@ -21,7 +22,7 @@ from salsanext_cli.sensors.sensor import Sensor
 
 CHANGES = {
     "same label": (70, 75, 86),
-    "other label": (250, 205, 60),
+    "other label": (235, 235, 240),
     "now right": (70, 200, 110),
     "now wrong": (255, 72, 48),
 }
@@ -44,11 +45,14 @@ def _cells(score: Difference) -> tuple[str, ...]:
 
 def comparison_tables(compared: RunComparison) -> Group:
     """Return tables of the scores if there are any, of turned classes, and of changed scans."""
-    tables = []
+    tables: list[Table | str] = []
     if compared.scores:
         rows = [(name, *_cells(score)) for name, score in compared.scores.items()]
         title = f"{counted(len(compared.sums), 'scan')} with truth, not trained on"
-        caption = "* the interval, over scans, leaves out 0; score of a class: its IoU"
+        caption = (
+            "* the interval, over scans, leaves out 0; of scans of one drive it is too narrow\n"
+            "score of a class: its IoU"
+        )
         tables.append(table_of(("score", *DIFFERENCE), rows, title=title, caption=caption))
     if compared.rings:
         rows = [(name, *_cells(mean)) for name, (_, mean) in compared.rings.items()]
@@ -65,10 +69,14 @@ def comparison_tables(compared: RunComparison) -> Group:
         (p.file.name, percent(changed(p.turned)), _signed(p.gain), "trained on" * p.trained_on)
         for p in compared.most_changed()
     )
+    seen = sum(pair.trained_on for pair in compared.pairs)
+    if seen:
+        which = "all scans" if seen == len(compared.pairs) else counted(seen, "scan")
+        tables.append(f"{which} not scored: the weights of a run were trained on them")
     return Group(
         *tables,
         table_of(headings, turns, texts=["after"], title=title),
-        table_of(("scan", "changed %", "accuracy", ""), scans, title="Scans that changed most"),
+        table_of(("scan", "changed %", "accuracy", "note"), scans, title="Scans that changed most"),
     )
 
 

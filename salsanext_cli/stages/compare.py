@@ -4,6 +4,7 @@
 import logging
 from collections.abc import Collection
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from salsanext_cli.errors import (
 )
 from salsanext_cli.files.json_files import encode_json
 from salsanext_cli.files.reading import present
+from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.measures.paired import RunComparison, ScanPair
 from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
@@ -72,6 +74,15 @@ def compare_scan(
     return pair._replace(sums=np.array(sums), trained_on=bool(counts[0].trained_on)), counts
 
 
+def _require_same(one: ScanFile, other: ScanFile, sensor: Sensor) -> None:
+    """Refuse two files of a scan that are not the same points."""
+    if one.path == other.path:
+        return
+    points, others = (read_scan(file.path, sensor).points for file in (one, other))
+    if not np.array_equal(points, others, equal_nan=True):
+        raise UsageError(other.path, f"other points than {one.path}", "two runs on the same scans")
+
+
 def compare(
     before: Path,
     after: Path,
@@ -85,6 +96,8 @@ def compare(
     Scans that the weights of either run were trained on have no part in the scores. `by_distance`:
     score rings of distance too, for which the scans are read.
     """
+    if before.resolve() == after.resolve():
+        raise UsageError("OUT_B", f"{after}, as OUT_A", "the folder of another run")
     runs = ResultFolder(before, query.dataset), ResultFolder(after, query.dataset)
     OwnedFolder(after).require_own([after / name for name in FILES])
     (chosen, compared), (others, own) = (
@@ -97,13 +110,16 @@ def compare(
         with_outputs(each, run.root, "predictions")
         for each, run in zip((chosen, others), runs, strict=True)
     ]
-    keys = [{(scan.sequence, scan.stem) for scan in each} for each in scans]
-    both = [scan for scan in scans[0] if (scan.sequence, scan.stem) in keys[1]]
+    of_before, of_after = ({scan.name: scan for scan in each} for each in scans)
+    both = [scan for scan in scans[0] if scan.name in of_after]
     if not both:
         raise NoInputError(after, f"no scan that {before} has labels of", "the same scans")
-    if alone := len(keys[0] ^ keys[1]):
+    sensor = runs[0].sensor()
+    for _, members in groupby(both, lambda scan: scan.sequence):
+        _require_same(first := next(members), of_after[first.name], sensor)
+    if alone := len(of_before.keys() ^ of_after):
         log.warning("%s left out, with labels of one run only", counted(alone, "scan"))
-    labels, sensor = space_of_labels(both, compared, query.label_space), runs[0].sensor()
+    labels = space_of_labels(both, compared, query.label_space)
     trained_on = runs[0].trained_on() | runs[1].trained_on()
     task = partial(compare_scan, runs=runs, space=compared, labels=labels, sensor=sensor)
     task = partial(task, by_distance=by_distance, trained_on=trained_on)

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Evaluation of predictions against labels: scores, a report and plots."""
 
+import hashlib
 import logging
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -40,6 +42,8 @@ from salsanext_cli.version import __version__
 
 FILES = ("scores.txt", *PICTURES, "eval.json")
 """Files that an evaluation may write into the output folder."""
+MAX_PART_BYTES = 100
+"""Longest list of sequences that names a folder."""
 ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
 
 log = logging.getLogger(__name__)
@@ -188,11 +192,15 @@ def evaluate(
 
 
 def part_of(folder: ResultFolder, scans: Sequence[ScanFile], selection: ScanSelection) -> str:
-    """Name a part of the scans with results, as in ``08-10-first-5``; all are no part."""
+    """Name a part of the scans with results, as in ``08,10-first-5``; all are no part."""
     limit, every = selection.limit, folder.scans()
     if selection.split:
         every, _ = folder.predicted(ScanSelection(selection.split))
-    name = "-".join(sorted({scan.sequence for scan in scans})) + f"-first-{limit}" * bool(limit)
+    name = ",".join(sorted({scan.sequence for scan in scans}))
+    if len(os.fsencode(name)) > MAX_PART_BYTES:
+        digest = hashlib.sha256(os.fsencode(name)).hexdigest()[:16]
+        name = f"{name.count(',') + 1} sequences {digest}"
+    name += f"-first-{limit}" * bool(limit)
     chosen = bool(selection.sequences or limit) and len(scans) < len(every)
     return name if chosen else ""
 

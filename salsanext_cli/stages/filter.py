@@ -17,18 +17,27 @@ from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import NoInputError, UsageError, counted, first_few
 from salsanext_cli.files.reading import filled, is_folder, present
+from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.bags import Bag
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.recordings import files_of, recorded_paths, recording_of
 from salsanext_cli.formats.subsets import Mask, subsets_of, write_bag_subset
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.results.layout import ERROR, LABELLING_STAGES, SCAN_FOLDER, ScanFile, output_path
+from salsanext_cli.results.layout import (
+    ERROR,
+    LABELLING_STAGES,
+    SCAN_FOLDER,
+    ScanFile,
+    output_path,
+    with_outputs,
+)
 from salsanext_cli.results.output_run import encode_array
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder, read_kind
 from salsanext_cli.results.stage_records import as_json, require_same_settings
+from salsanext_cli.sensors.sensor import Sensor
 
 MASKS = "masks"
 """Folder of a sequence with masks of its scans' points."""
@@ -64,7 +73,7 @@ class PointFilter:
     max_error: float | None
     split: bool
     indices: bool
-    columns: tuple[str, ...]  # Of files that do not name theirs
+    sensor: Sensor  # With the columns of files that do not name theirs
     kept: frozenset[Path] = frozenset()  # Files that are there and not as they were written
 
     @property
@@ -84,7 +93,9 @@ class PointFilter:
         path = output_path(self.results.root, file.sequence, "predictions", file.stem)
         if not present(path):
             raise self.results.missing_column("label", file)
-        train = self.space.to_train(read_labels(path), source=path)
+        # Where the scan is not written, nothing else compares the number of its points.
+        count = len(read_scan(file.path, self.sensor)) if self.indices else None
+        train = self.space.to_train(read_labels(path, count), source=path)
         stay = self.stays[train]
         if self.max_error is not None:
             errors = output_path(self.results.root, file.sequence, ERROR, file.stem)
@@ -98,7 +109,8 @@ class PointFilter:
 
     def is_done(self, file: ScanFile) -> bool:
         """Say whether all parts of a scan are there."""
-        there = {part for part in self.folders if filled(self.path(file, part))}
+        paths = {part: self.path(file, part) for part in self.folders}
+        there = {part for part, path in paths.items() if filled(path) and path not in self.kept}
         return bool(there) and (not self.split or there >= self.parts(file)[0].keys())
 
     def write(self, file: ScanFile) -> Count:
@@ -108,8 +120,10 @@ class PointFilter:
         if stale := [path for path in absent if present(path)]:
             self.owned.remove_own(stale)
         encode: Callable[[Mask], bytes] = encode_array
-        if parts and not self.indices:
-            encode = subsets_of(file.path, self.columns)
+        if not self.indices:
+            encode = subsets_of(file.path, self.sensor.columns)
+        if not parts:
+            encode(np.zeros(count, bool))
         for part, mask in parts.items():
             if (path := self.path(file, part)) in self.kept:
                 raise not_own(path)
@@ -144,6 +158,8 @@ def filter_scans(
     scans, space = chosen.scans, chosen.space
     stays = named_classes(keep, space) if keep else np.ones(space.class_count, bool)
     stays &= ~named_classes(drop, space)
+    if max_error is not None and not with_outputs(scans, out, ERROR):
+        raise results.missing_column("error", scans[0])
     recording = None if indices else recording_of(scans[0].path)
     if recording and (split or options.shard.count > 1):
         raise UsageError("--split, --shard", "a bag is written whole", "neither, or --indices")
@@ -162,9 +178,7 @@ def filter_scans(
         "label_space": space.to_dict(),
         "origins": results.origins(LABELLING_STAGES),
     }
-    task = PointFilter(
-        results, owned, space, stays, max_error, split, indices, results.sensor().columns
-    )
+    task = PointFilter(results, owned, space, stays, max_error, split, indices, results.sensor())
     counts = list[Count]()
     with ExitStack() as stack:
         with owned.locked_records():
@@ -198,8 +212,8 @@ def _filter_bags(
         recording = recording_of(topic_folder) or topic_folder
         clouds = recorded_paths(topic_folder)
         if missing := [path.name for path in clouds if path not in files]:
-            found = f"no results of {len(missing)} of {len(clouds)} clouds: {first_few(missing)}"
-            remedy = "predict the whole bag, or write masks with --indices"
+            found = f"{len(missing)} of {len(clouds)} clouds are left out: {first_few(missing)}"
+            remedy = "predict and choose the whole bag, or write masks with --indices"
             raise NoInputError(recording, found, "those of all, as it is written whole", remedy)
         bag = Bag(recording, files_of(recording))
         target = task.owned.root / (sequence + ".bag" * (not bag.reader.is2))

@@ -311,7 +311,10 @@ def label(
 
 def _scan(points: npt.ArrayLike, intensity: npt.ArrayLike | None) -> Scan:
     """Check the arrays and return the scan that they are; a scan without intensity has 0."""
-    coordinates = np.asarray(points)
+    try:
+        coordinates = np.asarray(points)
+    except ValueError:  # Lists of several lengths
+        coordinates = np.array("lists of several lengths")
     if coordinates.ndim != 2 or coordinates.shape[1] != 3 or coordinates.dtype.kind not in "fiu":
         found = f"an array {coordinates.shape} of {coordinates.dtype}"
         remedy = "of x, y, z, intensity: label(array[:, :3], array[:, 3])"

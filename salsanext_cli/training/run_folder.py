@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.engines.device import PRECISIONS
+from salsanext_cli.errors import OutputError, counted
 from salsanext_cli.files.atomic import require_writable
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.labelling.label_records import digest_of_file
@@ -94,7 +95,12 @@ def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> 
     results = (folder / name for folder in _folders(run) for name in RESULTS)
     if recorded is not None and not overwrite and any(path.exists() for path in results):
         decisive = _decisive(as_json(settings))
-        require_same_settings(owned.record_path, _extended(recorded, decisive), decisive)
+        before = _extended(recorded, decisive)
+        if before != decisive and _extended(recorded, decisive, always=True) == decisive:
+            found = f"{counted(before['recipe']['epochs'], 'epoch')}, and a schedule that has ended"
+            remedy = f"go on from it in another folder: --weights {run / 'last.safetensors'}"
+            raise OutputError(owned.record_path, found, "a schedule that goes on: decay", remedy)
+        require_same_settings(owned.record_path, before, decisive)
 
 
 def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
@@ -126,11 +132,13 @@ def _holds_recipe(run: Path, settings: Mapping[str, Any]) -> bool:
     return False
 
 
-def _extended(recorded: Mapping[str, Any], decisive: Mapping[str, Any]) -> dict[str, Any]:
+def _extended(
+    recorded: Mapping[str, Any], decisive: Mapping[str, Any], *, always: bool = False
+) -> dict[str, Any]:
     """Return the decisive settings of a record, with more epochs if those before stay the same."""
     before, recipe = _decisive(recorded), decisive["recipe"]
     steady = recipe["schedule"] == "decay" and not recipe["whole_epochs"] and not recipe["folds"]
-    if steady and before.get("recipe", recipe)["epochs"] < recipe["epochs"]:
+    if (steady or always) and before.get("recipe", recipe)["epochs"] < recipe["epochs"]:
         before["recipe"] = {**before["recipe"], "epochs": recipe["epochs"]}
     return before
 

@@ -456,6 +456,10 @@ def test_several_scans_and_globs(run, data, weights, tmp_path):
     hidden = run("predict", scans[0], *folders, *options)
     assert hidden.exit_code == 1
     assert "holds scans" in hidden.stderr
+    without_out = run("predict", *folders, *options)
+    assert (without_out.exit_code, "holds scans" in without_out.stderr) == (1, True)
+    both = run("predict", scans[0], tmp_path / "out", "--fuse", "--objects", *options)
+    assert (both.exit_code, "--fuse · with --objects" in both.stderr) == (2, True)
     topic = run("predict", *scans, tmp_path / "out", "--topic", "/points", *options)
     assert (topic.exit_code, "2 sources" in topic.stderr) == (2, True)
 

@@ -89,6 +89,12 @@ def test_objects_end_where_class_or_range_does_and_go_on_behind_the_sensor():
     assert (found[0] > 0).mean() > 0.95
 
 
+def test_objects_that_no_16_bits_number_are_none(monkeypatch):
+    monkeypatch.setattr(objects, "MOST", 2)
+    found = objects_of([thing(angle, 8) for angle in (0, 30, 60)], [CAR] * 3)
+    assert sorted({number for each in found for number in each[each > 0].tolist()}) == [1, 2]
+
+
 def test_few_points_and_those_without_a_measurement_are_no_object():
     few, none = thing(0, 8, count=objects.MIN_POINTS - 1, width=0.3), np.zeros((50, 3), np.float32)
     assert not np.concatenate(objects_of([few, none], [CAR, CAR])).any()

@@ -133,3 +133,24 @@ def test_a_scan_that_cannot_be_shown_does_not_end_it(runs, caplog):
     assert failures == ()
     assert data["scans"] == 7
     assert "not shown: " in caplog.text
+
+
+def test_other_scans_of_the_same_names_are_refused(runs, tmp_path):
+    moved = tmp_path / "moved"
+    shutil.copytree(runs[0].dataset, moved)
+    query = ResultQuery(runs[0].dataset)
+    for world, dataset in zip(runs, (runs[0].dataset, moved), strict=True):
+        recorded(world)
+        record = json.loads((world.out / "predict.json").read_text())
+        stems = [f"{number}" for number in (*range(6), 9)]
+        folder = str(dataset / "sequences/08/velodyne")
+        record["scans"] = {"08": {"folder": folder, "asked_for": stems}}
+        (world.out / "predict.json").write_text(json.dumps(record))
+    assert len(compare(runs[0].out, runs[1].out)[0].pairs) == 7
+    first = moved / "sequences/08/velodyne/0.bin"
+    first.write_bytes(np.flip(np.fromfile(first, np.float32)).tobytes())
+    with pytest.raises(UsageError, match=r"0\.bin · other points than"):
+        compare(runs[0].out, runs[1].out)
+    assert len(compare(runs[0].out, runs[1].out, query=query)[0].pairs) == 7
+    with pytest.raises(UsageError, match="another run"):
+        compare(runs[0].out, runs[0].out)

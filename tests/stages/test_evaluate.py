@@ -235,6 +235,15 @@ def test_a_part_leaves_the_evaluation_of_all(world):
     assert {name: (world.out / name).read_bytes() for name in before} == before
     assert part_of(folder, scans, ScanSelection(sequences=("08", "09"))) == ""
     assert part_of(folder, scans[:1], ScanSelection(limit=1)) == "08-first-1"
+    world.add("000000", [ROAD], [CAR], "08-09")
+    scans = find_scans(world.dataset)
+    names = [part_of(folder, each, ScanSelection(limit=9)) for each in (scans[::2], scans[1:2])]
+    assert names == ["08,09-first-9", "08-09-first-9"]
+    for number in range(20):
+        world.add("000000", [ROAD], [CAR], f"a long name of a sequence {number}")
+    scans = find_scans(world.dataset)
+    for chosen in (scans[1:], scans[2:]):
+        assert len(part_of(folder, chosen, ScanSelection(sequences=("x",)))) < 60
     (world.out / "eval/08/scores.txt").write_text("mine")
     with pytest.raises(OutputError, match=r"scores\.txt · was changed"):
         evaluate(scans[:1], world.out, SPACE, part=part)

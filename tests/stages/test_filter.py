@@ -247,7 +247,7 @@ def test_a_bag_is_written_whole_or_not_at_all(bag_of, tmp_path):
     with pytest.raises(LabelError, match="6 points · expected 1, as it has labels"):
         call(query=ResultQuery(bag / TOPIC.strip("/")))
     last.unlink()
-    with pytest.raises(NoInputError, match=r"no results of 1 of 3 clouds: \d+_1"):
+    with pytest.raises(NoInputError, match=r"1 of 3 clouds are left out: \d+_1"):
         call(query=ResultQuery(bag / TOPIC.strip("/")))
     assert {path.name for path in (tmp_path / "to").iterdir()} <= {
         "filter.json",
@@ -272,3 +272,29 @@ def test_what_is_left_is_read_by_the_other_commands(apply, tmp_path):
     assert len(read_scan(tmp_path / "to/sequences/08/velodyne/000000.bin")) == 5
     with pytest.raises(NoInputError):
         filter_scans(tmp_path / "nowhere", tmp_path / "to", drop=["car"])
+
+
+@pytest.mark.parametrize("options", [{"indices": True, "drop": ["car"]}, {"keep": ["bicycle"]}])
+@pytest.mark.parametrize("count", [0, 3, 9])
+def test_labels_of_another_number_of_points_are_a_failure(apply, world, tmp_path, options, count):
+    path = output_path(world.out, "08", "predictions", "000000")
+    path.write_bytes(np.full(count, ROAD, np.uint32).tobytes())
+    outcome = apply(**options)
+    (failure,) = outcome.failures
+    assert failure.scan.stem == "000000"
+    assert not [*tmp_path.glob("to/sequences/*/*/000000*")]
+
+
+def test_a_result_that_was_edited_is_not_done(apply, tmp_path):
+    apply(drop=["car"])
+    path = tmp_path / "to/sequences/08/velodyne/000000.bin"
+    path.write_bytes(b"mine")
+    (failure,) = apply(drop=["car"]).failures
+    assert "was changed" in failure.reason
+    assert path.read_bytes() == b"mine"
+
+
+def test_errors_of_no_scan_are_missed_before_a_folder_is_made(apply, tmp_path):
+    with pytest.raises(NoInputError, match="no error known"):
+        apply(max_error=0.5)
+    assert not (tmp_path / "to").exists()
