@@ -132,7 +132,7 @@ class KeptLabels:
 
 @dataclass(frozen=True, slots=True)
 class KeptPromise:
-    """What was promised of scans, and what was found; losses are shares of their scored points."""
+    """Promise about scans beside the losses that were found, shares of their scored points."""
 
     at_most: float
     confidence: float | None  # None where the mean over the scans is at most that
@@ -156,16 +156,16 @@ class KeptPromise:
     @property
     def sentence(self) -> str:
         """The same for people."""
-        level, worst = f"{100 * self.at_most:.3g} %", f"worst scan {100 * self.worst:.1f} %"
-        lost = f"{level} of their points of known classes kept and wrong"
+        level, worst = f"{100 * self.at_most:.3g} %", f"{100 * self.worst:.1f} % in the worst"
         mean = f"{100 * self.mean:.1f} % on the mean of {counted(self.scans, 'scan')}"
         if self.confidence is None:
-            return f"promised: of scans, on the mean, at most {lost}; found: {mean}, {worst}"
+            lost = f"at most {level} of the points of known classes of a new scan kept and wrong"
+            return f"promised: {lost}, on the mean; found: {mean}, {worst}"
         sure, rest = f"{100 * self.confidence:.3g} %", f"{100 - 100 * self.confidence:.3g} %"
         found = f"{self.above} of {counted(self.scans, 'scan')}"
         return (
-            f"promised with {sure} confidence: at most {rest} of scans with more than {lost}; "
-            f"found: {found}, {worst}"
+            f"promised with {sure} confidence: at most {rest} of scans with more than {level} of "
+            f"their points of known classes kept and wrong; found: {found}, {worst}"
         )
 
 

@@ -122,13 +122,13 @@ def test_what_was_promised_stands_beside_what_was_found():
     found = KeptPromise.of_scans({"at_most": 0.05, "confidence": None}, scans)
     assert (found.scans, found.above, found.mean, found.worst) == (2, 1, 0.05, 0.08)
     assert found.sentence == (
-        "promised: of scans, on the mean, at most 5 % of their points of known classes kept and "
-        "wrong; found: 5.0 % on the mean of 2 scans, worst scan 8.0 %"
+        "promised: at most 5 % of the points of known classes of a new scan kept and wrong, on "
+        "the mean; found: 5.0 % on the mean of 2 scans, 8.0 % in the worst"
     )
     found = KeptPromise.of_scans({"at_most": 0.05, "confidence": 0.9}, scans)
     assert found.sentence == (
         "promised with 90 % confidence: at most 10 % of scans with more than 5 % of their "
-        "points of known classes kept and wrong; found: 1 of 2 scans, worst scan 8.0 %"
+        "points of known classes kept and wrong; found: 1 of 2 scans, 8.0 % in the worst"
     )
     assert KeptPromise.of_scans({"at_most": 0.05, "confidence": None}, {"a/2": (0, 0, 0)}) is None
 
