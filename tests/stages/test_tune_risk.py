@@ -9,6 +9,7 @@ from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import TrainingError, UsageError, WeightsError
+from salsanext_cli.measures.histograms import UNCERTAINTY_BINS
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import KnnParameters, ScanSelection
@@ -18,7 +19,7 @@ from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune import tune
-from salsanext_cli.training.tuning.risk import _left_out, exceeds
+from salsanext_cli.training.tuning.risk import _left_out, exceeds, judged_scan
 
 ALL = ScanSelection()
 
@@ -114,6 +115,18 @@ def test_scans_of_training_promise_nothing(unsure_is_wrong: World, target, tmp_p
         tune(
             "risk", world.data, target, network=network, selection=ALL, at_most=0.3, overwrite=True
         )
+
+
+def test_what_is_kept_of_a_scan_does_not_grow_with_its_points(unsure_is_wrong: World) -> None:
+    network, space = unsure_is_wrong.network.load(), label_space()
+    counts = np.zeros((space.class_count, space.class_count, UNCERTAINTY_BINS + 1), np.int64)
+    file = find_scans(unsure_is_wrong.data)[0]
+    judged = judged_scan(file, network, space, "least_confidence", counts)
+    assert judged is not None
+    assert judged.below.shape == (2, UNCERTAINTY_BINS)
+    assert counts.sum() == judged.points == (space.to_train(read_labels(file.label_path)) > 0).sum()
+    wrong = counts[~np.eye(space.class_count, dtype=bool)].sum(axis=0)
+    np.testing.assert_array_equal(judged.below[1], wrong[:-1].cumsum())
 
 
 def test_an_error_that_was_fitted_to_these_scans_is_said(
