@@ -210,7 +210,9 @@ def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
     shown += [Text(found.object_sentence)] if found.panoptic else []
     if kept := found.kept:
         missed = f"Points left unlabelled by predict --reject {reject:g} are missed in the scores."
-        shown += [kept_table(kept.classes), Text("\n".join([missed, *kept.sentences]))]
+        promised = [found.promise.sentence] if found.promise else []
+        lines = [missed, *kept.sentences, *promised]
+        shown += [kept_table(kept.classes), Text("\n".join(lines))]
     return Group(*shown)
 
 

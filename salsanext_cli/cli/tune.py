@@ -56,7 +56,10 @@ def tune_error(
     tuned = _tuned("error", dataset, target, network, selection, overwrite, output)
     output.result(tuned, error_table(tuned) if tuned["folds"] else None)
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
-    output.say(f"tune error: {points}, {100 * tuned['wrong']:.1f} % wrong → {target}")
+    points += f", {100 * tuned['wrong']:.1f} % wrong"
+    if several := tuned["several"]:
+        points += f" ({several:.1%} of all left out: labels of several classes, which eval counts)"
+    output.say(f"tune error: {points} → {target}")
 
 
 def tune_risk(

@@ -25,7 +25,7 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import evenly_spaced
-from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.results.stage_records import StageRecords, as_json
 from salsanext_cli.sensors.sensor import Sensor
 
 log = logging.getLogger(__name__)
@@ -196,6 +196,22 @@ def _method(settings: NetworkSettings, network: Network) -> str:
     if method == "raw" or not known:
         return ""
     return "none" if method == "none" else "match"
+
+
+def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, Any]:
+    """Return what was asked for that labels depend on, besides weights and scans, by option.
+
+    `network`: what the settings load, before any fit.
+    """
+    view = (settings.named_sensor() or network.card.sensor).view() | {"fit": settings.fits_view}
+    asked = {
+        "--min-range": view.pop("min_range", None),
+        "--ego": view.pop("ego_box", None),
+        "--intensity": _method(settings, network),
+        "--precision": network.engine.precision,
+        "--sensor": {key: value for key, value in view.items() if key != "columns"},
+    }
+    return dict(as_json(asked))
 
 
 def network_of_run(

@@ -130,6 +130,45 @@ class KeptLabels:
             yield f"missed people: {missed} are kept with a label of something else"
 
 
+@dataclass(frozen=True, slots=True)
+class KeptPromise:
+    """Promise about scans beside the losses that were found, shares of their scored points."""
+
+    at_most: float
+    confidence: float | None  # None where the mean over the scans is at most that
+    scans: int  # Number of scans, and of those of them that lose more
+    above: int
+    mean: float  # Mean loss, and the largest
+    worst: float
+
+    @classmethod
+    def of_scans(
+        cls, promised: Mapping[str, Any], scans: Mapping[str, tuple[int, int, int]]
+    ) -> Self | None:
+        """Compare with points, kept and wrong ones of scans, by name; None without any points."""
+        losses = np.array([wrong / points for points, _, wrong in scans.values() if points])
+        if not losses.size:
+            return None
+        above = int((losses > promised["at_most"]).sum())
+        found = len(losses), above, float(losses.mean()), float(losses.max())
+        return cls(promised["at_most"], promised["confidence"], *found)
+
+    @property
+    def sentence(self) -> str:
+        """The same for people."""
+        level, worst = f"{100 * self.at_most:.3g} %", f"{100 * self.worst:.1f} % in the worst"
+        mean = f"{100 * self.mean:.1f} % on the mean of {counted(self.scans, 'scan')}"
+        if self.confidence is None:
+            lost = f"at most {level} of the points of known classes of a new scan kept and wrong"
+            return f"promised: {lost}, on the mean; found: {mean}, {worst}"
+        sure, rest = f"{100 * self.confidence:.3g} %", f"{100 - 100 * self.confidence:.3g} %"
+        found = f"{self.above} of {counted(self.scans, 'scan')}"
+        return (
+            f"promised with {sure} confidence: at most {rest} of scans with more than {level} of "
+            f"their points of known classes kept and wrong; found: {found}, {worst}"
+        )
+
+
 def promise(risk: Mapping[str, Any]) -> str:
     """Say what the threshold of weights holds for, of the `risk` in their card."""
     level, scans = f"{100 * risk['at_most']:.3g} %", counted(risk["scans"], "scan")

@@ -239,9 +239,12 @@ class StageRecords:
                 remedy = f"{remedy} --classes of the labels"
                 raise OutputError(self.root, f"labels in {classes}", "the same for both", remedy)
 
-    def rejection(self) -> tuple[str, float] | None:
-        """Return the kind of uncertainty above which points were left unlabelled, and the value."""
-        settings: Mapping[str, Any] = self.settings_of("predictions") or {}
+    def rejection(self, folder: str = "predictions") -> tuple[str, float] | None:
+        """Return the kind of uncertainty above which points were left unlabelled, and the value.
+
+        `folder`: of results of the same run.
+        """
+        settings: Mapping[str, Any] = self.settings_of(folder) or {}
         above = settings.get("reject")
         return None if above is None else (settings.get("reject_by", "error"), above)
 

@@ -18,7 +18,7 @@ from salsanext_cli.files.reading import present
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.panoptic import panoptic_quality
-from salsanext_cli.measures.risk_control import KeptLabels
+from salsanext_cli.measures.risk_control import KeptLabels, KeptPromise
 from salsanext_cli.measures.scan_counts import (
     RING_NAMES,
     CountsApart,
@@ -70,6 +70,7 @@ class Evaluation:
     # Results for the probabilities and uncertainties, if there are any
     uncertainty: UncertaintyEvaluation
     kept: KeptLabels | None  # Coverage and risk of the labels of a run that rejected some
+    promise: KeptPromise | None  # What its threshold promised, if that came with the weights
     folder: Path  # Where it is written
     by_sequence: dict[str, Scores]
     by_scan: dict[str, dict[str, Any]]  # Some scores of each scan, by name
@@ -107,7 +108,8 @@ class Evaluation:
             "classes": list(self.space.names),
             "confusion": self.confusion.matrix.tolist(),
             **self.uncertainty.to_dict(self.space),
-            "rejection": self.kept and asdict(self.kept),
+            "rejection": self.kept
+            and asdict(self.kept) | {"promise": self.promise and asdict(self.promise)},
         }
 
 
@@ -147,6 +149,7 @@ def evaluate(
     count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
     count = partial(count, by_distance=by_distance, sensor=results.sensor())
     recorded = results.settings_of("predictions")
+    promised = None if recorded is None else recorded.get("promised")
     # Those of other programs may have instances.
     objects = recorded is None or bool(recorded.get("objects"))
     count = partial(count, trained_on=results.trained_on(), objects=objects)
@@ -180,6 +183,7 @@ def evaluate(
         by_scan=dict(sorted(counts.by_scan.items())),
         panoptic=panoptic,
         kept=KeptLabels.of_confusion(counts.confusion, space, counts.kept) if counts.kept else None,
+        promise=KeptPromise.of_scans(promised, counts.kept) if promised else None,
     )
     for text in counts.label_warnings(space):
         log.warning("%s", text)

@@ -15,7 +15,7 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, contradiction
-from salsanext_cli.errors import NoInputError, UsageError, counted, first_few
+from salsanext_cli.errors import NoInputError, SalsanextError, UsageError, counted, first_few
 from salsanext_cli.files.reading import filled, is_folder, present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.bags import Bag
@@ -23,7 +23,7 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.recordings import files_of, recorded_paths, recording_of
 from salsanext_cli.formats.subsets import Mask, subsets_of, write_bag_subset
 from salsanext_cli.fusion.window import movable_classes
-from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import (
     ERROR,
     LABELLING_STAGES,
@@ -204,46 +204,75 @@ def _filter_bags(
     options: RunOptions,
     counts: list[Count],
 ) -> Outcome:
-    """Write the bag of each sequence, whole or not at all; add to the counts of its clouds."""
-    start, skipped = time.monotonic(), 0
-    for sequence, group in groupby(scans, lambda file: file.sequence):
-        files = {file.path: file for file in group}
-        topic_folder = next(iter(files)).parent
-        recording = recording_of(topic_folder) or topic_folder
-        clouds = recorded_paths(topic_folder)
-        if missing := [path.name for path in clouds if path not in files]:
-            found = f"{len(missing)} of {len(clouds)} clouds are left out: {first_few(missing)}"
-            remedy = "predict and choose the whole bag, or write masks with --indices"
-            raise NoInputError(recording, found, "those of all, as it is written whole", remedy)
-        bag = Bag(recording, files_of(recording))
-        target = task.owned.root / (sequence + ".bag" * (not bag.reader.is2))
-        before = [target, *target.rglob("*")][is_folder(target) :]
-        if task.owned.others(before):
-            raise not_own(target)
-        if any(map(filled, before)) and not options.overwrite:
-            skipped += len(files)
-            continue
+    """Write the bag of each sequence, whole or not at all; add to the counts of its clouds.
 
-        def masks(files: dict[Path, ScanFile], clouds: list[Path]) -> Iterator[tuple[int, Mask]]:
-            for number, path in enumerate(clouds, 1):
-                parts, count = task.parts(files[path])
-                keep = parts.get(SCAN_FOLDER, np.zeros(count, bool))
-                counts.append((files[path].name, count, int(keep.sum())))
-                yield int(path.name.partition("_")[0]), keep
-                if options.progress:
-                    options.progress(number, len(clouds))
+    A bag that fails is one failure, of its first scan.
+    """
+    start, before, done, skipped = time.monotonic(), 0, 0, 0
+    failures, progress = list[Failure](), options.progress or (lambda done, total: None)
+    for _, group in groupby(scans, lambda file: file.sequence):
+        files = tuple(group)
 
-        (topic,) = (t for t in bag.clouds() if recording / t.strip("/") == topic_folder)
-        with TemporaryDirectory(dir=task.owned.root, prefix=".filter-") as temporary:
-            written = Path(temporary) / target.name
-            write_bag_subset(bag, written, topic, masks(files, clouds))
-            task.owned.remove_own(before)
-            if is_folder(target):
-                target.rmdir()
-            written.rename(target)
-        for path in [target, *target.rglob("*")][is_folder(target) :]:
-            task.owned.add(path)
-    return Outcome(skipped, (), len(scans) - skipped, seconds=time.monotonic() - start)
+        def on_cloud(number: int, before: int = before) -> None:
+            progress(before + number, len(scans))
+
+        try:
+            of_bag = _filter_bag(task, files, options.overwrite, on_cloud)
+        except SalsanextError as error:
+            if options.on_error == "stop":
+                raise
+            failures.append(Failure(files[0], str(error), error.code))
+        else:
+            counts += of_bag
+            done, skipped = done + len(of_bag), skipped + len(files) * (not of_bag)
+        before += len(files)
+        progress(before, len(scans))
+    return Outcome(skipped, tuple(failures), done, seconds=time.monotonic() - start)
+
+
+def _filter_bag(
+    task: PointFilter,
+    scans: tuple[ScanFile, ...],
+    overwrite: bool,
+    on_cloud: Callable[[int], object],
+) -> list[Count]:
+    """Write the bag of scans, all of one topic; return their counts, none if it is there."""
+    files = {file.path: file for file in scans}
+    topic_folder = scans[0].path.parent
+    recording = recording_of(topic_folder) or topic_folder
+    clouds = recorded_paths(topic_folder)
+    if missing := [path.name for path in clouds if path not in files]:
+        found = f"{len(missing)} of {len(clouds)} clouds are left out: {first_few(missing)}"
+        remedy = "predict and choose the whole bag, or write masks with --indices"
+        raise NoInputError(recording, found, "those of all, as it is written whole", remedy)
+    bag = Bag(recording, files_of(recording))
+    target = task.owned.root / (scans[0].sequence + ".bag" * (not bag.reader.is2))
+    before = [target, *target.rglob("*")][is_folder(target) :]
+    if task.owned.others(before):
+        raise not_own(target)
+    if any(map(filled, before)) and not overwrite:
+        return []
+    counts = list[Count]()
+
+    def masks() -> Iterator[tuple[int, Mask]]:
+        for number, path in enumerate(clouds, 1):
+            parts, count = task.parts(files[path])
+            keep = parts.get(SCAN_FOLDER, np.zeros(count, bool))
+            counts.append((files[path].name, count, int(keep.sum())))
+            yield int(path.name.partition("_")[0]), keep
+            on_cloud(number)
+
+    (topic,) = (t for t in bag.clouds() if recording / t.strip("/") == topic_folder)
+    with TemporaryDirectory(dir=task.owned.root, prefix=".filter-") as temporary:
+        written = Path(temporary) / target.name
+        write_bag_subset(bag, written, topic, masks())
+        task.owned.remove_own(before)
+        if is_folder(target):
+            target.rmdir()
+        written.rename(target)
+    for path in [target, *target.rglob("*")][is_folder(target) :]:
+        task.owned.add(path)
+    return counts
 
 
 def _begin(owned: OwnedFolder, settings: dict[str, Any], overwrite: bool) -> None:

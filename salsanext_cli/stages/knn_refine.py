@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
-from salsanext_cli.errors import LabelError, NoInputError, UsageError, counted
+from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError, counted
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
@@ -20,6 +20,7 @@ from salsanext_cli.results.layout import ScanFile, find_scans, output_path, with
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, space_of
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 
 
@@ -74,6 +75,17 @@ def _require_some(folder: Path, scans: list[ScanFile]) -> None:
         )
 
 
+def _require_all_labels(out: Path, labels: Path | None) -> None:
+    """Refuse results of a run that rejected some labels: the vote would bring them back."""
+    folder = "predictions" if labels else "pixel_labels"
+    # Labels may lie in ROOT/sequences/<seq>/predictions, with the records in ROOT.
+    roots = (labels, *labels.absolute().parents[2:3]) if labels else (out,)
+    if any(StageRecords(root).rejection(folder) for root in roots):
+        found, remedy = "labels of which some were rejected", "predict without --reject"
+        expected = "all labels: the vote brings back what was rejected"
+        raise OutputError(labels or out, found, expected, remedy)
+
+
 def knn_refine_scans(
     out: Path,
     *,
@@ -94,6 +106,7 @@ def knn_refine_scans(
     results = ResultFolder(out)
     if labels and labels.resolve().is_relative_to(out.resolve()):
         raise UsageError("--labels", f"{labels} inside {out}", "a folder that is only read")
+    _require_all_labels(out, labels)
     scans = find_scans(dataset) if dataset else results.scans()
     recorded = results.label_space("pixel_labels") if labels is None else None
     if recorded and space and not recorded.fits(space):

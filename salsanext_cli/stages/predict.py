@@ -29,7 +29,12 @@ from salsanext_cli.fitting.label_scan import (
     sensor_of_images,
 )
 from salsanext_cli.fitting.scan_checks import check_image
-from salsanext_cli.fitting.scan_fit import fit_network, fitted_view, network_of_run
+from salsanext_cli.fitting.scan_fit import (
+    fit_network,
+    fitted_view,
+    labels_depend_on,
+    network_of_run,
+)
 from salsanext_cli.fusion.top_classes import top_classes
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
@@ -155,9 +160,10 @@ def predict_scans(
     loaded = network.load()
     found = scans_of(source)
     scans = choose(found, selection, space_of(found, loaded.card.space), source)
-    reject_by = "error"
+    reject_by, promised = "error", {}
     if reject == "risk":
-        reject, reject_by = _chosen_threshold(loaded, knn)
+        reject, reject_by = _chosen_threshold(network, loaded, knn)
+        promised = {"promised": {key: loaded.card.risk[key] for key in ("at_most", "confidence")}}
     if reject is not None:
         if not 0 <= reject <= 1:
             raise UsageError("--reject", f"{reject:g}", "a probability from 0 to 1")
@@ -169,7 +175,7 @@ def predict_scans(
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     settings |= {} if reject is None else {"reject": reject}
-    settings |= {} if reject_by == "error" else {"reject_by": reject_by}
+    settings |= promised | ({} if reject_by == "error" else {"reject_by": reject_by})
     settings |= {"objects": True} if "objects" in extras else {}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
     if reject is None:
@@ -187,13 +193,17 @@ def predict_scans(
     return replace(outcome, summary=summary, rejected_points=rejected)
 
 
-def _chosen_threshold(loaded: Network, knn: KnnParameters) -> tuple[float, str]:
+def _chosen_threshold(
+    settings: NetworkSettings, loaded: Network, knn: KnnParameters
+) -> tuple[float, str]:
     """Return the threshold in the weights and its kind of uncertainty; refuse where it is void."""
     risk = loaded.card.risk
     if not risk:
         remedy = "`salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%` chooses one"
         raise WeightsError(loaded.engine.name, "no threshold of risk", "weights with one", remedy)
     own = {"--classes": loaded.merging, "--knn-…": knn != KnnParameters()}
+    tuned, given = risk.get("settings", {}), labels_depend_on(settings, loaded)
+    own |= {name: given[name] != tuned.get(name) for name in given}
     if others := [name for name, given in own.items() if given]:
         found = "`--reject risk` promises nothing of other labels"
         raise UsageError(others[0], found, "the settings of `tune risk`")

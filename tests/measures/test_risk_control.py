@@ -9,6 +9,7 @@ import pytest
 from salsanext_cli import label_space
 from salsanext_cli.measures.risk_control import (
     KeptLabels,
+    KeptPromise,
     allowed_scans,
     bad_share,
     binomial,
@@ -114,6 +115,22 @@ def test_labels_that_are_kept_are_counted():
         "worst scan: a/0, 10.0% of its points are kept and wrong, 50.0% of the 4 kept",
         "missed people: 1 of 4 points of people are kept with a label of something else",
     ]
+
+
+def test_what_was_promised_stands_beside_what_was_found():
+    scans = {"a/0": (100, 50, 8), "a/1": (200, 50, 4), "a/2": (0, 0, 0)}
+    found = KeptPromise.of_scans({"at_most": 0.05, "confidence": None}, scans)
+    assert (found.scans, found.above, found.mean, found.worst) == (2, 1, 0.05, 0.08)
+    assert found.sentence == (
+        "promised: at most 5 % of the points of known classes of a new scan kept and wrong, on "
+        "the mean; found: 5.0 % on the mean of 2 scans, 8.0 % in the worst"
+    )
+    found = KeptPromise.of_scans({"at_most": 0.05, "confidence": 0.9}, scans)
+    assert found.sentence == (
+        "promised with 90 % confidence: at most 10 % of scans with more than 5 % of their "
+        "points of known classes kept and wrong; found: 1 of 2 scans, 8.0 % in the worst"
+    )
+    assert KeptPromise.of_scans({"at_most": 0.05, "confidence": None}, {"a/2": (0, 0, 0)}) is None
 
 
 def test_a_promise_names_what_it_holds_for():

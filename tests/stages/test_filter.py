@@ -17,6 +17,7 @@ from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.query import ResultQuery
+from salsanext_cli.results.stage_records import ScanSource, StageRecord
 from salsanext_cli.stages.filter import filter_scans, named_classes
 
 SPACE = label_space()
@@ -232,8 +233,35 @@ def test_a_bag_keeps_all_but_the_points_that_go(bag_of, tmp_path, kind, compress
     assert filter_scans(tmp_path / "out", tmp_path / "to", **options, options=again).done == 3
     assert files_below(tmp_path / "to").keys() == files.keys()
     next(each for each in (target, *target.glob("*.*")) if each.is_file()).write_bytes(b"mine")
+    again = RunOptions(overwrite=True, on_error="stop")
     with pytest.raises(OutputError, match="was changed, or not written by salsanext"):
         filter_scans(tmp_path / "out", tmp_path / "to", **options, options=again)
+
+
+def test_a_bag_that_fails_leaves_those_of_others(bag_of, tmp_path):
+    first, outputs = bag_of(".bag"), tmp_path / "out/sequences"
+    shutil.copy(first, first.with_name("evening.bag"))
+    shutil.copytree(outputs / "drive", outputs / "evening")
+    stems = frozenset(path.stem for path in outputs.glob("drive/predictions/*"))
+    scans = {
+        name: ScanSource(str(tmp_path / f"{name}.bag" / TOPIC.strip("/")), stems)
+        for name in ("drive", "evening")
+    }
+    settings = {"label_space": SPACE.to_dict(), "sensor": sensor("hdl64").to_dict()}
+    StageRecord("predict", settings, ("predictions",), scans).write(tmp_path / "out")
+    bad = output_path(tmp_path / "out", "drive", "predictions", f"{START + STEP}_1")
+    bad.write_bytes(bytes(4))
+    call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
+    done = []
+    options = RunOptions(progress=lambda *numbers: done.append(numbers))
+    outcome = call(options=options)
+    (failure,) = outcome.failures
+    assert (outcome.done, outcome.skipped, outcome.kept_points) == (3, 0, (18, 11))
+    assert "6 points · expected 1, as it has labels" in failure.reason
+    assert done == [(number, 6) for number in range(1, 7)]
+    assert {path.name for path in (tmp_path / "to").glob("*.bag")} == {"evening.bag"}
+    shutil.copy(outputs / "evening/predictions" / bad.name, bad)
+    assert (call().done, call().skipped) == (3, 6)
 
 
 def test_a_bag_is_written_whole_or_not_at_all(bag_of, tmp_path):
@@ -244,11 +272,12 @@ def test_a_bag_is_written_whole_or_not_at_all(bag_of, tmp_path):
             call(query=ResultQuery(bag / TOPIC.strip("/")), **options)
     last = output_path(tmp_path / "out", "drive", "predictions", f"{START + STEP}_1")
     last.write_bytes(bytes(4))
+    stop = RunOptions(on_error="stop")
     with pytest.raises(LabelError, match="6 points · expected 1, as it has labels"):
-        call(query=ResultQuery(bag / TOPIC.strip("/")))
+        call(query=ResultQuery(bag / TOPIC.strip("/")), options=stop)
     last.unlink()
     with pytest.raises(NoInputError, match=r"1 of 3 clouds are left out: \d+_1"):
-        call(query=ResultQuery(bag / TOPIC.strip("/")))
+        call(query=ResultQuery(bag / TOPIC.strip("/")), options=stop)
     assert {path.name for path in (tmp_path / "to").iterdir()} <= {
         "filter.json",
         ".salsanext.files",

@@ -8,8 +8,11 @@ from scans import SMALL, files_below, labels_below, write_array, write_weights
 
 from salsanext_cli import KnnParameters, knn_refine, label_space, project, read_labels, read_scan
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
+from salsanext_cli.fitting.scan_fit import labels_depend_on
 from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.geometry.projection import pixels_from_points
+from salsanext_cli.network.card import read_card
+from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
@@ -119,6 +122,23 @@ def test_pixel_labels_of_other_weights_are_not_passed_over(pixels, tmp_path):
         knn_refine_scans(pixels.out)
     assert knn_refine_scans(pixels.out, options=overwrite).done == 3
     assert labels_below(pixels.out) != before
+
+
+def test_rejected_labels_do_not_come_back(world, tmp_path):
+    network, weights = world.network, tmp_path / "risk.safetensors"
+    risk = {"kind": "least_confidence", "threshold": 0.5, "at_most": 0.5, "confidence": None}
+    risk |= {"scans": 3, "sequences": ["00"], "settings": labels_depend_on(network, network.load())}
+    save_with_card(network.weights, weights, replace(read_card(network.weights), risk=risk))
+    network = replace(network, weights=weights)
+    predict_scans(world.data, world.out, network=network, extras=("pixel_labels",), reject="risk")
+    before = files_below(world.out)
+    with pytest.raises(OutputError, match=r"some were rejected .* predict without --reject"):
+        knn_refine_scans(world.out)
+    for labels in (world.out, world.out / "sequences/08/predictions"):
+        with pytest.raises(OutputError, match="some were rejected"):
+            knn_refine_scans(tmp_path / "refined", labels=labels, dataset=world.data)
+    assert files_below(world.out) == before
+    assert not (tmp_path / "refined").exists()
 
 
 def test_no_pixel_labels_at_all(world):

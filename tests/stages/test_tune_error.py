@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `tune error`, and the probabilities that `predict` and `uncertainty` write with it."""
 
+import json
 import shutil
 from dataclasses import replace
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 from world import World
 
-from salsanext_cli import label_space, read_labels, write_labels
+from salsanext_cli import label_space, project, read_labels, read_scan, write_labels
 from salsanext_cli.errors import LabelError, OutputError, TrainingError, UsageError, WeightsError
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import save_with_card
@@ -40,6 +41,20 @@ def far_is_wrong(world: World, tmp_path) -> World:
         labels[far] = np.where(labels[far] == 10, 40, 10)
         write_labels(path.parent.parent / "labels" / f"{path.stem}.label", labels)
     return world
+
+
+def test_labels_of_several_classes_are_left_out_and_said(world: World, target) -> None:
+    space = label_space()
+    own, shares = replace(space, alternatives={10: (1, 4)}), []
+    (world.data / "labels.yaml").write_text(json.dumps(own.to_dict()))
+    for file in find_scans(world.data):
+        image = project(read_scan(file.path), world.network.load().sensor)
+        seen = image.pixel_of_point >= 0
+        raw = read_labels(file.label_path)
+        shares.append((raw[seen] == 10).sum() / (space.to_train(raw[seen]) > 0).sum())
+    tuned = tune("error", world.data, target, network=world.network, selection=ALL)
+    assert tuned["several"] == pytest.approx(np.mean(shares), abs=1e-3)
+    assert 0 < tuned["several"] < 1
 
 
 def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, tmp_path) -> None:

@@ -9,6 +9,7 @@ from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import TrainingError, UsageError, WeightsError
+from salsanext_cli.measures.histograms import UNCERTAINTY_BINS
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import KnnParameters, ScanSelection
@@ -18,7 +19,7 @@ from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune import tune
-from salsanext_cli.training.tuning.risk import _left_out, exceeds
+from salsanext_cli.training.tuning.risk import _left_out, exceeds, judged_scan
 
 ALL = ScanSelection()
 
@@ -50,16 +51,24 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     network = replace(world.network, weights=target)
     caplog.set_level("INFO")
     outcome = predict_scans(world.data, world.out, network=network, reject="risk")
-    doubts, space = [], label_space()
+    doubts, losses, space = [], [], label_space()
     for file in find_scans(world.data):
         doubt = np.load(world.result(LEAST_CONFIDENCE, file.sequence, file.stem))
         above = doubt > risk["threshold"]
         assert not world.labels(file.sequence, file.stem)[above].any()
         doubts.append(above.sum())
+        truth = space.to_train(read_labels(file.label_path))
+        kept = space.to_train(world.labels(file.sequence, file.stem)) > 0
+        own = read_labels(file.label_path) != world.labels(file.sequence, file.stem)
+        losses.append((own & kept & (truth > 0)).sum() / (truth > 0).sum())
     assert outcome.rejected_points == sum(doubts) > 0
     assert tuned["promise"] in "".join(caplog.messages)
     # What was reported of the threshold is what `eval` finds of the run.
-    kept = evaluate(find_scans(world.data), world.out, space).kept
+    found = evaluate(find_scans(world.data), world.out, space)
+    numbers = {"scans": 3, "above": sum(loss > 0.3 for loss in losses), "at_most": 0.3}
+    numbers |= {"mean": pytest.approx(np.mean(losses)), "worst": pytest.approx(max(losses))}
+    assert found.to_dict()["rejection"]["promise"] == {**numbers, "confidence": None}
+    kept = found.kept
     assert kept is not None
     assert {name: getattr(kept, name) for name in tuned["kept"]} == tuned["kept"]
     # (3 R + 1) / 4 ≤ 0.3, with no finer step than a bin
@@ -108,6 +117,18 @@ def test_scans_of_training_promise_nothing(unsure_is_wrong: World, target, tmp_p
         )
 
 
+def test_what_is_kept_of_a_scan_does_not_grow_with_its_points(unsure_is_wrong: World) -> None:
+    network, space = unsure_is_wrong.network.load(), label_space()
+    counts = np.zeros((space.class_count, space.class_count, UNCERTAINTY_BINS + 1), np.int64)
+    file = find_scans(unsure_is_wrong.data)[0]
+    judged = judged_scan(file, network, space, "least_confidence", counts)
+    assert judged is not None
+    assert judged.below.shape == (2, UNCERTAINTY_BINS)
+    assert counts.sum() == judged.points == (space.to_train(read_labels(file.label_path)) > 0).sum()
+    wrong = counts[~np.eye(space.class_count, dtype=bool)].sum(axis=0)
+    np.testing.assert_array_equal(judged.below[1], wrong[:-1].cumsum())
+
+
 def test_an_error_that_was_fitted_to_these_scans_is_said(
     unsure_is_wrong: World, target, tmp_path, caplog
 ) -> None:
@@ -139,12 +160,39 @@ def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path) -
         predict_scans(world.data, world.out, network=coarse, reject="risk")
     with pytest.raises(UsageError, match=r"--knn-… · "):
         predict_scans(world.data, world.out, network=network, knn=KnnParameters(k=3), reject="risk")
+    card = read_card(target)
+    others = {"min_range": 2.0, "ego": "none", "sensor": replace(card.sensor, fov_up=4.0)}
+    for name, value in others.items():
+        other = replace(network, **{name: value})
+        with pytest.raises(UsageError, match=f"--{name.replace('_', '-')} · .*of other labels"):
+            predict_scans(world.data, world.out, network=other, reject="risk")
+    for name in ("--intensity", "--precision"):
+        settings = {**card.risk["settings"], name: "another"}
+        other = tmp_path / f"{name}.safetensors"
+        save_with_card(target, other, replace(card, risk={**card.risk, "settings": settings}))
+        with pytest.raises(UsageError, match=f"{name} · "):
+            predict_scans(
+                world.data, world.out, network=replace(network, weights=other), reject="risk"
+            )
     assert not world.out.exists()
     # Another error or another temperature is another uncertainty.
     for part in ("error", "temperature"):
         other = tmp_path / f"{part}.safetensors"
         tune(part, world.data, other, network=network, selection=ALL)
         assert not read_card(other).risk
+
+
+def test_a_threshold_is_used_with_the_settings_of_its_choice(
+    unsure_is_wrong: World, target
+) -> None:
+    world = unsure_is_wrong
+    own = replace(world.network, min_range=2.0)
+    tune("risk", world.data, target, network=own, selection=ALL, at_most=0.3)
+    network = replace(world.network, weights=target)
+    with pytest.raises(UsageError, match=r"--min-range · "):
+        predict_scans(world.data, world.out, network=network, reject="risk")
+    network = replace(own, weights=target)
+    assert predict_scans(world.data, world.out, network=network, reject="risk").rejected_points
 
 
 def test_a_run_says_how_many_labels_it_expects_to_be_right(world: World, tmp_path) -> None:

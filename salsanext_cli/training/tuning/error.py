@@ -55,6 +55,7 @@ class JudgedPoints:
 
     features: Float  # (M, F), in the order of `FEATURES`
     wrong: Mask  # (M,)
+    several: float = 0.0  # Share of the scan's points left out: their label is of several classes
 
 
 def points_of_scan(scans: int) -> int:
@@ -71,7 +72,8 @@ def judged_points(file: ScanFile, network: Network, space: LabelSpace, most: int
     random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
     chosen = random.permutation(len(labelled.truth))[:most]
     points = labelled.points[chosen]
-    return JudgedPoints(features[points], labels[points] != labelled.truth[chosen])
+    wrong = labels[points] != labelled.truth[chosen]
+    return JudgedPoints(features[points], wrong, labelled.several)
 
 
 def fit_error_model(scans: TuningScans) -> Tuned:
@@ -100,8 +102,9 @@ def cross_validated(
     """Fit a model to all scans; its scores are those of models that lack a fold of the scans.
 
     Without `height` it does not use that feature, which depends on the mounting. Among the scores
-    are the share of wrong points `wrong`, and `error_scores` of the model, `error`, and of 1 − the
-    probability of the label, `confidence`; both are None without folds.
+    are the share of wrong points `wrong`, that of points left out since their label is of `several`
+    classes, and `error_scores` of the model, `error`, and of 1 − the probability of the label,
+    `confidence`; both are None without folds.
     """
     every = list(judged.values())
     wrong = np.concatenate([points.wrong for points in every])
@@ -110,6 +113,7 @@ def cross_validated(
         "sequences": sorted({file.sequence for file in judged}),
         "points": len(wrong),
         "wrong": float(wrong.mean()),
+        "several": float(np.mean([points.several for points in every])),
         **_scores_left_out(judged, parts, height),
     }
     return replace(fit_error(every, height), scores=scores)

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import LabelError, TrainingError, UsageError, counted, first_few
 from salsanext_cli.fitting.label_scan import labelled, project_for
+from salsanext_cli.fitting.scan_fit import labels_depend_on
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
@@ -24,7 +25,7 @@ from salsanext_cli.measures.risk_control import (
     needed_scans,
     promise,
 )
-from salsanext_cli.measures.scores import Confusion, Ratios
+from salsanext_cli.measures.scores import Confusion, Counts, Ratios
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.options import KnnParameters
 from salsanext_cli.results.layout import ScanFile
@@ -36,26 +37,20 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JudgedScan:
-    """The M scored points of a scan, labelled or not."""
+    """Scored points of a scan, counted by the bin of their uncertainty."""
 
     file: ScanFile
-    bins: npt.NDArray[np.uint16]  # (M,): of their uncertainty; `UNCERTAINTY_BINS` without a label
-    truth: TrainIds  # (M,) uint8
-    labels: TrainIds  # (M,) uint8
-
-    def below(self) -> Ratios:
-        """Return the shares (2, B) of points that are kept, and kept and wrong, up to each bin."""
-        wrong = self.labels != self.truth
-        counts = (np.bincount(b, minlength=UNCERTAINTY_BINS) for b in (self.bins, self.bins[wrong]))
-        below = np.stack([each[:UNCERTAINTY_BINS] for each in counts]).cumsum(axis=1)
-        shares: Ratios = below / len(self.truth)
-        return shares
+    points: int
+    below: npt.NDArray[np.int32]  # (2, B): points kept, and kept and wrong, up to each bin
 
 
 def judged_scan(
-    file: ScanFile, network: Network, space: LabelSpace, kind: str
+    file: ScanFile, network: Network, space: LabelSpace, kind: str, counts: Counts
 ) -> JudgedScan | None:
-    """Label a scan as `predict` does, and judge it; None if the weights were trained on it."""
+    """Label a scan as `predict` does, and judge it; None if the weights were trained on it.
+
+    `counts` (C, C, B + 1): its points are added by truth, label and bin, the last without a label.
+    """
     projected = project_for(network, file)
     if scan_digest(projected.scan) in network.card.trained_on:
         return None
@@ -70,18 +65,21 @@ def judged_scan(
     if kind == "error":
         values = label_error(network, image, softmax, labels)
     bins = np.where(np.isnan(values) | (labels == 0), UNCERTAINTY_BINS, bin_of(values))
-    return JudgedScan(file, bins[scored].astype(np.uint16), truth[scored], labels[scored])
+    truth, labels, bins = truth[scored], labels[scored], bins[scored]
+    np.add.at(counts, (truth, labels, bins), 1)
+    of_bins = [np.bincount(b, minlength=UNCERTAINTY_BINS) for b in (bins, bins[labels != truth])]
+    below = np.stack([each[:UNCERTAINTY_BINS] for each in of_bins]).cumsum(axis=1, dtype=np.int32)
+    return JudgedScan(file, len(truth), below)
 
 
-def kept_labels(scans: Sequence[JudgedScan], space: LabelSpace, held: int) -> KeptLabels:
+def kept_labels(
+    scans: Sequence[JudgedScan], counts: Counts, space: LabelSpace, held: int
+) -> KeptLabels:
     """Return what is kept at the highest of so many thresholds that hold."""
-    confusion, counts = Confusion(space.class_count), {}
-    for scan in scans:
-        labels = np.where(scan.bins < held, scan.labels, 0)
-        confusion.update(scan.truth, labels)
-        wrong = (labels > 0) & (labels != scan.truth)
-        counts[scan.file.name] = len(labels), int((labels > 0).sum()), int(wrong.sum())
-    return KeptLabels.of_confusion(confusion, space, counts)
+    confusion = Confusion(space.class_count, counts[..., :held].sum(axis=2))
+    confusion.matrix[:, 0] += counts[..., held:].sum(axis=(1, 2))
+    of_scans = {s.file.name: (s.points, *s.below[:, held - 1].tolist()) for s in scans}
+    return KeptLabels.of_confusion(confusion, space, of_scans)
 
 
 def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None) -> Tuned:
@@ -98,21 +96,23 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
     kind = "error" if knows_error(network) else "least_confidence"
     if kind == "error":
         _warn_of_fitted(scans)
-    every = [judged_scan(file, network, space, kind) for file in scans.each()]
+    classes = space.class_count
+    counts = np.zeros((classes, classes, UNCERTAINTY_BINS + 1), np.int64)
+    every = [judged_scan(file, network, space, kind, counts) for file in scans.each()]
     judged = [scan for scan in every if scan]
     if trained_on := len(every) - len(judged):
         log.warning("%s left out: the weights were trained on them", counted(trained_on, "scan"))
         _require_scans(scans, len(judged), at_most, confidence)
-    shares = np.stack([scan.below() for scan in judged])
+    shares = np.empty((len(judged), 2, UNCERTAINTY_BINS))
+    for share, scan in zip(shares, judged, strict=True):
+        np.divide(scan.below, scan.points, out=share)
     numbers: dict[str, Any] = {"at_most": at_most, "confidence": confidence}
     held = held_thresholds(shares[:, 1], **numbers)
     if not held or not shares[:, 0, held - 1].any():
         found = f"no threshold of {kind} keeps points and at most {at_most:.3g} of them wrong"
         raise TrainingError(scans.source, found, "a higher --at-most, or better weights")
-    labels, sequences = (
-        kept_labels(judged, space, held),
-        np.array([s.file.sequence for s in judged]),
-    )
+    labels = kept_labels(judged, counts, space, held)
+    sequences = np.array([scan.file.sequence for scan in judged])
     left_out = _left_out(shares, sequences, numbers)
     risk = {
         "kind": kind,
@@ -120,6 +120,7 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         **numbers,
         "scans": len(judged),
         "sequences": np.unique(sequences).tolist(),
+        "settings": labels_depend_on(scans.settings, scans.loaded),
     }
     report = {
         "promise": promise(risk),

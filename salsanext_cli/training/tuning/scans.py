@@ -79,6 +79,7 @@ class LabelledImage:
     image: RangeImage
     points: npt.NDArray[np.intp]  # (M,): their indices in the scan
     truth: TrainIds  # (M,) uint8
+    several: float  # Share of the labelled points with a pixel whose label is of several classes
 
     def of_points(self, of_pixels: Float) -> Float:
         """Give every point that counts its pixel's values: (C, H, W) to (M, C)."""
@@ -109,5 +110,8 @@ def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> 
     scan, targets = read_labelled(file, space, network.sensor, class_sets([space]))
     image = project(scan, network.sensor, network.device)
     is_scored = np.isin(targets, np.flatnonzero(space.scored))
-    points = np.flatnonzero(is_scored & (image.pixel_of_point >= 0))
-    return LabelledImage(image, points, targets[points])
+    seen = image.pixel_of_point >= 0
+    points = np.flatnonzero(is_scored & seen)
+    several = int(((targets >= space.class_count) & seen).sum())
+    share = several / max(len(points) + several, 1)
+    return LabelledImage(image, points, targets[points], share)
