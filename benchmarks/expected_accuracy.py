@@ -76,7 +76,7 @@ def main() -> None:
     print(f"\n{near} of {len(misses)} within 5 points, root mean square {100 * deviation:.1f}")
     line = {"slope": float(slope), "offset": float(offset), "deviation": deviation}
     card = replace(read_card(given.weights), accuracy={k: round(v, 4) for k, v in line.items()})
-    save_with_card(given.weights, given.target, card, {})
+    save_with_card(given.weights, given.target, card)
 
 
 if __name__ == "__main__":

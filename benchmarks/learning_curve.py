@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Learning curve: scores on places left out over the number of labelled scans, in three ways.
+"""Learning curve: scores on places left out over the number of labelled scans, in two ways.
 
 For every draw a fold of the data set's sequences is left out, and scans are drawn from the rest.
 The recipe `finetune` trains on them, from the default weights and from random ones, with the same
-number of steps, and `tune batchnorm` adapts the default weights to them without their labels. All
-predict what was left out. Complete runs are not repeated. Each line is printed as its runs end, and
-`curve.png` drawn at the end.
+number of steps. Both predict what was left out. Complete runs are not repeated. Each line is
+printed as its runs end, and `curve.png` drawn at the end.
 
 Run: python benchmarks/learning_curve.py semantickitti/ folder/ [--counts 1 2 4 8] [--draws 3]
      [--train --epochs 2]
@@ -22,25 +21,15 @@ from matplotlib.figure import Figure
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.training.cross_validation import folds
 
-BATCH_NORM = "batch norm"
-WAYS = {
-    "default": "fine-tuned default weights",
-    "random": "random weights, trained alike",
-    BATCH_NORM: "default weights, `tune batchnorm`",
-}
+WAYS = {"default": "fine-tuned default weights", "random": "random weights, trained alike"}
 
 
 def score(root: Path, way: str, options: Sequence[str]) -> tuple[float, float]:
-    """Train on or adapt to the data set at a root; return accuracy and mean IoU of its rest."""
-    run, sensor = root / way.replace(" ", "-"), ("--sensor", "hdl64-512")
-    weights = run / "last.safetensors"
-    if way != BATCH_NORM:
-        own = ("--recipe", "finetune", "--set", f"initial={way}", "--set", "folds=0")
-        salsanext("train", root, run, *own, *sensor, "--jobs", 2, *options)
-    elif not weights.exists():
-        run.mkdir(exist_ok=True)
-        salsanext("tune", "batchnorm", root, weights, "--split", "train", *sensor)
-    return scored(root, run / "out", weights, "--split", "valid", *sensor)
+    """Train on the data set at a root; return accuracy and mean IoU of its rest."""
+    run, sensor = root / way, ("--sensor", "hdl64-512")
+    own = ("--recipe", "finetune", "--set", f"initial={way}", "--set", "folds=0")
+    salsanext("train", root, run, *own, *sensor, "--jobs", 2, *options)
+    return scored(root, run / "out", run / "last.safetensors", "--split", "valid", *sensor)
 
 
 def main(*words: str) -> None:

@@ -15,14 +15,12 @@ import numpy as np
 import pytest
 from scans import make_scan, write_array, write_sequence
 
-from salsanext_cli import label_space, load_network, read_labels
+from salsanext_cli import read_labels
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SALSANET, SalsaNext
-from salsanext_cli.results.layout import find_scans, output_path
-from salsanext_cli.training.data.sources import Source
-from salsanext_cli.training.fit import validate
+from salsanext_cli.results.layout import output_path
 from salsanext_cli.training.log import write_log
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -135,19 +133,6 @@ def test_compare_runs(tmp_path, capsys):
     write_log(tmp_path / "slow" / "log.csv", rows[:1])
     with pytest.raises(SystemExit, match=r"not validated yet: .*slow"):
         load("compare_runs")(str(picture), str(tmp_path / "slow"))
-
-
-def test_adapt_batchnorm(tmp_path, weights, capsys):
-    write_sequence(tmp_path / "data/sequences/08", ["000000", "000001"])
-    load("adapt_batchnorm")(str(tmp_path / "data"), "", str(weights), "1.0")
-    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert rows[0] == ["share", "mIoU", "%", "accuracy", "%"]
-    assert [row[0] for row in rows[1:]] == ["0.00", "1.00"]
-    network = load_network(weights, "cpu")
-    scans = Source(find_scans(tmp_path / "data"), label_space(), network.sensor)
-    before = validate(network, scans)
-    assert rows[1][1:] == [f"{100 * before[key]:.1f}" for key in ("miou", "accuracy")]
-    assert rows[2][1:] != rows[1][1:]
 
 
 @pytest.mark.slow

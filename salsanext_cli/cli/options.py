@@ -78,7 +78,6 @@ DataSet = Annotated[
 DataSetOfResults = Annotated[Path | None, _shared("dataset")]
 LabelSpaceName = Annotated[str | None, _shared("label_space")]
 MergedInto = Annotated[str | None, _shared("classes")]
-SpacedSelection = Annotated[ScanSelection, Shown(limit=EVENLY_SPACED)]
 LabelledSelection = Annotated[
     ScanSelection,
     Shown(

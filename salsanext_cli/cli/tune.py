@@ -30,7 +30,6 @@ def tune_temperature(
     """
     from salsanext_cli.report.tables import temperature_table
 
-    selection = _validation(selection)
     tuned = _tuned("temperature", dataset, target, network, selection, overwrite, output)
     output.result(tuned, temperature_table(tuned["before"], tuned["after"]))
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
@@ -52,7 +51,6 @@ def tune_error(
     """
     from salsanext_cli.report.tables import error_table
 
-    selection = _validation(selection)
     tuned = _tuned("error", dataset, target, network, selection, overwrite, output)
     output.result(tuned, error_table(tuned) if tuned["folds"] else None)
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
@@ -98,7 +96,6 @@ def tune_risk(
     numbers = {
         name: options.share(f"--{name.replace('_', '-')}", text) for name, text in given.items()
     }
-    selection = _validation(selection)
     tuned = _tuned("risk", dataset, target, network, selection, overwrite, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
     output.result(tuned, Group(kept_table(tuned["kept"]["classes"]), *sentences))
@@ -128,40 +125,12 @@ def tune_dropout(
     from salsanext_cli.report.tables import rate_table
     from salsanext_cli.stages.tune import curve_of
 
-    selection = _validation(selection)
     rates = {"samples": samples, "seed": seed, "lowest": lowest, "highest": highest, "steps": steps}
     tuned = _tuned("dropout", dataset, target, network, selection, overwrite, output, **rates)
     best, curve = tuned["best"], curve_of(target)
     table = rate_table(tuned["rates"], tuned["objectives"], best)
     output.result(tuned | {"curve": str(curve)}, table)
     output.say(f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}, {curve}")
-
-
-def tune_batchnorm(
-    scans: options.RequiredScans,
-    target: options.WeightsOut,
-    *,
-    share: Annotated[
-        float,
-        typer.Option(
-            help="Weight of the new statistics, above 0 and at most 1; the old ones have the rest."
-        ),
-    ] = 0.1,
-    selection: options.SpacedSelection,
-    network: options.Network,
-    overwrite: options.Overwrite = False,
-    output: console.Output,
-) -> None:
-    """Adapt batch normalisation to scans of another sensor or place, without labels.
-
-    Example: salsanext tune batchnorm my/scans adapted.safetensors --sensor hdl32
-    """
-    from salsanext_cli.report.tables import moved_table
-
-    tuned = _tuned("batchnorm", scans, target, network, selection, overwrite, output, share=share)
-    output.result(tuned, moved_table(tuned["layers"]))
-    scanned = counted(tuned["scans"], "scan")
-    output.say(f"tune batchnorm: {scanned} of {tuned['sensor']} → {target}")
 
 
 def _tuned(
@@ -174,9 +143,14 @@ def _tuned(
     output: console.Output,
     **numbers: float | None,
 ) -> dict[str, Any]:
-    """Fit a part of the weights while a bar shows how far it is; return plain data."""
+    """Fit a part of the weights while a bar shows how far it is; return plain data.
+
+    To the scans for validation, unless others are named.
+    """
     from salsanext_cli.stages.tune import tune
 
+    if not (selection.split or selection.sequences):
+        selection = replace(selection, split="valid")
     unit = "samplings" if part == "dropout" else "scans"
     with progress(f"tune {part}", output.quiet, unit) as on_progress:
         tuned = tune(
@@ -192,19 +166,11 @@ def _tuned(
     return tuned | {"weights": str(target)}
 
 
-def _validation(selection: ScanSelection) -> ScanSelection:
-    """Return a selection of labelled scans: those for validation, unless others are named."""
-    named = selection.split or selection.sequences
-    return selection if named else replace(selection, split="valid")
-
-
 tune = typer.Typer(
     no_args_is_help=True,
-    help="Fit weights to scans: temperature, error, threshold of risk, dropout rate or "
-    "batch normalisation.",
+    help="Fit weights to labelled scans: temperature, error, threshold of risk or dropout rate.",
 )
 tune.command("error")(guarded(expanded(tune_error)))
 tune.command("risk")(guarded(expanded(tune_risk)))
 tune.command("temperature")(guarded(expanded(tune_temperature)))
 tune.command("dropout")(guarded(expanded(tune_dropout)))
-tune.command("batchnorm")(guarded(expanded(tune_batchnorm)))

@@ -33,11 +33,9 @@ def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool
     write_bytes(path, safetensors.torch.save(tensors, card.to_metadata()), durable=True)
 
 
-def save_with_card(
-    source: Path, target: Path, card: WeightsCard, replaced: Mapping[str, Tensor] = {}
-) -> None:
-    """Write a weights file with another card, bit for bit but for the tensors replaced."""
-    tensors = {**safetensors.torch.load_file(source), **replaced}
+def save_with_card(source: Path, target: Path, card: WeightsCard) -> None:
+    """Write a weights file with another card; the tensors stay bit for bit."""
+    tensors = safetensors.torch.load_file(source)
     write_bytes(target, safetensors.torch.save(tensors, card.to_metadata()), durable=True)
 
 

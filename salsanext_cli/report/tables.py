@@ -3,9 +3,7 @@
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from itertools import groupby
 from pathlib import Path
-from statistics import fmean, geometric_mean
 from typing import Any
 
 from rich.console import Group
@@ -171,20 +169,6 @@ def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float)
         for rate, objective in zip(rates, objectives, strict=True)
     )
     return table_of(("rate", "objective per point", ""), rows, title="Dropout rate")
-
-
-def moved_table(layers: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table of how far batch norms moved, by the part of the network that they are in."""
-
-    def row(part: str, members: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
-        shift = fmean(layer["shift"] for layer in members)
-        ratio = geometric_mean(layer["variance_ratio"] for layer in members)
-        return part, str(len(members)), f"{shift:.3f}", f"{ratio:.3f}"
-
-    parts = groupby(layers, lambda layer: layer["layer"].partition(".")[0])
-    rows = [row(part, list(members)) for part, members in parts]
-    headings = ("part", "layers", "mean moved by, σ", "variance, new / old")
-    return table_of(headings, rows, totals=[row("all", layers)], title="Batch norm")
 
 
 def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:

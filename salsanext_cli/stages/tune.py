@@ -12,8 +12,6 @@ from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.report.plots import rate_curve
-from salsanext_cli.results.selection import select_scans
-from salsanext_cli.training.tuning.batchnorm import fit_batchnorm
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout
 from salsanext_cli.training.tuning.error import fit_error_model
 from salsanext_cli.training.tuning.risk import fit_risk
@@ -24,7 +22,6 @@ FITS: dict[str, Callable[..., Tuned]] = {
     "temperature": fit_temperature,
     "error": fit_error_model,
     "dropout": fit_dropout,
-    "batchnorm": fit_batchnorm,
     "risk": fit_risk,
 }
 """Functions that fit a part of the weights: take `TuningScans`, and numbers of their own."""
@@ -41,21 +38,17 @@ def tune(
     progress: Progress | None = None,
     **numbers: Any,
 ) -> dict[str, Any]:
-    """Write a weights file of which one part is fitted to scans; all else stays, bit for bit.
+    """Write a weights file of which one part is fitted to scans; tensors stay bit for bit.
 
-    `part`: a name of `FITS`; `selection`: by default the scans for validation, or all where no
-    labels are needed, and a limit takes evenly spaced ones; `numbers`: those of the part's fit.
+    `part`: a name of `FITS`; `selection`: by default the scans for validation, and a limit takes
+    evenly spaced ones; `numbers`: those of the part's fit.
 
     Returns plain data: the name of the `stage`, and what its fit reports.
     """
     fit = FITS[part]
     require_tensors(network.path)
     loaded = network.load()
-    if part == "batchnorm":
-        space = loaded.card.space
-        files = select_scans(source, selection or ScanSelection(), space, evenly=True)
-    else:
-        files, space = labelled_scans(source, selection or VALIDATION, loaded.card)
+    files, space = labelled_scans(source, selection or VALIDATION, loaded.card)
     require_target(target, overwrite)
     if part == "dropout":
         require_absent(curve_of(target), overwrite)
@@ -63,7 +56,7 @@ def tune(
     report = tuned.report
     if part == "dropout":
         rate_curve(curve_of(target), report["rates"], report["objectives"], report["best"])
-    save_with_card(network.path, target, tuned.card, tuned.tensors)
+    save_with_card(network.path, target, tuned.card)
     return {"stage": f"tune {part}", **report}
 
 

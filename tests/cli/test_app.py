@@ -47,7 +47,7 @@ def test_no_command_gives_help(run):
     assert "Pipeline" in result.stderr
     assert result.exit_code == 2
     result = run("tune")
-    names = ["temperature", "dropout", "batchnorm"]
+    names = ["temperature", "dropout"]
     assert re.findall(rf"│ ({'|'.join(names)}) ", result.output) == names
     assert result.exit_code == 2
 

@@ -3,14 +3,11 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command_line import only_json
 
 from salsanext_cli.network.card import read_card
 from salsanext_cli.options import ScanSelection
-
-UPS = [f"up{i}" for i in range(1, 5)]
 
 
 def rows_of(result):
@@ -37,28 +34,6 @@ def test_a_temperature_is_printed_and_stored(run, data, weights, tmp_path):
     assert f"{read_card(target).temperature:.4g}" in run("models", target).stdout
 
 
-def test_batch_norm_is_adapted_to_scans_without_labels(run, data, weights, tmp_path):
-    target = tmp_path / "adapted.safetensors"
-    scans = data / "sequences/08/velodyne"
-    arguments = ("tune", "batchnorm", scans, target, "--weights", weights, "--device", "cpu")
-    result = run(*arguments, "--limit", 1)
-    assert result.exit_code == 0, result.output
-    parts = {name: [float(cell) for cell in cells] for name, *cells in rows_of(result)}
-    assert list(parts) == ["context", *(f"block{i}" for i in range(1, 6)), *UPS, "all"]
-    weights_said, done = result.stderr.splitlines()
-    assert weights_said.endswith(" on cpu by torch in float32")
-    assert done == f"tune batchnorm: 1 scan of small → {target}"
-    assert "exists" in run(*arguments).stderr
-    found = only_json(run(*arguments, "--overwrite", "--json", "--limit", 1, "--share", 0.1))
-    expected = {"stage": "tune batchnorm", "scans": 1, "sensor": "small", "share": 0.1}
-    assert found.items() >= {**expected, "weights": str(target)}.items()
-    context = [layer for layer in found["layers"] if layer["layer"].startswith("context.")]
-    for name, layers in (("context", context), ("all", found["layers"])):
-        shift = np.mean([layer["shift"] for layer in layers])
-        ratio = np.exp(np.mean(np.log([layer["variance_ratio"] for layer in layers])))
-        assert parts[name] == pytest.approx([len(layers), shift, ratio], abs=6e-4)
-
-
 @pytest.fixture
 def typed(run, monkeypatch):
     """Return a function that gives what the stage of a tuning is called with."""
@@ -81,7 +56,7 @@ def typed(run, monkeypatch):
 
 @pytest.mark.parametrize(
     ("what", "split", "limit"),
-    [("temperature", "valid", None), ("dropout", "valid", 20), ("batchnorm", None, None)],
+    [("temperature", "valid", None), ("dropout", "valid", 20)],
 )
 def test_settings_reach_the_stage(typed, weights, what, split, limit):
     seen = typed(what)

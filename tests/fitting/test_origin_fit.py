@@ -91,7 +91,7 @@ def test_points_without_a_measurement_get_none_in_another_frame():
 
 @pytest.mark.parametrize("other", [{"origin": (2.0, 0.0, 1.0)}, {"up": (0.0, 1.0, 0.0)}])
 def test_the_mounting_of_other_scans_is_forgotten(other):
-    """As that of weights whose batch norm was tuned on them."""
+    """As that of weights that were tuned on them, which an earlier version did."""
     for scans in ([street(32)], [moved(street(32), (0.9, 0, HEIGHT))]):
         assert (
             fit_mounting(scans, replace(SMALL, **other)).origin == fit_mounting(scans, SMALL).origin

@@ -79,6 +79,8 @@ def test_a_card_keeps_it() -> None:
     # A card without one is what it was before there were any.
     assert "error" not in json.loads(card(None).to_metadata()[KEY])
     assert WeightsCard.from_metadata(card(None).to_metadata(), "w").error is None
+    # It judges the weights that it was fitted to.
+    assert card(wanted).changed("Quantised.").error is None
 
 
 @pytest.mark.parametrize(

@@ -174,11 +174,3 @@ def test_a_single_scan_is_not_cross_validated(far_is_wrong: World, target, caplo
     assert (tuned["folds"], tuned["error"], tuned["confidence"]) == (0, None, None)
     assert "1 scan: not cross-validated" in caplog.messages
     assert read_card(target).error is not None
-
-
-def test_other_batch_norm_has_no_model_of_errors(far_is_wrong: World, target) -> None:
-    world = far_is_wrong
-    tune("error", world.data, target, network=world.network, selection=ALL)
-    adapted = target.with_name("adapted.safetensors")
-    tune("batchnorm", world.data, adapted, network=replace(world.network, weights=target))
-    assert read_card(adapted).error is None

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Fits of trained weights to other scans: temperature, dropout rate, batch norm."""
+"""Fits to labelled scans: temperature, model of errors, threshold of risk, dropout rate."""

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Scans that one part of the weights is fitted to, their labels point by point, and that part."""
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from torch import Tensor
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.network import Network
@@ -36,7 +35,7 @@ class TuningScans:
 
     source: Path
     files: list[ScanFile]
-    space: LabelSpace  # Of the labels, if they are read; else that of the network
+    space: LabelSpace  # Of the labels
     settings: NetworkSettings
     loaded: Network  # As it is in its file
     progress: Callable[[int, int], object] | None = None  # Called after each step
@@ -69,7 +68,6 @@ class Tuned:
 
     card: WeightsCard  # Card of the new weights
     report: dict[str, Any]  # Plain data
-    tensors: Mapping[str, Tensor] = field(default_factory=dict)  # Others than in the old weights
 
 
 @dataclass(frozen=True, slots=True)
