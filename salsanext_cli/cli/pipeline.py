@@ -125,15 +125,7 @@ def predict(
 
     source, out = options.sources(context, scans, out, dataset, topic)
     if fuse:
-        if reject is not None:
-            remedy = "a threshold holds for labels of single scans, which fusion changes"
-            raise UsageError("--fuse", "with --reject", "one of the two", remedy)
-        if objects:
-            remedy = "objects are of the labels of single scans, which fusion changes"
-            raise UsageError("--fuse", "with --objects", "one of the two", remedy)
-        from salsanext_cli.stages.fuse import require_fusable
-
-        require_fusable(source, out, running.shard)
+        _require_fusable(source, out, running, objects=objects, reject=reject is not None)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}
     wanted |= {"votes": fuse and not probabilities, "objects": objects}
     network = replace(network, classes=options.label_space(classes))
@@ -159,6 +151,18 @@ def predict(
     if fuse and outcome.done + outcome.skipped:
         outcome = _then_fused(outcome, out, selection, running, output)
     run_end.finish("predict", outcome, out, output, split=selection.split, strict=strict)
+
+
+def _require_fusable(
+    source: Path | list[Path], out: Path, running: RunOptions, **of_single: bool
+) -> None:
+    """Refuse what cannot be fused, and what holds for labels of single scans only."""
+    from salsanext_cli.stages.fuse import require_fusable
+
+    for name in (name for name, given in of_single.items() if given):
+        remedy = "it is of the labels of single scans, which fusion changes"
+        raise UsageError("--fuse", f"with --{name}", "one of the two", remedy)
+    require_fusable(source, out, running.shard)
 
 
 def _then_fused(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether poses bring the scans of a drive to lie on each other, and the parts where they do."""
+"""Check of the poses of a drive: they bring its scans to lie on each other, at least in parts."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -36,7 +36,7 @@ SURE_OVERLAP = 0.75
 MARGIN = 0.1
 """Least gain in overlap by another pose, which is then said to be the right one."""
 COMPARED_M, COMPARED_SCANS = 5.0, 10
-"""How far back a scan is compared at most: slow drives move little from scan to scan."""
+"""Farthest scan before that one is compared with: slow drives move little from scan to scan."""
 OUT_OF_SIGHT_M = 50.0
 """Distance from which on two scans are not compared."""
 MAX_MISFIT = 1 / 3

@@ -4,7 +4,7 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from salsanext_cli import LabelSpace, Scan, label_space
@@ -115,13 +115,14 @@ def slowly(scans, softmax, poses, reach, movable):
     return results
 
 
+@settings(max_examples=max(8, settings().max_examples // 3))
 @given(st.integers(0, 10_000), st.integers(0, 4), st.integers(0, 4))
 def test_votes_are_those_of_a_slow_loop(seed, reach, movable_reach):
     scans, softmax, poses = drive(seed)
-    settings = FusionReach(reach, min(reach, movable_reach))
+    reaches = FusionReach(reach, min(reach, movable_reach))
     movable = movable_classes(label_space())
-    expected = slowly(scans, softmax, poses, settings, movable)
-    for tally, (shares, views) in zip(fuse(scans, softmax, poses, settings), expected, strict=True):
+    expected = slowly(scans, softmax, poses, reaches, movable)
+    for tally, (shares, views) in zip(fuse(scans, softmax, poses, reaches), expected, strict=True):
         np.testing.assert_array_equal(tally.views, views)
         # Each probability of a vote is rounded by half a step, and their sum by one per class.
         rounding = (1 + CLASSES) / 2 / SCALE
