@@ -103,7 +103,8 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(plots, "iou_bars", lambda *_: b"picture")
     monkeypatch.setattr(plots, "confusion_picture", lambda *_: b"picture")
-    for name in ("reliability_diagram", "risk_coverage", "sparsification", "class_uncertainty"):
+    names = ("reliability_diagram", "error_diagram", "risk_coverage", "sparsification")
+    for name in (*names, "class_uncertainty"):
         monkeypatch.setattr(plots, name, lambda *_: b"picture")
 
 

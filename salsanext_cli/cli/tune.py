@@ -99,7 +99,7 @@ def tune_risk(
     tuned = _tuned("risk", dataset, target, network, selection, overwrite, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
     output.result(tuned, Group(kept_table(tuned["kept"]["classes"]), *sentences))
-    output.say(f"tune risk: {tuned['promise']} → {target}")
+    output.say(f"tune risk: {tuned['promise']} → {target}, {tuned['curve']}")
 
 
 def tune_dropout(
@@ -123,14 +123,12 @@ def tune_dropout(
     Example: salsanext tune dropout streets/ tuned.safetensors --steps 10
     """
     from salsanext_cli.report.tables import rate_table
-    from salsanext_cli.stages.tune import curve_of
 
     rates = {"samples": samples, "seed": seed, "lowest": lowest, "highest": highest, "steps": steps}
     tuned = _tuned("dropout", dataset, target, network, selection, overwrite, output, **rates)
-    best, curve = tuned["best"], curve_of(target)
-    table = rate_table(tuned["rates"], tuned["objectives"], best)
-    output.result(tuned | {"curve": str(curve)}, table)
-    output.say(f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}, {curve}")
+    best = tuned["best"]
+    output.result(tuned, rate_table(tuned["rates"], tuned["objectives"], best))
+    output.say(f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}, {tuned['curve']}")
 
 
 def _tuned(

@@ -76,6 +76,8 @@ class ScanCounts:
     # Of each scan of a run that rejected labels: scored points, kept ones, and wrong ones of these
     kept: dict[str, tuple[int, int, int]] = field(default_factory=dict)
     calibration_errors: list[float] = field(default_factory=list)  # Of each scan with a softmax
+    # Of each scan with the error: its mean, and the share of these points that is wrong
+    errors: list[tuple[float, float]] = field(default_factory=list)
     # Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `RING`, or
     # `CLASS`, which is the most probable class for the confidence, else the true one
     histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)
@@ -231,6 +233,9 @@ def count_scan(
             counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)
     if "error" in values:
         counts.histograms[OF_ERROR] = error_histogram(values["error"], wrong)
+        if (judged := ~np.isnan(values["error"])).any():
+            means = values["error"][judged].mean(dtype=np.float64), wrong[judged].mean()
+            counts.errors.append((float(means[0]), float(means[1])))
     return counts
 
 

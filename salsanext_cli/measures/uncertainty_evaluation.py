@@ -84,7 +84,11 @@ class RankingResult(GroupedScores[RankingScores]):
     class_size_correlation: float
     risk_coverage: Ratios  # (100,): share of wrong points among the least uncertain 1 %, … 100 %
     thresholds: Ratios  # (100,) float64: largest uncertainty of these points, at most 1 % too large
-    ece: float | None = None  # Expected calibration error, 0…1, of the error, a probability
+    # Of the error, a probability: expected calibration error, 0…1, its diagram, and of each scan
+    # (S, 2) its mean and the share of wrong points
+    ece: float | None = None
+    reliability: Reliability | None = None
+    by_scan: Ratios | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,13 +156,17 @@ def _ranking_result(counts: ScanCounts, kind: str, space: LabelSpace) -> Ranking
     by_class = counts.histograms[kind, CLASS]
     present, means = by_class.points > 0, by_class.means("uncertainty")
     risk, thresholds = risk_coverage(*by_class.total().counts[:, 0])
-    of_error = counts.histograms[OF_ERROR].counts[:, 0] if kind == "error" else None
+    of_error: dict[str, Any] = {}
+    if kind == "error":
+        diagram = reliability(counts.histograms[OF_ERROR].counts[:, 0])
+        by_scan = np.array(sorted(counts.errors)).reshape(-1, 2)
+        of_error = {"ece": diagram.error, "reliability": diagram, "by_scan": by_scan}
     return RankingResult(
         **_grouped(ranking_scores, counts, kind, space),
         class_size_correlation=spearman(means[present], by_class.points[present]),
         risk_coverage=risk,
         thresholds=thresholds,
-        ece=None if of_error is None else reliability(of_error).error,
+        **of_error,
     )
 
 

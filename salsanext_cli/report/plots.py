@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Plots of scores, confusions, probabilities, uncertainties and the search for a dropout rate."""
+"""Plots of scores, confusions, probabilities and uncertainties."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.files.atomic import write_bytes
+from salsanext_cli.measures.calibration import Reliability
 from salsanext_cli.measures.risk_coverage import COVERAGE
 from salsanext_cli.measures.scores import Confusion, Ratios, Scores, ratio
 from salsanext_cli.measures.uncertainty_evaluation import (
@@ -35,6 +34,7 @@ PICTURES = {
     "eval_iou.png": "IoU of every class",
     "eval_confusion.png": "Confusion matrix",
     "eval_reliability.png": "Calibration of the softmax: accuracy against confidence",
+    "eval_error.png": "Calibration of the error: share of wrong points against the error",
     "eval_risk_coverage.png": "Wrong points among the least uncertain ones",
     "eval_sparsification.png": "Wrong points that are left as the most uncertain are removed",
     "eval_class_uncertainty.png": "Mean epistemic uncertainty of the classes",
@@ -46,7 +46,6 @@ NAMES_PX = 150
 """Space for the names of classes."""
 SMALLEST_SHARE = 0.005
 """Shares below this round to 0 % and are not written into their cell."""
-BEST_COLOUR = "#b3472f"
 DASHED = (0, (5, 2))
 LINES = {
     "confidence": (DARK, "-"),
@@ -85,6 +84,8 @@ def uncertainty_pictures(uncertainty: UncertaintyEvaluation, space: LabelSpace) 
     pictures = {}
     if uncertainty.calibration:
         pictures["eval_reliability.png"] = reliability_diagram(uncertainty.calibration)
+    if error := uncertainty.kinds.get("error"):
+        pictures["eval_error.png"] = error_diagram(error, space)
     if uncertainty.kinds:
         pictures["eval_risk_coverage.png"] = risk_coverage(uncertainty.kinds)
         pictures["eval_sparsification.png"] = sparsification(uncertainty.kinds)
@@ -163,54 +164,64 @@ def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
     return canvas.png_of(figure)
 
 
-def rate_curve(
-    path: Path, rates: Sequence[float], objectives: Sequence[float], best: float
-) -> None:
-    """Draw the objective over the dropout rate, logarithmic, the best rate marked, as a PNG."""
-    title = f"least at a dropout rate of {best:.3g}"
-    figure, axes = canvas.new_plot(760, 460, (90, 50, 640, 340), title)
-    axes.plot(rates, objectives, color=DARK, marker="o", markersize=5, linewidth=1.2)
-    axes.axvline(best, color=BEST_COLOUR, linewidth=1, linestyle=(0, (4, 3)))
-    axes.set_xscale("log")
-    axes.set_xticks(rates, [f"{rate:.2g}" for rate in rates])
-    axes.minorticks_off()
-    axes.set_xlabel("dropout rate")
-    axes.set_ylabel("objective per point")
-    canvas.plain_frame(axes)
-    write_bytes(path, canvas.png_of(figure))
-
-
 def reliability_diagram(result: CalibrationResult) -> bytes:
     """Draw accuracy against confidence, and the distribution of the points below, as a PNG."""
-    diagram, scores = result.reliability, result.scores
-    title = f"Calibration of the softmax · {scores.points:,} points"
-    if scores.points:
-        title += f" · ECE {percent(scores.ece, 2, ' %')}"
+    title = f"Calibration of the softmax · {result.scores.points:,} points"
+    figure, axes = _diagram(result.reliability, title, "confidence", "accuracy")
+    axes.legend(loc="upper left", frameon=False, fontsize=10)
+    return canvas.png_of(figure)
+
+
+def error_diagram(result: RankingResult, space: LabelSpace) -> bytes:
+    """Draw the share of wrong points against the error, of each true class and scan too, as PNG."""
+    title = f"Calibration of the error · {result.scores.points:,} points"
+    figure, axes = _diagram(result.reliability, title, "error", "share of wrong points")
+    present = {i: scores for i, scores in result.classes.items() if scores.points}
+    dots = np.array([(100 * s.mean, 100 * s.wrong / s.points) for s in present.values()])
+    dots = dots.reshape(-1, 2)
+    colours = screen_colours(space)[[*present]] / 255
+    ring: dict[str, Any] = {"edgecolors": DARK, "linewidths": 0.8, "zorder": 3}
+    label = "true class, on the mean"
+    axes.scatter(dots[:, 0], dots[:, 1], s=40, c=colours, label=label, **ring)
+    scans = 100 * (np.empty((0, 2)) if result.by_scan is None else result.by_scan)
+    cross: dict[str, Any] = {"marker": "x", "linewidths": 1, "zorder": 3}
+    axes.scatter(scans[:, 0], scans[:, 1], s=22, c=DARK, label="scan, on the mean", **cross)
+    axes.legend(loc="lower right", framealpha=0.9, fontsize=10)
+    _name_dots(axes, dots, [space.names[i] for i in present])
+    return canvas.png_of(figure)
+
+
+def _diagram(
+    diagram: Reliability | None, title: str, value: str, share: str
+) -> tuple[Figure, Axes]:
+    """Draw a share against a value, with the distribution of the points below."""
+    diagram = diagram or Reliability(np.zeros(1, int), np.zeros(1), np.zeros(1))
+    points = int(diagram.points.sum())
+    title += f" · ECE {percent(diagram.error, 2, ' %')}" if points else ""
     figure, axes = _main_plot(title, HEIGHT_ABOVE)
     bins = len(diagram.points)
     edges, width = 100 * np.arange(bins) / bins, 100 / bins
-    accuracy = np.nan_to_num(100 * diagram.accuracy)
-    gap = np.nan_to_num(100 * diagram.confidence) - accuracy
-    axes.bar(edges, accuracy, width, align="edge", color=SKY, edgecolor=canvas.PAPER)
+    shares = np.nan_to_num(100 * diagram.accuracy)
+    gap = np.nan_to_num(100 * diagram.confidence) - shares
+    axes.bar(edges, shares, width, align="edge", color=SKY, edgecolor=canvas.PAPER)
     hatched: dict[str, Any] = {"color": "none", "edgecolor": RED, "linewidth": 0.8, "hatch": "////"}
-    label = "gap to the mean confidence"
-    axes.bar(edges, gap, width, accuracy, align="edge", label=label, **hatched)
+    label = f"gap to the mean {value}"
+    axes.bar(edges, gap, width, shares, align="edge", label=label, **hatched)
     axes.plot([0, 100], [0, 100], color=DARK, linestyle=DASHED, linewidth=1, label="calibrated")
     axes.set_ylim(0, 100)
-    axes.set_ylabel("accuracy in %")
-    axes.legend(loc="upper left", frameon=False, fontsize=10)
+    axes.set_ylabel(f"{share} in %")
     below = canvas.axes_at(figure, LEFT, TOP + HEIGHT_ABOVE + 14, WIDTH, BELOW_PX)
-    shares = 100 * diagram.points / max(scores.points, 1)
-    below.bar(edges, shares, width, align="edge", color=canvas.FAINT, edgecolor=canvas.PAPER)
+    held = 100 * diagram.points / max(points, 1)
+    below.bar(edges, held, width, align="edge", color=canvas.FAINT, edgecolor=canvas.PAPER)
     below.set_ylabel("points in %")
-    below.set_ylim(0, max(1.0, 1.1 * float(shares.max())))
-    below.set_xlabel("confidence in %")
+    below.set_ylim(0, max(1.0, 1.1 * float(held.max())))
+    below.set_xlabel(f"{value} in %")
     axes.set_xticks(range(0, 101, 20), [""] * 6)
     below.set_xticks(range(0, 101, 20))
     for each in (axes, below):
         each.set_xlim(0, 100)
         canvas.plain_frame(each)
-    return canvas.png_of(figure)
+    return figure, axes
 
 
 def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:

@@ -114,7 +114,9 @@ def _calibration_table(softmax: CalibrationResult | None, error: RankingResult |
     if error and error.ece is not None:
         counts = (f"{error.scans:,}", f"{error.scores.points:,}")
         rows.append(("error", "", "", percent(error.ece, 2), "", "", *counts))
-        caption = "error: the probability that a label is wrong"
+        of_points = error.scores
+        means = percent(of_points.mean), percent(of_points.wrong / max(of_points.points, 1))
+        caption = "error: the probability that a label is wrong, mean {} %; {} % are".format(*means)
     errors = ("ECE %", "ECE per\nscan %", "ACE %")
     headings = ("calibration", "NLL,\nnats", "Brier", *errors, "scans", "points")
     return table_of(headings, rows, caption=caption)

@@ -11,7 +11,7 @@ from salsanext_cli.network.card import require_tensors
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Progress
-from salsanext_cli.report.plots import rate_curve
+from salsanext_cli.report.tuning_plots import rate_curve, risk_curve
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout
 from salsanext_cli.training.tuning.error import fit_error_model
 from salsanext_cli.training.tuning.risk import fit_risk
@@ -25,6 +25,8 @@ FITS: dict[str, Callable[..., Tuned]] = {
     "risk": fit_risk,
 }
 """Functions that fit a part of the weights: take `TuningScans`, and numbers of their own."""
+CURVES = {"dropout": rate_curve, "risk": risk_curve}
+"""Functions that draw what a fit reports, into a file beside the weights."""
 
 
 def tune(
@@ -50,16 +52,18 @@ def tune(
     loaded = network.load()
     files, space = labelled_scans(source, selection or VALIDATION, loaded.card)
     require_target(target, overwrite)
-    if part == "dropout":
-        require_absent(curve_of(target), overwrite)
+    curve = curve_of(target, part) if part in CURVES else None
+    if curve:
+        require_absent(curve, overwrite)
     tuned = fit(TuningScans(source, files, space, network, loaded, progress), **numbers)
-    report = tuned.report
-    if part == "dropout":
-        rate_curve(curve_of(target), report["rates"], report["objectives"], report["best"])
+    report = {"stage": f"tune {part}", **tuned.report}
+    if curve:
+        CURVES[part](curve, report)
+        report["curve"] = str(curve)
     save_with_card(network.path, target, tuned.card)
-    return {"stage": f"tune {part}", **report}
+    return report
 
 
-def curve_of(target: Path) -> Path:
-    """Return the path of the curve of "dropout" that goes with a weights file."""
-    return target.with_name(f"{target.stem}_dropout.png")
+def curve_of(target: Path, part: str) -> Path:
+    """Return the path of the curve of a part that goes with a weights file."""
+    return target.with_name(f"{target.stem}_{part}.png")

@@ -21,6 +21,7 @@ from salsanext_cli.report.plots import (
     WIDTH,
     class_uncertainty,
     confusion_picture,
+    error_diagram,
     iou_bars,
     reliability_diagram,
     risk_coverage,
@@ -101,5 +102,6 @@ def test_pictures_are_of_one_size_with_wrong_points_or_without(count):
         sparsification({"epistemic": result}),
         class_uncertainty(result, SPACE),
         reliability_diagram(calibration_result([])),
+        error_diagram(result, SPACE),
     ):
         assert pixels(picture).shape[1::-1] == PLOT_PX

@@ -244,6 +244,9 @@ def test_it_is_scored_as_the_others_are_and_as_a_probability(world):
     assert found.ece == pytest.approx(2 * 0.125 / 4)
     report = json.loads((world.out / "eval.json").read_text())
     assert report["uncertainty"]["error"]["ece"] == found.ece
+    assert found.by_scan.tolist() == [[0.125, 0], [0.375, 1 / 3]]
+    assert found.reliability.points.sum() == 4
+    assert (world.out / "eval_error.png").exists()
     assert report["kept"]["kind"] == "error"
     assert (report["kept"]["coverage"], report["kept"]["risk"]) == (0.5, 0)
     assert report["kept"]["sentence"] == evaluation.uncertainty.kept.sentence

@@ -60,8 +60,8 @@ def test_every_rate_against_a_slow_loop_and_the_least_is_stored(world, target, t
     assert tuned["scans"] == 2
     assert read_card(target).architecture["dropout"] == tuned["best"]
     assert {layer.rate for layer in dropouts(read_weights(target)[0])} == {tuned["best"]}
-    assert curve_of(target).read_bytes().startswith(b"\x89PNG")
-    assert curve_of(target).name == "tuned_dropout.png"
+    assert curve_of(target, "dropout").read_bytes().startswith(b"\x89PNG")
+    assert curve_of(target, "dropout").name == "tuned_dropout.png"
 
 
 def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_it(
@@ -93,7 +93,7 @@ def test_the_end_of_the_range_is_named(world, target, caplog, monkeypatch, objec
 
 
 def test_a_curve_is_not_overwritten_unasked(world, target):
-    curve_of(target).write_bytes(b"precious")
+    curve_of(target, "dropout").write_bytes(b"precious")
     with pytest.raises(OutputError, match=r"tuned_dropout\.png · exists"):
         go(world, target)
-    assert curve_of(target).read_bytes() == b"precious"
+    assert curve_of(target, "dropout").read_bytes() == b"precious"

@@ -48,6 +48,14 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     expected = {"kind": "least_confidence", "at_most": 0.3, "confidence": None, "scans": 3}
     assert risk.items() >= {**expected, "sequences": ["00", "08"]}.items()
     assert [each["sequence"] for each in tuned["left_out"]] == ["00", "08"]
+    kept, wrong = np.array(tuned["risk_coverage"])
+    shares = np.array(tuned["of_scans"])
+    assert np.interp(shares[:, 0].mean(), kept, wrong) == pytest.approx(
+        shares[:, 1].mean(), abs=0.01
+    )
+    assert (np.diff(kept) > 0).all()
+    assert (np.diff(wrong) >= 0).all()
+    assert target.with_name(f"{target.stem}_risk.png").read_bytes().startswith(b"\x89PNG")
     network = replace(world.network, weights=target)
     caplog.set_level("INFO")
     outcome = predict_scans(world.data, world.out, network=network, reject="risk")

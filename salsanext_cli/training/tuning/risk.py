@@ -32,6 +32,8 @@ from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import knows_error, label_error
 
+CURVE_POINTS = 101
+
 log = logging.getLogger(__name__)
 
 
@@ -128,6 +130,8 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         "trained_on": trained_on,
         "kept": asdict(labels),
         "left_out": left_out,
+        "risk_coverage": _curve(shares.mean(axis=0)),
+        "of_scans": shares[:, :, held - 1].tolist(),
         "sentences": [*labels.sentences, *map(_sentence, left_out)],
     }
     if above := [each["sequence"] for each in left_out if exceeds(each, **numbers)]:
@@ -135,6 +139,14 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
     elif not left_out:
         log.warning("scans of one sequence do not tell how the threshold holds on another")
     return Tuned(replace(network.card, risk=risk), report)
+
+
+def _curve(means: Ratios) -> list[list[float]]:
+    """Return what is kept, and kept and wrong, at about `CURVE_POINTS` of all thresholds (2, B)."""
+    wanted = np.linspace(0, means[0, -1], CURVE_POINTS)
+    steps = np.unique(np.searchsorted(means[0], wanted).clip(max=means.shape[1] - 1))
+    points: list[list[float]] = means[:, steps].tolist()
+    return points
 
 
 def _warn_of_fitted(scans: TuningScans) -> None:

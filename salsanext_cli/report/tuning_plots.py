@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: MIT
+"""Plots of what `tune` chose: a dropout rate, a threshold of risk."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from salsanext_cli.files.atomic import write_bytes
+from salsanext_cli.report import canvas
+from salsanext_cli.report.canvas import DARK
+
+CHOSEN = "#b3472f"
+"""Colour of what was chosen."""
+DASHES = (0, (4, 3))
+SIZE, PLACE = (760, 460), (90, 50, 640, 340)
+"""Pixels of a plot, and of its axes."""
+
+
+def rate_curve(path: Path, report: Mapping[str, Any]) -> None:
+    """Draw the objective over the dropout rate, logarithmic, the best rate marked, as a PNG."""
+    rates, objectives, best = (report[name] for name in ("rates", "objectives", "best"))
+    title = f"least at a dropout rate of {best:.3g}"
+    figure, axes = canvas.new_plot(*SIZE, PLACE, title)
+    axes.plot(rates, objectives, color=DARK, marker="o", markersize=5, linewidth=1.2)
+    axes.axvline(best, color=CHOSEN, linewidth=1, linestyle=DASHES)
+    axes.set_xscale("log")
+    axes.set_xticks(rates, [f"{rate:.2g}" for rate in rates])
+    axes.minorticks_off()
+    axes.set_xlabel("dropout rate")
+    axes.set_ylabel("objective per point")
+    canvas.plain_frame(axes)
+    write_bytes(path, canvas.png_of(figure))
+
+
+def risk_curve(path: Path, report: Mapping[str, Any]) -> None:
+    """Draw the points that are kept and wrong over those that are kept, as `tune risk` reports."""
+    level, held_out = 100 * report["at_most"], report["left_out"]
+    title = f"{report['kind']} up to {report['threshold']:.3g} kept · at most {level:.3g} % wrong"
+    figure, axes = canvas.new_plot(*SIZE, PLACE, title)
+    kept, wrong = 100 * np.array(report["risk_coverage"])
+    axes.plot(kept, wrong, color=DARK, label="every threshold, mean of scans")
+    axes.axhline(level, color=CHOSEN, linewidth=1, linestyle=DASHES, label="level")
+    scans = 100 * np.array(report["of_scans"])
+    cross: dict[str, Any] = {"marker": "x", "linewidths": 1, "label": "scan, at the threshold"}
+    axes.scatter(scans[:, 0], scans[:, 1], s=22, c=DARK, **cross)
+    worst = 100 * np.array([(each["kept"], each["worst"]) for each in held_out]).reshape(-1, 2)
+    label = "sequence by the threshold of the others, worst scan"
+    axes.scatter(worst[:, 0], worst[:, 1], s=46, facecolors="none", edgecolors=CHOSEN, label=label)
+    axes.set_xlim(0, 100)
+    axes.set_ylim(0, 1.1 * max(2 * level, *scans[:, 1], *worst[:, 1]))
+    axes.set_xlabel("coverage: points that are kept, in %")
+    axes.set_ylabel("kept and wrong, in % of all points")
+    axes.legend(loc="upper left", frameon=False, fontsize=10)
+    canvas.plain_frame(axes)
+    write_bytes(path, canvas.png_of(figure))
