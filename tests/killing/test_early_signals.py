@@ -36,7 +36,7 @@ def begun(**environment: str) -> subprocess.Popen[str]:
 
 
 @SIGNALS
-@pytest.mark.parametrize("step", [1, 10, 20])
+@pytest.mark.parametrize("step", [1, 9, 17])
 def test_a_signal_among_the_imports(number: signal.Signals, step: int) -> None:
     process = begun(SIGNAL_AT=f"salsanext_cli/cli/:{step}:{number:d}")
     assert process.communicate(timeout=60) == ("", SAID[number])
