@@ -27,7 +27,7 @@ class Start:
     """Recipe, weights and sensor that a training starts from."""
 
     recipe: str = network_option(
-        "paper, paper-v1, modern, street, finetune, drive, quick, or a .toml file.", default="paper"
+        "paper, paper-v1, modern, street, finetune, quick, or a .toml file.", default="paper"
     )
     changes: list[str] | None = network_option(
         "Value instead of the recipe's; may be given several times.", "--set", metavar="KEY=VALUE"
@@ -35,7 +35,7 @@ class Start:
     epochs: int | None = network_option("Number of epochs instead of the recipe's.")
     weights: Path | None = network_option(
         "Weights to start from; default: those of the package.",
-        show_default="random; with finetune and drive those of the package",
+        show_default="random; with finetune those of the package",
     )
     sensor: str | None = network_option(
         options.SENSOR_HELP, show_default="the sensor of --weights, else hdl64"

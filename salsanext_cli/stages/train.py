@@ -2,23 +2,19 @@
 """Stage `train`: a labelled data set to a run folder with weights, log and curve."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
-from salsanext_cli.engines.loading import network_of_module
-from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
+from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import read_json
-from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.network.weights import read_weights
+from salsanext_cli.network.card import default_weights
 from salsanext_cli.parallel.options import worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
-from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.results.stage_records import as_json
@@ -27,7 +23,6 @@ from salsanext_cli.stages.synth import LABEL_SPACE, MANIFEST, manifest, synthesi
 from salsanext_cli.synthesis.rig import RIGS
 from salsanext_cli.training.cross_validation import Expectation
 from salsanext_cli.training.data.class_counts import ClassCounts, class_counts, require_labels
-from salsanext_cli.training.data.fused import FusedScan, agreement, fused_drives
 from salsanext_cli.training.data.sources import (
     Source,
     further_source,
@@ -56,9 +51,6 @@ from salsanext_cli.training.setup import Setup, initial_network
 
 SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0
 """Scans of a simulated street, and the distance between two."""
-
-LEAST_GAIN_PERCENT = 2.0
-"""Least rise of the agreement of scans held out of weights from a drive that are kept."""
 
 log = logging.getLogger(__name__)
 
@@ -114,28 +106,14 @@ def train(
         raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
     start = default_weights() if weights is None and recipe.initial == "default" else weights
     with process_group(device) as (group, own_device), ExitStack() as held:
-        drives: dict[str, list[FusedScan]] = {}
-        if recipe.disagreement:
-            classes, training, drives = group.on_main(
-                lambda: fused_drives(dataset, recipe.disagreement)
-            )
-            validation: list[ScanFile] = []
-        else:
-            classes, training, validation = group.on_main(
-                lambda: scans_to_train_on(dataset, space, divisible=recipe.folds > 0)
-            )
+        classes, training, validation = group.on_main(
+            lambda: scans_to_train_on(dataset, space, divisible=recipe.folds > 0)
+        )
         if recipe.precision == "auto":
             begun = None if overwrite else group.on_main(lambda: recorded_precision(run))
             recipe = replace(recipe, precision=begun or common_precision(own_device, group))
         initial, card = initial_network(start, classes, recipe, sensor)
         sensor = card.sensor
-        if drives:
-            trained = read_card(start) if start else None
-            if trained is None or not trained.space.fits(classes):
-                found = f"labels of {classes.name}, {start.name if start else 'random weights'}"
-                raise UsageError(f"--weights for {dataset}", found, "weights of the same classes")
-            # No truth tells another temperature.
-            card = replace(card, temperature=trained.temperature)
         roots = ", ".join(path.resolve().name for path in (dataset, *also))
         further = group.on_main(lambda: [further_source(path, classes, sensor) for path in also])
         given = [Source(files, classes, sensor) for files in (training, validation)] + further
@@ -182,29 +160,11 @@ def train(
             draw=draw_sample,
             report=progress,
         )
-        outlook = None if validation or drives else setup.cross_validated()
-        setup = setup if validation or drives else setup.after(outlook)
+        outlook = None if validation else setup.cross_validated()
+        setup = setup if validation else setup.after(outlook)
         state = setup.training(training, scored).fit()
-        if drives:
-            group.on_main(partial(_keep_if_agreed, setup, drives))
     best = state.best if validation else None
     return TrainResult(run / BEST, run / LAST, best, state.rows, counts.warnings, outlook)
-
-
-def _keep_if_agreed(setup: Setup, drives: Mapping[str, Sequence[FusedScan]]) -> None:
-    """Write the last weights as the best if the views of scans held out agree more than before."""
-    last, device, fitted = setup.run / LAST, str(setup.device), setup.sources[0].fitted
-    module, card = read_weights(last)
-    before, after = (
-        100 * agreement(network_of_module(each.to(setup.device), card, device), drives, fitted)
-        for each in (setup.initial.eval(), module)
-    )
-    found = f"fusion leaves {after:.1f} % of the labels of scans held out, before {before:.1f} %"
-    if after < before + LEAST_GAIN_PERCENT:
-        expected = f"at least {LEAST_GAIN_PERCENT:g} points more"
-        raise TrainingError(last, found, expected, "keep the weights before")
-    log.log(NOTICE, "%s", found)
-    OwnedFolder(setup.run).write(setup.run / BEST, last.read_bytes(), durable=True)
 
 
 def _simulated_streets(

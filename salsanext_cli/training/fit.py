@@ -164,10 +164,8 @@ class Training:
         tensors = {name: tensor.cpu().contiguous() for name, tensor in state_dict.items()}
         weights = safetensors.torch.save(tensors, card.to_metadata())
         written.write(self.run / LAST, weights, durable=True)
-        recipe = self.learner.recipe
-        last_of_all = not self.validation.files and state.epoch == recipe.epochs
-        # Weights that learned from fused labels are compared with those before first.
-        if row.get("miou", -1) > state.best or (last_of_all and not recipe.disagreement):
+        last_of_all = not self.validation.files and state.epoch == self.learner.recipe.epochs
+        if row.get("miou", -1) > state.best or last_of_all:
             state.best = row.get("miou", state.best)
             written.write(self.run / BEST, weights, durable=True)
         write_log(self.run / LOG, state.rows)

@@ -71,7 +71,6 @@ class Recipe:
     sensors: Annotated[str, one_of("given", "fitted")] = "given"
     also: Share = 0.5
     streets: Count = 0
-    disagreement: Share = 0.0
     intensity: Share = 0.0
     no_intensity: Share = 0.0
     mount: Share = 0.0

@@ -46,8 +46,8 @@ def training_settings(
         "scans": scans_digest([*first.files, *validation.files]),
         "weights": fingerprint(weights) if weights else None,
     }
-    if first.files and (recipe.folds or recipe.disagreement):
-        # Labels of a few scans are corrected, or fused anew, and trained on again.
+    if first.files and recipe.folds:
+        # Labels of a few scans are corrected, and trained on again.
         labels = "".join(digest_of_file(file.label_path) for file in first.files)
         settings["labels"] = hashlib.sha256(labels.encode()).hexdigest()[:16]
     if further:

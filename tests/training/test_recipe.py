@@ -25,7 +25,7 @@ def test_recipes_of_the_paper_change_scans_only_as_the_paper_does() -> None:
     of_modern = ("mix", "paste", "label_smoothing", "whole_epochs")
     keys = (*of_modern, "intensity", "fewer_beams", "jitter", "holes")
     others = {name for name in presets() if any(getattr(recipe(name), key) for key in keys)}
-    assert others == {"drive", "finetune", "modern", "street"}
+    assert others == {"finetune", "modern", "street"}
     assert all(getattr(recipe("modern"), key) for key in of_modern)
 
 
@@ -46,7 +46,7 @@ def test_an_unknown_key_or_recipe_names_the_known_ones(tmp_path: Path) -> None:
         recipe(path)
     with pytest.raises(UsageError, match="unknown key learnig_rate"):
         Recipe().with_changes(learnig_rate=1.0)
-    with pytest.raises(UsageError, match=r"recipe papr .* one of drive, finetune, .* street"):
+    with pytest.raises(UsageError, match=r"recipe papr .* one of finetune, .* street"):
         recipe("papr")
 
 

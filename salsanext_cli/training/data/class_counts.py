@@ -24,7 +24,6 @@ from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.card import parted, scan_digest
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.training.data.fused import FusedScan
 from salsanext_cli.training.data.sources import Source, read_labelled
 
 Counts = npt.NDArray[np.int64]
@@ -179,7 +178,6 @@ def data_digest(
     for source in sources:
         sensors = [source.sensor, *source.fitted.values()]
         settings += [source.space.to_dict(), *(sensor.to_dict() for sensor in sensors)]
-        settings += [file.most for file in source.files[:1] if isinstance(file, FusedScan)]
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode())
     files = [*(file for source in sources for file in source.files), *validated]
     for path in (path for file in files for path in (file.path, file.label_path)):

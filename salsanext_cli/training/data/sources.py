@@ -28,7 +28,6 @@ from salsanext_cli.results.selection import (
 )
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 from salsanext_cli.training.data.augment import LabelledScan
-from salsanext_cli.training.data.fused import FusedScan
 from salsanext_cli.training.data.targets import ClassSets, to_targets
 
 log = logging.getLogger(__name__)
@@ -40,8 +39,7 @@ def read_labelled(
     """Read a scan and the targets of its points, (N,) uint8; without sets these are train ids."""
     scan = read_scan(file.path, sensor)
     raw = read_labels(file.label_path, len(scan))
-    targets = to_targets(raw, space, sets, file.label_path)
-    return scan, file.taught(targets, space) if isinstance(file, FusedScan) else targets
+    return scan, to_targets(raw, space, sets, file.label_path)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
