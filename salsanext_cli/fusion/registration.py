@@ -9,7 +9,14 @@ import numpy as np
 
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.fusion.drive import Drive
-from salsanext_cli.fusion.pose_checks import MIN_UPRIGHT, min_overlap, overlap, upright_points
+from salsanext_cli.fusion.pose_checks import (
+    MARGIN,
+    MIN_OVERLAP,
+    MIN_UPRIGHT,
+    SURE_OVERLAP,
+    overlap,
+    upright_points,
+)
 from salsanext_cli.fusion.poses import Points, Poses
 from salsanext_cli.records import Float
 
@@ -20,10 +27,13 @@ MAP_SCANS = 100
 """Scans after which a place that was not seen again leaves the map."""
 OTHER_STEPS = tuple(
     np.block([[np.eye(3), np.array(place)[:, None]], [0, 0, 0, 1]])
-    for size in (2.0, -2.0, 5.0, 9.0, 14.0)
+    for size in (2.0, -2.0, 4.0, 6.0, 8.0, 11.0, 14.0)
     for place in ((size, 0, 0), (0, size, 0))
 )
-"""Steps that are tried where going on as before leads nowhere, as at the start of a drive."""
+"""Steps that are compared where going on as before is not as good as before, as at the start."""
+LARGEST_DROP = 0.2
+"""By which less of a scan may lie on the one before than of that on its own: along a row of houses,
+wrong places have some overlap, too."""
 PART_M = 1000.0
 """Distance to the origin of the next part of a drive."""
 
@@ -38,6 +48,7 @@ class Part:
     pose: Poses  # Its pose
     step: Poses  # From the one before to it
     upright: Points  # Its points that tell whether another lies on it
+    share: float = 1.0  # Of its points that lie on the one before
 
 
 def register(scans: Iterable[Float]) -> Drive:
@@ -63,11 +74,12 @@ def register(scans: Iterable[Float]) -> Drive:
                 far, downsampling_resolution=DOWNSAMPLED_M, num_threads=1
             )
             for each in parts:
-                if (pose := _aligned(small_gicp, each, cloud, index, upright)) is not None:
+                share, pose = _aligned(small_gicp, each, cloud, index, upright)
+                if share >= max(MIN_OVERLAP, min(each.share, SURE_OVERLAP) - LARGEST_DROP):
                     step = np.linalg.inv(each.pose) @ pose
                     # A step over scans that did not fit is none to go on with.
                     step = step if index == each.index + 1 else each.step
-                    part = Part(each.number, each.map, index, pose, step, upright)
+                    part = Part(each.number, each.map, index, pose, step, upright, share)
                     break
             if part.map is None:
                 part.map = small_gicp.GaussianVoxelMap(MAP_VOXEL_M)
@@ -79,10 +91,13 @@ def register(scans: Iterable[Float]) -> Drive:
     return Drive(np.array(poses).reshape(-1, 4, 4), np.array(numbers, np.int64))
 
 
-def _aligned(small_gicp: Any, part: Part, cloud: Any, index: int, upright: Points) -> Poses | None:
-    """Return the pose by which a scan comes to lie on the last one of a part, None without any."""
+def _aligned(
+    small_gicp: Any, part: Part, cloud: Any, index: int, upright: Points
+) -> tuple[float, Poses]:
+    """Return the share of a scan's points that lies on the last scan of a part, and its pose."""
+    best = 0.0, part.pose
     going_on = np.linalg.matrix_power(part.step, index - part.index)
-    for guess in (going_on, *OTHER_STEPS):
+    for number, guess in enumerate((going_on, *OTHER_STEPS)):
         result = small_gicp.align(
             part.map,
             cloud,
@@ -91,9 +106,9 @@ def _aligned(small_gicp: Any, part: Part, cloud: Any, index: int, upright: Point
             num_threads=1,
         )
         pose: Poses = result.T_target_source
-        if not np.isfinite(pose).all():
-            continue
-        step = np.linalg.inv(part.pose) @ pose
-        if overlap(upright, part.upright, step) >= min_overlap(step):
-            return pose
-    return None
+        if np.isfinite(pose).all():
+            share = overlap(upright, part.upright, np.linalg.inv(part.pose) @ pose)
+            best = max(best, (share, pose), key=lambda found: found[0])
+        if number == 0 and best[0] >= max(MIN_OVERLAP, part.share - MARGIN):
+            break
+    return best

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds, label_space
 from salsanext_cli.errors import SalsanextError, UsageError, counted
 from salsanext_cli.fusion.drive import Drive
-from salsanext_cli.fusion.pose_checks import Parts, fitting_parts
+from salsanext_cli.fusion.pose_checks import MAX_MISFIT, Parts, fitting_parts
 from salsanext_cli.fusion.poses import Poses, is_rigid
 from salsanext_cli.fusion.visibility import nearest_ranges, seen_by
 from salsanext_cli.fusion.votes import MAX_CELLS, SCALE, VOXEL_SIZES_M, Tally, View, tally, view_of
@@ -228,11 +228,16 @@ def fuse(
             raise UsageError(subject, f"an array {softmax.shape}", expected)
         if not ((softmax >= 0) & (softmax < 1 + ROUNDING)).all():
             raise UsageError(subject, "NaN, below 0 or above 1", "a softmax")
+        if not (np.abs(softmax.sum(axis=1) - 1) < ROUNDING * softmax.shape[1]).all():
+            raise UsageError(subject, "rows that do not add up to 1", "a softmax")
         softmax = np.minimum(softmax, 1)
         return points, softmax, voting(softmax)
 
-    drive = Drive(placed, fitting_parts(placed, lambda index: scans[index].points)[0])
-    window = FusionWindow(drive, read, reach, movable_classes(known))
+    parts, misfit = fitting_parts(placed, lambda index: scans[index].points)
+    if misfit > MAX_MISFIT:
+        found = f"they do not fit {misfit:.0%} of the scans"
+        raise UsageError("poses", found, "from each scan to the drive, in metres")
+    window = FusionWindow(Drive(placed, parts), read, reach, movable_classes(known))
     return [window.tally(index) for index in range(len(scans))]
 
 

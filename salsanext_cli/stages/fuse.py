@@ -240,9 +240,13 @@ def require_fusable(source: Path | Sequence[Path], out: Path, shard: Shard) -> N
     if shard.count > 1:
         remedy = f"run `salsanext fuse {out}` when all shares are predicted"
         raise UsageError("--fuse", "only a share of the scans", "all of them", remedy)
-    for _, files in groupby(scans_of(source), lambda file: file.sequence):
-        if _beside([*files]) is None:
+    for _, group in groupby(scans_of(source), lambda file: file.sequence):
+        files = sorted(group, key=drive_order)
+        if (poses := _beside(files)) is None:
             import_extra("small_gicp", "fuse")
+        else:
+            # What is no pose is said before an hour of prediction.
+            _read_given(poses, files)
 
 
 def _beside(files: Sequence[ScanFile]) -> Path | None:
@@ -256,9 +260,13 @@ def _given(path: Path | None, files: Sequence[ScanFile], sensor: Sensor) -> Driv
     """Read the poses of scans, if there are any, and look whether they fit the scans."""
     if path is None:
         return None
+    return _checked(path, _read_given(path, files), files, sensor)
+
+
+def _read_given(path: Path, files: Sequence[ScanFile]) -> Poses:
     beside = sorted(find_scans(files[0].path.parent), key=drive_order)
     stems, wanted = ([file.stem for file in each] for each in (beside, files))
-    return _checked(path, read_poses(path, stems, wanted), files, sensor)
+    return read_poses(path, stems, wanted)
 
 
 def _checked(path: Path, poses: Poses, files: Sequence[ScanFile], sensor: Sensor) -> Drive:

@@ -4,6 +4,8 @@ import pytest
 from test_pose_checks import street
 from test_poses import along
 
+from salsanext_cli import read_scan
+from salsanext_cli.fusion.poses import read_poses
 from salsanext_cli.fusion.registration import register
 
 pytest.importorskip("small_gicp")
@@ -36,3 +38,26 @@ def test_a_drive_goes_on_behind_a_scan_that_shows_nothing(bad):
 
 def test_no_scans_have_no_poses():
     assert register([]).poses.shape == (0, 4, 4)
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(("drive", "start"), [("0004", 28), ("0001", 20)])
+def test_a_real_drive_may_begin_in_motion(real_data, drive, start):
+    folder = real_data / "data/drives/sequences" / drive
+    stems = [f"{number:06d}" for number in range(start, start + 4)]
+    stems_of_all = sorted(path.stem for path in (folder / "velodyne").iterdir())
+    true = read_poses(folder / "poses.txt", stems_of_all, stems)
+    clouds = (read_scan(folder / f"velodyne/{stem}.bin").points for stem in stems)
+    found = register(points[np.isfinite(points).all(axis=1)] for points in clouds)
+    steps = [np.linalg.inv(poses[:-1]) @ poses[1:] for poses in (true, found.poses)]
+    assert np.linalg.norm(steps[0][:, :3, 3], axis=1).min() > 2
+    np.testing.assert_allclose(steps[1][:, :3, 3], steps[0][:, :3, 3], atol=0.3)
+    assert not found.parts.any()
+
+
+@pytest.mark.real
+def test_a_jump_back_along_a_real_drive_begins_a_part(real_data):
+    folder = real_data / "data/drives/sequences/0004/velodyne"
+    clouds = [read_scan(folder / f"{number:06d}.bin").points for number in [*range(8)] * 2]
+    found = register(points[np.isfinite(points).all(axis=1)] for points in clouds)
+    assert found.parts.tolist() == [0] * 8 + [1] * 8

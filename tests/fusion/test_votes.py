@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_pose_checks import SEEN, WAY
 
 from salsanext_cli import LabelSpace, Scan, label_space
 from salsanext_cli.errors import UsageError
@@ -312,6 +313,8 @@ def test_poses_that_are_none_are_refused(damage):
         (np.full((60, CLASSES), np.inf), ".*above 1"),
         (np.full((60, CLASSES), -0.1), ".*below 0"),
         (np.full((60, CLASSES), 5.0), ".*above 1"),
+        (np.zeros((60, CLASSES)), "rows that do not add up to 1"),
+        (np.ones((60, CLASSES)), "rows that do not add up to 1"),
     ],
 )
 def test_what_is_no_softmax_of_the_scan_is_refused(softmax, found):
@@ -319,6 +322,14 @@ def test_what_is_no_softmax_of_the_scan_is_refused(softmax, found):
     of_scans[2] = softmax
     with pytest.raises(UsageError, match=f"probabilities of scan 2 · {found}"):
         fuse(scans, of_scans, poses)
+
+
+def test_poses_that_do_not_fit_the_scans_are_refused():
+    softmax = np.eye(CLASSES, dtype=np.float32)[np.full(len(SEEN(0)), ROAD)]
+    scans = [Scan(SEEN(i).astype(np.float32), np.zeros(len(softmax), np.float32)) for i in range(6)]
+    assert max(tally.views.max() for tally in fuse(scans, [softmax] * 6, WAY[:6])) == 6
+    with pytest.raises(UsageError, match="do not fit"):
+        fuse(scans, [softmax] * 6, np.linalg.inv(WAY[:6]))
 
 
 def test_as_many_of_each_as_scans_are_expected():

@@ -309,6 +309,11 @@ def test_predict_can_fuse_at_once(world):
     assert result.exit_code == 0, result.output
     assert only_json(result)["done"] == 2
     assert len(list((fused_folder(world) / "predictions").iterdir())) == 2
+    (folder / "poses.txt").write_bytes(b"nan " * 12 + b"\n" + b"1 " * 12)
+    words[2] = world.out.with_name("never")
+    bad = CliRunner().invoke(app, [*map(str, words), "--engine", "torch"])
+    assert (bad.exit_code, words[2].exists()) == (1, False)
+    words[2] = world.out
     shared = CliRunner().invoke(app, [*map(str, words), "--engine", "torch", "--shard", "1/2"])
     assert shared.exit_code == 2
     votes = np.load(world.result("votes"))
