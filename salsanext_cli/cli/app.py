@@ -8,7 +8,7 @@ from io import TextIOWrapper
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 from salsanext_cli.cli import look, models, own_data, pipeline, results
 from salsanext_cli.cli.console import WRONG_USE, guarded, usage_errors
@@ -56,6 +56,17 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
 
 UNUSED = "scipy.linalg"
 """Module that numba imports if it can: a quarter of a second for what no kernel uses."""
+
+
+class Command(TyperCommand):
+    """Command whose flag for help shows no type, as its other flags show none."""
+
+    def get_help_option(self, ctx: Any) -> Any:
+        """Return the option of the help."""
+        option = super().get_help_option(ctx)
+        if option is not None:
+            option.metavar = ""
+        return option
 
 
 class Sections(TyperGroup):
@@ -123,7 +134,7 @@ for commands in COMMANDS.values():
         else:
             # The further ones of several sources are no parameters.
             several = {"allow_extra_args": "context" in signature(command).parameters}
-            app.command(name, context_settings=several)(guarded(expanded(command)))
+            app.command(name, cls=Command, context_settings=several)(guarded(expanded(command)))
 
 
 def main() -> None:

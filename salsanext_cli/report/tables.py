@@ -79,7 +79,7 @@ def score_table(result: Scores, title: str = "") -> Table:
     ]
     frequent = sum(c.points >= FREQUENT_POINTS for c in result.classes)
     if frequent < present:
-        name = f"mean IoU, {frequent} classes with ≥ {FREQUENT_POINTS} points"
+        name = f"mean IoU, {frequent} with ≥ {FREQUENT_POINTS} points"
         totals.append((name, percent(result.iou_mean_frequent)))
     headings = ("class", "IoU %", "precision %", "recall %", "points")
     return table_of(headings, rows, totals=totals, title=title)
