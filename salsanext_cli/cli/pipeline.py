@@ -148,9 +148,11 @@ def predict(
             outcome = predict_range_images(
                 source, out, network=network, selection=selection, options=run
             )
+    results = out
     if fuse and outcome.done + outcome.skipped:
-        outcome = _then_fused(outcome, out, selection, running, output)
-    run_end.finish("predict", outcome, out, output, split=selection.split, strict=strict)
+        outcome, results = _then_fused(outcome, out, selection, running, output)
+    split = selection.split
+    run_end.finish("predict", outcome, out, output, split=split, strict=strict, results=results)
 
 
 def _require_fusable(
@@ -162,7 +164,7 @@ def _require_fusable(
     for name in (name for name, given in of_single.items() if given):
         remedy = "it is of the labels of single scans, which fusion changes"
         raise UsageError("--fuse", f"with --{name}", "one of the two", remedy)
-    require_fusable(source, out, running.shard)
+    require_fusable(source, out, running)
 
 
 def _then_fused(
@@ -171,8 +173,8 @@ def _then_fused(
     selection: ScanSelection,
     running: RunOptions,
     output: console.Output,
-) -> "Outcome":
-    """Fuse what was predicted; return the outcome of both."""
+) -> "tuple[Outcome, Path]":
+    """Fuse what was predicted; return the outcome of both, and the folder of the fused labels."""
     from salsanext_cli.stages.fuse import FUSED, fuse_results
 
     with over_scans("fuse", running, output.quiet) as run:
@@ -181,7 +183,7 @@ def _then_fused(
     failures = dict.fromkeys((*outcome.failures, *fused.failures))
     if outcome.summary is not None and fused.summary is not None:
         outcome.summary.findings.update(fused.summary.findings)
-    return replace(outcome, failures=tuple(failures))
+    return replace(outcome, failures=tuple(failures)), out / FUSED
 
 
 def _require_no_scans(knn: KnnParameters, batch: str, of_points: dict[str, bool]) -> None:

@@ -245,8 +245,13 @@ def export_ply(
         bool, typer.Option("--map", help="Write one cloud of each drive with labels of `fuse`.")
     ] = False,
     voxel: Annotated[
-        float, typer.Option("--map-voxel", help="Edge of the voxels of one point each, in metres.")
-    ] = 0.1,
+        float | None,
+        typer.Option(
+            "--map-voxel",
+            help="Edge of the voxels of one point each, in metres.",
+            show_default="0.1",
+        ),
+    ] = None,
     query: ResultQuery,
     running: RunOptions,
     output: console.Output,
@@ -257,6 +262,8 @@ def export_ply(
     """
     from salsanext_cli.stages.export_ply import export_ply as stage
 
+    if voxel is not None and not as_map:
+        raise UsageError("--map-voxel", "without --map", "both, or neither")
     out = results.folder()
     with over_scans("export-ply", running, output.quiet) as run:
         outcome = stage(
@@ -265,7 +272,7 @@ def export_ply(
             scale=scale,
             max_error=max_error,
             form=form,
-            voxel=voxel if as_map else None,
+            voxel=(0.1 if voxel is None else voxel) if as_map else None,
             query=query,
             options=run,
         )

@@ -30,14 +30,16 @@ def finish(
     *more: str,
     split: str | None = None,
     strict: bool = False,
+    results: object = None,
 ) -> NoReturn:
     """Say what became of a run over scans and leave with the exit status for it.
 
     `more`: options that the command to type next needs as well; `split`: the split that the scans
-    are of, if one was named; `strict`: whether warnings about scans count as failures.
+    are of, if one was named; `strict`: whether warnings about scans count as failures; `results`:
+    folder for that command, if not `out`.
     """
     name_failures(outcome.failures)
-    following = next_command(stage, outcome, str(out), more, split)
+    following = next_command(stage, outcome, str(results or out), more, split)
     found = {"stage": stage, "out": str(out), **_as_data(outcome), "next": following}
     output.result(found)
     each, missing = found["seconds_per_scan"], outcome.missing
@@ -110,10 +112,10 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
 
 
 def warning_lines(warnings: Iterable[Mapping[str, Any]]) -> Iterable[str]:
-    """Yield a line for each kind of warning, with its scans."""
+    """Yield a line for each kind of warning, with its scans; of a sequence all was said before."""
     for warning in warnings:
-        scans = first_few(warning["scans"])
-        yield f"warning: {warning['code']} in {counted(len(warning['scans']), 'scan')}: {scans}"
+        if scans := [name for name in warning["scans"] if "/" in name]:
+            yield f"warning: {warning['code']} in {counted(len(scans), 'scan')}: {first_few(scans)}"
 
 
 def next_command(
@@ -145,9 +147,9 @@ def next_command(
 
 
 def name_failures(failures: tuple[Failure, ...]) -> None:
-    """Name every scan that failed, on stderr."""
-    for failure in failures:
-        tell(f"error: {failure.reason}")
+    """Name every scan that failed, on stderr; once what several failed for."""
+    for reason in dict.fromkeys(failure.reason for failure in failures):
+        tell(f"error: {reason}")
 
 
 def leave(

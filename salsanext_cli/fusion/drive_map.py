@@ -128,6 +128,9 @@ class MapTask:
         columns = scalar_columns(cloud, self.space)
         views = output_path(self.results.root, file.sequence, "views", file.stem)
         columns["views"] = read_array(views, "uint16", (len(cloud.scan),))
+        if "disagreement" in columns:
+            # The votes are probabilities.
+            columns["probability"] = 1 - columns["disagreement"]
         placed = in_drive(cloud.scan.points, pose[:3, :3], pose[:3, 3])
         columns |= dict(zip("xyz", placed.T, strict=True))
         columns["scan"] = np.full(len(placed), index, np.int32)

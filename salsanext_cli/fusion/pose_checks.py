@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.fusion.poses import CALIBRATION, Points, Poses
+from salsanext_cli.fusion.poses import CALIBRATION, Points, Poses, with_w_first
 
 Parts = npt.NDArray[np.int64]
 """(N,): number of the part of a drive that each scan is of, whose poses fit each other."""
@@ -185,6 +185,7 @@ def _better_reading(poses: Poses, read: ReadPoints) -> str | None:
         f"are of the scans, not of the camera of {CALIBRATION}": CAMERA
         @ poses
         @ np.linalg.inv(CAMERA),
+        "have w first in their quaternions, not last": with_w_first(poses),
         "are in centimetres": _scaled(poses, 0.01),
         "are in millimetres": _scaled(poses, 0.001),
     }

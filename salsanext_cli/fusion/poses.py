@@ -52,7 +52,11 @@ def read_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses
     poses = np.tile(np.eye(4), (len(values), 1, 1))
     for number, row, pose in zip(numbers, values, poses, strict=True):
         is_kitti = len(row) == KITTI_NUMBERS
-        pose[:3] = _rigid(path, f"line {number + 1}", row if is_kitti else _of_tum(row))
+        name = f"line {number + 1}"
+        if not is_kitti and abs((length := np.linalg.norm(row[4:])) - 1) > MAX_SHEAR:
+            found = f"{name} has a quaternion of length {length:.3g}"
+            raise FormatError(path, found, "time, place, and a quaternion x, y, z, w of length 1")
+        pose[:3] = _rigid(path, name, row if is_kitti else _of_tum(row))
     calibration = path.with_name(CALIBRATION)
     if present(calibration) and values and len(values[0]) == KITTI_NUMBERS:
         to_camera = _calibration(calibration)
@@ -85,13 +89,29 @@ def _numbers(path: Path, number: int, line: str) -> Poses:
 
 def _of_tum(row: Poses) -> Poses:
     """Return 3 × 4 numbers of time, place and quaternion x, y, z, w."""
-    x, y, z, w = row[4:]
-    rotation = [
+    return np.column_stack([_rotation(*row[4:]), row[1:4]])
+
+
+def _rotation(x: float, y: float, z: float, w: float) -> list[list[float]]:
+    return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
-    return np.column_stack([rotation, row[1:4]])
+
+
+def with_w_first(poses: Poses) -> Poses:
+    """Return poses (N, 4, 4) as if w had come first in the quaternions that they were read from."""
+    poses = poses.copy()
+    for rotation in poses[:, :3, :3]:
+        # Four times the products of x, y, z, w with each other.
+        (_, xy, xz), (yx, _, yz), (zx, zy, _) = rotation
+        trace, products = np.trace(rotation), np.zeros((4, 4))
+        products[:3, :3] = rotation + rotation.T + (1 - trace) * np.eye(3)
+        products[3] = products[:, 3] = zy - yz, xz - zx, yx - xy, 1 + trace
+        x, y, z, w = max(products, key=lambda row: float(row @ row))
+        rotation[:] = _rotation(*(np.array([y, z, w, x]) / np.linalg.norm([x, y, z, w])))
+    return poses
 
 
 def is_rigid(pose: Poses) -> bool:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -118,7 +118,7 @@ class RunSummary:
     sensor: Sensor  # Sensor that the scans were projected for
     space: LabelSpace | None = None  # Classes of the predicted points, if any are predicted
     class_points: Counts | None = None  # (C,): number of points by predicted train id
-    # Names of the scans by code of what was found, in the order in which it was found first
+    # Names of scans and sequences by code of what was found, in the order of the first of each
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)  # Traits of the sensor by scan
     looked_at: set[str] = field(default_factory=set)  # Names of the scans that were added
@@ -161,6 +161,14 @@ class RunSummary:
             name = file.name.encode(errors="backslashreplace").decode()
             log.warning("%s: %s; %s (%s)", name, finding.found, finding.remedy, finding.code)
         self.findings.setdefault(finding.code, []).append((file.name, finding))
+
+    def add_sequence(self, name: str, findings: Iterable[Finding]) -> None:
+        """Add what is doubtful about a whole sequence, and say it."""
+        self.looked_at.add(name)
+        for finding in findings:
+            words = finding.found, finding.remedy, finding.code
+            log.warning("sequence %s: %s; %s (%s)", name, *words)
+            self.findings.setdefault(finding.code, []).append((name, finding))
 
     def finished(self, *, selectable: bool = True) -> RunSummary:
         """Compare the scans with each other, at the end of the run; return itself."""

@@ -3,6 +3,7 @@
 
 import logging
 import os
+import shlex
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -161,8 +162,13 @@ class ResultFolder(StageRecords):
         single = StageRecords(self.root / fused["fused_of"])
         origins = single.origins(FUSED_STAGES)
         if origins and origins != fused["origins"]:
-            found = f"fused of labels in {single.root} that were made anew since"
-            remedy = f"run `salsanext fuse {single.root} --overwrite`"
+            out = os.path.normpath(single.root)
+            found = f"fused of labels in {out} that were made anew since"
+            softmax = single.owner("votes") or single.owner("probabilities")
+            words = (
+                ["fuse", out, str(self.root)] if softmax else ["predict", "SCANS", out, "--fuse"]
+            )
+            remedy = f"run `salsanext {shlex.join(words)} --overwrite`"
             raise OutputError(self.root, found, remedy=remedy)
 
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:

@@ -3,11 +3,12 @@
 
 import logging
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -42,7 +43,6 @@ from salsanext_cli.fusion.window import (
 )
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import FusionReach
-from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.parallel.worker import Attempt, AttemptFunction
 from salsanext_cli.records import Float
@@ -61,7 +61,7 @@ from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.selection import MissingResults, choose, scans_of
+from salsanext_cli.results.selection import choose, scans_of
 from salsanext_cli.sensors.sensor import Sensor
 
 FUSED = "fused"
@@ -69,6 +69,8 @@ FUSED = "fused"
 SOFTMAX_FOLDERS = ("probabilities", "votes")
 ABOUT_THE_NETWORK = ("weights", "adapted", "trained_on", "temperature")
 """Settings of `predict` that the record of fused labels repeats; "adapted" is of old folders."""
+
+Found = TypeVar("Found")
 
 log = logging.getLogger(__name__)
 
@@ -86,7 +88,7 @@ class DriveScans:
 class FuseTask:
     """Fusion of the scans of drives, one after the other."""
 
-    drives: Mapping[str, DriveScans]  # By name of the sequence
+    drives: Mapping[str, DriveScans | SalsanextError]  # By name of the sequence
     space: LabelSpace
     sensor: Sensor
     reach: FusionReach
@@ -100,18 +102,19 @@ class FuseTask:
         return self._attempts
 
     def _attempts(self, files: Iterable[ScanFile]) -> Iterator[Attempt]:
-        window, sequence = None, None
-        for file in files:
-            if window is None or file.sequence != sequence:
-                window, sequence = self._window(file.sequence), file.sequence
-            try:
-                yield file, self._fuse(file, window), None
-            except SalsanextError as error:
-                yield file, None, error
+        for sequence, group in groupby(files, lambda file: file.sequence):
+            scans = self.drives[sequence]
+            if isinstance(scans, SalsanextError):
+                yield from ((file, None, scans) for file in group)
+                continue
+            window = self._window(scans)
+            for file in group:
+                try:
+                    yield file, self._fuse(file, scans.numbers[file], window), None
+                except SalsanextError as error:
+                    yield file, None, error
 
-    def _window(self, sequence: str) -> FusionWindow:
-        scans = self.drives[sequence]
-
+    def _window(self, scans: DriveScans) -> FusionWindow:
         def read(index: int) -> tuple[Float, Float, Any]:
             file = scans.files[index]
             points = read_scan(file.path, self.sensor).points
@@ -120,10 +123,10 @@ class FuseTask:
 
         return FusionWindow(scans.drive, read, self.reach, movable_classes(self.space))
 
-    def _fuse(self, file: ScanFile, window: FusionWindow) -> ScanSummary:
+    def _fuse(self, file: ScanFile, number: int, window: FusionWindow) -> ScanSummary:
         self.single.require_replaceable(file)
         self.fused.require_replaceable(file)
-        tally = window.tally(self.drives[file.sequence].numbers[file])
+        tally = window.tally(number)
         path = output_path(self.single.root, file.sequence, "predictions", file.stem)
         labels = self.space.to_train(read_labels(path, len(tally.views)), source=path)
         fused = fused_labels(tally, labels)
@@ -186,8 +189,9 @@ def fuse_results(
     wanted = choose(
         present_scans, query.selection, results.compared_space(known, own_ids=True), out
     )
-    scans = [file for file in wanted if file in set(known)]
-    missing = MissingResults(tuple(file for file in wanted if file not in set(known)), 0)
+    has_softmax = {*known}
+    scans = [file for file in wanted if file in has_softmax]
+    missing = results.missing_predictions({*wanted} - {*scans})
     missing.log_error(len(wanted), "softmax and labels")
     members: dict[str, list[ScanFile]] = {}
     for file in sorted(known, key=drive_order):
@@ -197,9 +201,9 @@ def fuse_results(
         found = f"one file for {counted(len(chosen), 'sequence')}"
         raise UsageError("--poses", found, remedy="choose one of them with --sequences")
     sensor = results.sensor()
-    given = {
-        name: _given(poses or _beside(members[name]), members[name], sensor) for name in chosen
-    }
+    given = _of_each(
+        chosen, lambda name: _given(poses or _beside(members[name]), members[name], sensor), options
+    )
     made_with = {
         "reach": asdict(reach),
         "origins": results.origins(FUSED_STAGES),
@@ -217,36 +221,70 @@ def fuse_results(
     folders = (*kinds, "predictions")
     fused = output_run(target, "fuse", made_with | of_labels, folders, scans, overwrite=overwrite)
     with single as of_single, fused as of_fused, summary.kept_in(of_fused, scans):
-        drives = {
-            name: _drive_scans(members[name], given[name], of_single, of_fused, sensor)
-            for name in chosen
-        }
-        for of_drive in drives.values():
-            if finding := _finding(of_drive):
-                summary.add_finding(of_drive.files[0], finding)
+        drives = _of_each(
+            chosen,
+            lambda name: _drive_scans(members[name], given[name], of_single, of_fused, sensor),
+            options,
+        )
+        for name, of_drive in drives.items():
+            if isinstance(of_drive, DriveScans):
+                summary.add_sequence(name, _findings(of_drive))
         task = FuseTask(drives, space, sensor, reach, of_single, of_fused)
         outcome = run_over_scans(
             task,
             scans,
             options,
-            is_done=lambda file: of_single.is_done(file) and of_fused.is_done(file),
+            is_done=lambda file: (
+                isinstance(drives[file.sequence], DriveScans)
+                and of_single.is_done(file)
+                and of_fused.is_done(file)
+            ),
             on_result=summary.add,
         )
-    return replace(outcome, summary=summary, missing=missing if missing.scans else None)
+    return replace(outcome, summary=summary, missing=missing)
 
 
-def require_fusable(source: Path | Sequence[Path], out: Path, shard: Shard) -> None:
+def _of_each(
+    sequences: Iterable[str], function: Callable[[str], Found], options: RunOptions
+) -> dict[str, Found | SalsanextError]:
+    """Return what a function finds of each sequence, or why it fails.
+
+    An error is raised if the run is to stop at the first, or if there is no sequence without.
+    """
+    found: dict[str, Found | SalsanextError] = {}
+    for name in sequences:
+        try:
+            found[name] = function(name)
+        except SalsanextError as error:
+            if options.on_error == "stop":
+                raise
+            found[name] = error
+    errors = [each for each in found.values() if isinstance(each, SalsanextError)]
+    if errors and len(errors) == len(found):
+        raise errors[0]
+    return found
+
+
+def require_fusable(source: Path | Sequence[Path], out: Path, options: RunOptions) -> None:
     """Refuse to predict and fuse a share, or without the package for poses that scans lack."""
-    if shard.count > 1:
+    if options.shard.count > 1:
         remedy = f"run `salsanext fuse {out}` when all shares are predicted"
         raise UsageError("--fuse", "only a share of the scans", "all of them", remedy)
-    for _, group in groupby(scans_of(source), lambda file: file.sequence):
-        files = sorted(group, key=drive_order)
-        if (poses := _beside(files)) is None:
+    sequences = {
+        name: sorted(group, key=drive_order)
+        for name, group in groupby(scans_of(source), lambda file: file.sequence)
+    }
+
+    def require(name: str) -> None:
+        if (poses := _beside(sequences[name])) is None:
             import_extra("small_gicp", "fuse")
         else:
-            # What is no pose is said before an hour of prediction.
-            _read_given(poses, files)
+            _read_given(poses, sequences[name])
+
+    # What is no pose is said before an hour of prediction.
+    for error in _of_each(sequences, require, options).values():
+        if error is not None:
+            log.error("%s", error)
 
 
 def _beside(files: Sequence[ScanFile]) -> Path | None:
@@ -285,19 +323,21 @@ def _points(file: ScanFile, sensor: Sensor) -> Float:
 
 def _drive_scans(
     files: Sequence[ScanFile],
-    given: Drive | None,
+    given: Drive | SalsanextError | None,
     single: OutputRun,
     fused: OutputRun,
     sensor: Sensor,
 ) -> DriveScans:
     """Return a sequence with poses, computed if not given, and record both."""
+    if isinstance(given, SalsanextError):
+        raise given
     name, stems = files[0].sequence, [file.stem for file in files]
     folder = fused.root / "sequences" / name
     used, record = folder / POSES, folder / DRIVE
     before, edited = read_json(record), bool(fused.others([used]))
     known = before is not None and before.get("scans") == stems
     if before is not None and not known and not fused.overwrite:
-        raise _other_drive(record, before, len(stems))
+        raise _other_drive(record, before, stems, single)
     if given is not None:
         drive = given
     elif edited:
@@ -314,7 +354,7 @@ def _drive_scans(
         if read_json(record) != recorded:
             results = [(run, _results_of(run, name)) for run in (single, fused)]
             if any(paths for _, paths in results) and not fused.overwrite:
-                raise _other_drive(record, before or {}, len(stems))
+                raise _other_drive(record, before, stems, single)
             for run, paths in results:
                 run.remove_own(paths)
             if not edited:
@@ -329,21 +369,28 @@ def _results_of(run: OutputRun, sequence: str) -> list[Path]:
     return [path for found in results for (of, _), path in found.items() if of == sequence]
 
 
-def _other_drive(record: Path, before: Mapping[str, Any], scans: int) -> OutputError:
+def _other_drive(
+    record: Path, before: Mapping[str, Any] | None, stems: Sequence[str], single: OutputRun
+) -> OutputError:
     """Return the error of results that have votes of other scans, or by other poses."""
-    fused = len(before.get("scans", ()))
-    found = f"fused of {fused} scans, now {scans}" if fused != scans else "other scans or poses"
-    remedy = "fuse the sequence anew with --overwrite"
+    target, sequence = record.parents[2], record.parent.name
+    found = "fused by other poses"
+    if before is None:
+        found = "no such file beside fused labels"
+    elif (fused := before.get("scans", ())) != stems:
+        found = f"fused of {counted(len(fused), 'scan')}, not of the {len(stems)} that there are"
+    words = ["fuse", str(single.root), str(target), "--sequences", sequence, "--overwrite"]
+    remedy = f"run `salsanext {shlex.join(words)}`"
     return OutputError(record, found, "the same scans and poses for all of it", remedy)
 
 
-def _finding(scans: DriveScans) -> Finding | None:
+def _findings(scans: DriveScans) -> list[Finding]:
     """Return what is doubtful about a drive that is cut into parts."""
     parts = np.bincount(scans.drive.parts)
     if len(parts) == 1:
-        return None
+        return []
     if (parts == 1).all():
-        return Finding("apart", "of the sequence, its scans see no common places", "labels stay")
+        return [Finding("apart", "its scans see no common places", "labels stay")]
     second = scans.files[int(np.argmax(scans.drive.parts == 1))].stem
-    found = f"of the sequence, poses fit in {len(parts)} parts only, the second from {second} on"
-    return Finding("apart", found, "parts have no votes for each other; look at its poses")
+    found = f"poses fit in {len(parts)} parts only, the second from {second} on"
+    return [Finding("apart", found, "parts have no votes for each other; look at its poses")]

@@ -42,7 +42,6 @@ from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.risk_control import promise
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, ScanSteps, run_over_scans
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import (
@@ -370,7 +369,7 @@ def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterat
     network = NetworkSettings(weights=None if weights is None else Path(weights))
     with TemporaryDirectory(prefix="salsanext-") as temporary:
         out, fused = Path(temporary), ResultFolder(Path(temporary) / FUSED)
-        require_fusable(source, out, Shard())
+        require_fusable(source, out, RunOptions())
         outcome = predict_scans(source, out, network=network, extras=("votes",))
         for failure in outcome.failures:
             log.error("%s", failure.reason)
