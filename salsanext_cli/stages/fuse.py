@@ -181,7 +181,8 @@ def fuse_results(
     known = with_outputs(known, out, "predictions")
     space, of_softmax = results.label_space(), results.label_space(*SOFTMAX_FOLDERS)
     if not known or space is None or of_softmax is None:
-        remedy = f"run `salsanext predict SCANS {out} --fuse`, or with --probabilities"
+        words = "--fuse --overwrite" if results.record("fuse") else "--fuse"
+        remedy = f"run `salsanext predict SCANS {out} {words}`, or with --probabilities"
         raise NoInputError(out, "no softmax of any scan", "votes or probabilities", remedy)
     if not space.fits(of_softmax):
         found = f"labels in the classes of {space.name}, softmax in those of {of_softmax.name}"
@@ -376,11 +377,11 @@ def _other_drive(
     target, sequence = record.parents[2], record.parent.name
     found = "fused by other poses"
     if before is None:
-        found = "no such file beside fused labels"
+        found = f"no such file for what `fuse` left in {single.root}"
     elif (fused := before.get("scans", ())) != stems:
         found = f"fused of {counted(len(fused), 'scan')}, not of the {len(stems)} that there are"
     words = ["fuse", str(single.root), str(target), "--sequences", sequence, "--overwrite"]
-    remedy = f"run `salsanext {shlex.join(words)}`"
+    remedy = f"run `salsanext {shlex.join(words)}`, with --poses if you gave it"
     return OutputError(record, found, "the same scans and poses for all of it", remedy)
 
 
