@@ -89,10 +89,11 @@ def _numbers(path: Path, number: int, line: str) -> Poses:
 
 def _of_tum(row: Poses) -> Poses:
     """Return 3 × 4 numbers of time, place and quaternion x, y, z, w."""
-    return np.column_stack([_rotation(*row[4:]), row[1:4]])
+    return np.column_stack([rotation(*row[4:]), row[1:4]])
 
 
-def _rotation(x: float, y: float, z: float, w: float) -> list[list[float]]:
+def rotation(x: float, y: float, z: float, w: float) -> list[list[float]]:
+    """Return the matrix (3, 3) of a quaternion of length 1."""
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
@@ -103,14 +104,14 @@ def _rotation(x: float, y: float, z: float, w: float) -> list[list[float]]:
 def with_w_first(poses: Poses) -> Poses:
     """Return poses (N, 4, 4) as if w had come first in the quaternions that they were read from."""
     poses = poses.copy()
-    for rotation in poses[:, :3, :3]:
+    for turn in poses[:, :3, :3]:
         # Four times the products of x, y, z, w with each other.
-        (_, xy, xz), (yx, _, yz), (zx, zy, _) = rotation
-        trace, products = np.trace(rotation), np.zeros((4, 4))
-        products[:3, :3] = rotation + rotation.T + (1 - trace) * np.eye(3)
+        (_, xy, xz), (yx, _, yz), (zx, zy, _) = turn
+        trace, products = np.trace(turn), np.zeros((4, 4))
+        products[:3, :3] = turn + turn.T + (1 - trace) * np.eye(3)
         products[3] = products[:, 3] = zy - yz, xz - zx, yx - xy, 1 + trace
         x, y, z, w = max(products, key=lambda row: float(row @ row))
-        rotation[:] = _rotation(*(np.array([y, z, w, x]) / np.linalg.norm([x, y, z, w])))
+        turn[:] = rotation(*(np.array([y, z, w, x]) / np.linalg.norm([x, y, z, w])))
     return poses
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 from scans import make_scan
 from test_poses import along
 
@@ -12,6 +14,7 @@ from salsanext_cli.fusion.pose_checks import (
     require_fitting,
     upright_points,
 )
+from salsanext_cli.fusion.poses import read_poses, rotation, with_w_first
 
 
 def street(poses):
@@ -106,6 +109,27 @@ def test_poses_must_lay_the_scans_on_each_other():
     for found, each in wrong.items():
         with pytest.raises(FormatError, match=found):
             require_fitting("poses.txt", each, SEEN)
+
+
+def test_quaternions_with_w_first_are_said(tmp_path):
+    turns = np.arctan2(WAY[:, 1, 0], WAY[:, 0, 0]) / 2
+    places = [" ".join(map(str, pose[:3, 3])) for pose in WAY]
+    lines = [f"0 {p} {np.cos(h)} 0 0 {np.sin(h)}" for p, h in zip(places, turns, strict=True)]
+    path, stems = tmp_path / "tum.txt", [f"{n:02}" for n in range(len(WAY))]
+    path.write_text("\n".join(lines))
+    poses = read_poses(path, stems, stems)
+    np.testing.assert_allclose(with_w_first(poses), WAY, atol=1e-12)
+    with pytest.raises(FormatError, match="w first"):
+        require_fitting(path, poses, SEEN)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4))
+def test_any_quaternion_may_have_w_first(numbers):
+    assume(np.linalg.norm(numbers) > 0.1)
+    a, b, c, d = np.array(numbers) / np.linalg.norm(numbers)
+    read, meant = np.tile(np.eye(4), (2, 1, 1))
+    read[:3, :3], meant[:3, :3] = rotation(a, b, c, d), rotation(b, c, d, a)
+    np.testing.assert_allclose(with_w_first(read[None])[0], meant, atol=1e-9)
 
 
 def test_scans_that_stand_apart_or_still_may_have_such_poses():

@@ -89,7 +89,7 @@ def test_rounded_rotations_become_rigid(tmp_path):
             encode_poses(along(0, 1, 2) @ np.diag([1, 1, -1, 1.0])),
             "line 1 scales",
         ),
-        (b"0 1 2 3 0 0 0.5 0.5\n" * 3, "line 1 scales"),
+        (b"0 1 2 3 0 0 0.5 0.5\n" * 3, "line 1 has a quaternion of length 0.707"),
         (b"", "0 lines"),
     ],
 )

@@ -124,7 +124,7 @@ def test_a_map_holds_the_fused_points_in_the_frame_of_the_poses(fused):
     data = plyfile.PlyData.read(map_of(fused))
     vertices = data["vertex"]
     assert any(comment.startswith("colour label") for comment in data.comments)
-    names = ("label", "disagreement", "views", "scan", "intensity", "range")
+    names = ("label", "probability", "views", "scan", "intensity", "range")
     assert {f"scalar_{name}" for name in names} <= {each.name for each in vertices.properties}
     places = np.stack([vertices[axis] for axis in "xyz"], axis=1)
     assert len(np.unique(np.floor((places - FAR) / 0.1), axis=0)) == len(places)
@@ -136,6 +136,12 @@ def test_a_map_holds_the_fused_points_in_the_frame_of_the_poses(fused):
         assert apart.min(axis=1).max() < 1e-6
         labels = read_labels(path)[apart.argmin(axis=1)]
         np.testing.assert_array_equal(vertices["scalar_label"][of_scan], labels)
+        against = np.load(
+            fused.out / f"fused/sequences/08/uncertainty/disagreement/00000{number}.npy"
+        )
+        np.testing.assert_array_equal(
+            vertices["scalar_probability"][of_scan], 1 - against[apart.argmin(axis=1)]
+        )
         assert labels.all()
 
 
@@ -237,6 +243,8 @@ def test_the_command_writes_a_map(fused):
     assert result.exit_code == 0, result.output
     assert "map.ply" in result.output
     assert not (map_of(fused).parent / "ply").exists()
+    words.remove("--map")
+    assert CliRunner().invoke(app, words).exit_code == 2
 
 
 def test_a_report_shows_the_drive_from_above(fused):

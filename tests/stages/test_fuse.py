@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT
 import json
+import shlex
 import shutil
 import sys
 
@@ -21,7 +22,7 @@ from salsanext_cli.errors import (
     UsageError,
 )
 from salsanext_cli.formats.kitti import write_bin
-from salsanext_cli.fusion.poses import encode_poses
+from salsanext_cli.fusion.poses import encode_poses, read_poses
 from salsanext_cli.fusion.window import FusionWindow, disagreement, fuse, fused_labels
 from salsanext_cli.options import FusionReach, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
@@ -37,22 +38,42 @@ SPACE = label_space()
 STEMS = ("000000", "000001", "000002")
 
 
+def way(count):
+    """Return the poses of a drive that turns."""
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    for number, pose in enumerate(poses):
+        turn = 0.1 * number
+        pose[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+        pose[:2, 3] = 0.2 * number, 0.1 * number
+    return poses
+
+
 def write_drive(world, count):
     """Write scans of one place, each with its own noise, and their poses; return the folder."""
     folder = world.data / "sequences/08"
-    scan = read_scan(world.scan())
+    scan, poses = read_scan(world.scan()), way(count)
     for number in range(1, count):
         noise = np.random.default_rng(number).normal(0, 0.02, scan.points.shape)
-        noisy = Scan((scan.points + noise).astype(np.float32), scan.intensity)
-        write_bin(folder / f"velodyne/{number:06}.bin", noisy)
+        seen = (scan.points + noise - poses[number, :3, 3]) @ poses[number, :3, :3]
+        write_bin(
+            folder / f"velodyne/{number:06}.bin", Scan(seen.astype(np.float32), scan.intensity)
+        )
         shutil.copy(folder / "labels/000000.label", folder / f"labels/{number:06}.label")
-    (folder / "poses.txt").write_bytes(encode_poses(np.tile(np.eye(4), (count, 1, 1))))
+    (folder / "poses.txt").write_bytes(encode_poses(poses))
     return folder
+
+
+def typed(remedy, *more, **names):
+    """Run the command that a remedy names, with names put in, and more options."""
+    words = shlex.split(remedy.split("`")[1])
+    assert words[0] == "salsanext"
+    words = [str(names.get(word, word)) for word in words[1:]]
+    return CliRunner().invoke(app, [*words, *map(str, more)])
 
 
 @pytest.fixture
 def drive(world):
-    """Predict a drive of three scans at one place."""
+    """Predict a drive of three scans of one place."""
     folder = write_drive(world, 3)
     predict_scans(folder, world.out, network=world.network, extras=("probabilities",))
     return world
@@ -81,7 +102,7 @@ def test_labels_are_those_of_the_function(drive):
     assert (outcome.done, outcome.failures) == (3, ())
     scans = [read_scan(drive.scan(stem=stem)) for stem in STEMS]
     softmax = [np.load(drive.result("probabilities", stem=stem)) for stem in STEMS]
-    tallies = fuse(scans, softmax, np.tile(np.eye(4), (3, 1, 1)))
+    tallies = fuse(scans, softmax, way(3))
     changed = 0
     for stem, tally in zip(STEMS, tallies, strict=True):
         of_fused = fused_folder(drive)
@@ -95,6 +116,7 @@ def test_labels_are_those_of_the_function(drive):
             np.testing.assert_array_equal(against, disagreement(tally, of_folder))
             np.testing.assert_array_equal(np.load(folder / f"views/{stem}.npy"), tally.views)
         changed += int((fused != labels).sum())
+        assert (tally.views == 3).mean() > 0.7
     assert changed
 
 
@@ -126,7 +148,7 @@ def test_a_run_goes_on_with_the_same_bytes(drive, tmp_path):
     before = files_below(fused_folder(drive))
     for stem in STEMS[:2]:
         (fused_folder(drive) / f"predictions/{stem}.label").unlink()
-    outcome = fuse_results(drive.out, options=RunOptions(jobs=2, backend="threading"))
+    outcome = fuse_results(drive.out, options=RunOptions(jobs=2))
     assert (outcome.done, outcome.skipped) == (2, 1)
     assert files_below(fused_folder(drive)) == before
 
@@ -161,8 +183,24 @@ def test_fused_labels_of_other_ones_are_refused(drive):
         knn=KnnParameters(k=1),
         options=RunOptions(overwrite=True),
     )
-    with pytest.raises(OutputError, match="made anew"):
+    with pytest.raises(OutputError, match="made anew") as found:
         ResultFolder(drive.out / "fused").scans()
+    words = ("--weights", drive.network.weights, "--engine", "torch")
+    done = typed(found.value.remedy, *words, SCANS=drive.data / "sequences/08")
+    assert done.exit_code == 0, done.output
+    assert ResultFolder(drive.out / "fused").scans()
+
+
+def test_fused_labels_of_refined_ones_are_fused_anew(drive):
+    fuse_results(drive.out, drive.out / "TARGET")
+    record = json.loads((drive.out / "predict.json").read_text())
+    record["settings"]["knn"] = None
+    (drive.out / "predict.json").write_text(json.dumps(record))
+    with pytest.raises(OutputError, match="made anew") as found:
+        ResultFolder(drive.out / "TARGET").scans()
+    done = typed(found.value.remedy)
+    assert done.exit_code == 0, done.output
+    assert ResultFolder(drive.out / "TARGET").scans()
 
 
 def test_votes_of_other_scans_are_not_mixed(drive):
@@ -170,9 +208,13 @@ def test_votes_of_other_scans_are_not_mixed(drive):
     hidden.rename(hidden.with_suffix(".hidden"))
     assert [scan.stem for scan in fuse_results(drive.out).missing.scans] == ["000002"]
     hidden.with_suffix(".hidden").rename(hidden)
-    with pytest.raises(OutputError, match="fused of 2 scans, now 3"):
+    with pytest.raises(OutputError, match="fused of 2 scans, not of the 3") as found:
         fuse_results(drive.out)
-    assert fuse_results(drive.out, options=RunOptions(overwrite=True)).done == 3
+    assert typed(found.value.remedy).exit_code == 0
+    assert fuse_results(drive.out).skipped == 3
+    (fused_folder(drive) / "drive.json").unlink()
+    with pytest.raises(OutputError, match="no such file"):
+        fuse_results(drive.out)
 
 
 def test_unpadded_numbers_are_in_order_for_labels_and_map(world):
@@ -180,7 +222,7 @@ def test_unpadded_numbers_are_in_order_for_labels_and_map(world):
     for name, number in zip(STEMS, ("9", "10", "11"), strict=True):
         for kind, suffix in (("velodyne", "bin"), ("labels", "label")):
             (folder / f"{kind}/{name}.{suffix}").rename(folder / f"{kind}/{number}.{suffix}")
-    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses = way(3)
     poses[2, 0, 3] = 500
     (folder / "poses.txt").write_bytes(encode_poses(poses))
     predict_scans(folder, world.out, network=world.network, extras=("votes",))
@@ -193,12 +235,55 @@ def test_unpadded_numbers_are_in_order_for_labels_and_map(world):
 
 
 def test_a_drive_in_parts_is_a_finding(drive):
-    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses = way(3)
     poses[2, 0, 3] = 500
     (drive.data / "sequences/08/poses.txt").write_bytes(encode_poses(poses))
-    ((name, finding),) = fuse_results(drive.out).summary.findings["apart"]
-    assert name == "08/000000"
-    assert "2 parts only, the second from 000002 on" in finding.found
+    words = ["fuse", str(drive.out), "--json"]
+    for _ in range(2):
+        result = CliRunner().invoke(app, words)
+        ((warning),) = [w for w in only_json(result)["warnings"] if w["code"] == "apart"]
+        assert warning["scans"] == ["08"]
+        assert "2 parts only, the second from 000002 on" in warning["message"]
+        assert (result.exit_code, result.stderr.count("apart")) == (0, 1)
+
+
+def test_a_sequence_with_bad_poses_fails_alone(world):
+    write_drive(world, 2)
+    bad = world.data / "sequences/00/poses.txt"
+    bad.write_bytes(b"no poses")
+    words = ["--weights", str(world.network.weights), "--engine", "torch", "--json"]
+    words = ["predict", str(world.data), str(world.out), "--fuse", *words]
+    stopped = CliRunner().invoke(app, [*words, "--on-error", "stop"])
+    assert (stopped.exit_code, world.out.exists()) == (1, False)
+    for command, done in ((words, 3), (["fuse", str(world.out), "--json"], 0)):
+        result = CliRunner().invoke(app, command)
+        found = only_json(result)
+        assert (result.exit_code, found["done"], found["failed"]) == (1, done, 1)
+        assert found["failures"][0]["code"] == "format"
+        assert str(bad) in found["failures"][0]["reason"]
+    assert len(list((fused_folder(world) / "predictions").iterdir())) == 2
+    with pytest.raises(FormatError):
+        fuse_results(world.out, options=RunOptions(on_error="stop"))
+    bad.write_bytes(encode_poses(way(1)))
+    assert fuse_results(world.out).done == 1
+
+
+def test_poses_may_be_named_for_one_sequence(world, tmp_path):
+    (write_drive(world, 3) / "poses.txt").unlink()
+    predict_scans(world.data, world.out, network=world.network, extras=("votes",))
+    half = [0.05 * number for number in range(3)]
+    lines = [f"{n} {0.2 * n} {0.1 * n} 0 0 0 {np.sin(h)} {np.cos(h)}" for n, h in enumerate(half)]
+    path = tmp_path / "tum.txt"
+    path.write_text("\n".join(lines))
+    words = ["fuse", str(world.out), "--poses", str(path)]
+    assert CliRunner().invoke(app, words).exit_code == 2
+    assert not (world.out / "fused").exists()
+    result = CliRunner().invoke(app, [*words, "--sequences", "08"])
+    assert result.exit_code == 0, result.output
+    used = read_poses(fused_folder(world) / "poses.txt", STEMS, STEMS)
+    np.testing.assert_allclose(used, way(3), atol=1e-12)
+    path.write_text("\n".join(lines[1:]))
+    assert CliRunner().invoke(app, [*words, "--sequences", "08"]).exit_code == 1
 
 
 @pytest.mark.parametrize("lines", [2, 4])
@@ -243,16 +328,16 @@ def test_computed_poses_are_written_and_kept(drive):
     fuse_results(drive.out)
     path = fused_folder(drive) / "poses.txt"
     assert len(path.read_text().splitlines()) == 3
-    edited = encode_poses(np.tile(np.eye(4), (3, 1, 1)))
+    edited = encode_poses(way(3))
     path.write_bytes(edited)
     fuse_results(drive.out, options=RunOptions(overwrite=True))
     assert path.read_bytes() == edited
 
 
 def shifted(folder, metres):
-    """Write poses by which a drive at one place stands at another."""
-    poses = np.tile(np.eye(4), (3, 1, 1))
-    poses[:, 0, 3] = metres
+    """Write poses by which a drive is elsewhere."""
+    poses = way(3)
+    poses[:, 0, 3] += metres
     (folder / "sequences/08/poses.txt").write_bytes(encode_poses(poses))
 
 
@@ -282,8 +367,8 @@ def test_a_killed_run_by_other_poses_leaves_no_labels_of_the_earlier_ones(drive,
 
 def test_edited_poses_are_not_those_of_the_labels(drive):
     fuse_results(drive.out)
-    path, moved = fused_folder(drive) / "poses.txt", np.tile(np.eye(4), (3, 1, 1))
-    moved[:, 1, 3] = 1
+    path, moved = fused_folder(drive) / "poses.txt", way(3)
+    moved[:, 1, 3] += 1
     path.write_bytes(encode_poses(moved))
     with pytest.raises(OutputError, match="not the poses that the scans were fused by"):
         export_ply(drive.out / "fused", voxel=0.1)
@@ -307,7 +392,8 @@ def test_predict_can_fuse_at_once(world):
     words = ["predict", folder, world.out, "--weights", world.network.weights, "--fuse", "--json"]
     result = CliRunner().invoke(app, [*map(str, words), "--engine", "torch"])
     assert result.exit_code == 0, result.output
-    assert only_json(result)["done"] == 2
+    found = only_json(result)
+    assert (found["done"], shlex.split(found["next"])[-1]) == (2, str(world.out / "fused"))
     assert len(list((fused_folder(world) / "predictions").iterdir())) == 2
     (folder / "poses.txt").write_bytes(b"nan " * 12 + b"\n" + b"1 " * 12)
     words[2] = world.out.with_name("never")

@@ -347,10 +347,9 @@ def _seconds_per_scan(out: Path, folder: str) -> float | None:
 
 
 def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:
-    """Return what the stages found doubtful about the wanted scans and their sequences, by kind."""
+    """Return what the stages found doubtful about the wanted scans, a line for each kind."""
     scans: dict[str, list[str]] = {}
     words: dict[str, Counter[str]] = {}
-    wanted = {*wanted, *(name.partition("/")[0] for name in wanted)}
     for stage in CHECKED_STAGES:
         for name, findings in OwnedFolder(out, stage).findings().items():
             if name not in wanted:
@@ -360,8 +359,7 @@ def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:
                     scans[code].append(name)
                 words.setdefault(code, Counter())[f"{message}; {remedy}"] += 1
     return [
-        f"{code} in {counted(len(names), 'scan' if '/' in names[0] else 'sequence')} "
-        f"({first_few(names)}): "
+        f"{code} in {counted(len(names), 'scan')} ({first_few(names)}): "
         f"{words[code].most_common(1)[0][0]}"
         for code, names in sorted(scans.items())
     ]
