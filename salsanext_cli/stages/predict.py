@@ -375,7 +375,8 @@ def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterat
             log.error("%s", failure.reason)
         if not outcome.done:
             raise NoInputError(source, "no scan that can be labelled", "see the errors of each")
-        fuse_results(out)
+        for reason in dict.fromkeys(failure.reason for failure in fuse_results(out).failures):
+            log.error("%s", reason)
         files, space = fused.predicted(ScanSelection())
         for file in sorted(fused.with_column("label", files), key=drive_order):
             found = fused.read(file, fused.sensor())

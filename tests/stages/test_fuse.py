@@ -247,7 +247,7 @@ def test_a_drive_in_parts_is_a_finding(drive):
         assert (result.exit_code, result.stderr.count("apart")) == (0, 1)
 
 
-def test_a_sequence_with_bad_poses_fails_alone(world):
+def test_a_sequence_with_bad_poses_fails_alone(world, caplog):
     write_drive(world, 2)
     bad = world.data / "sequences/00/poses.txt"
     bad.write_bytes(b"no poses")
@@ -264,6 +264,10 @@ def test_a_sequence_with_bad_poses_fails_alone(world):
     assert len(list((fused_folder(world) / "predictions").iterdir())) == 2
     with pytest.raises(FormatError):
         fuse_results(world.out, options=RunOptions(on_error="stop"))
+    caplog.clear()
+    names = [each.name for each in label_drive(world.data, world.network.weights)]
+    assert names == ["08/000000", "08/000001"]
+    assert str(bad) in caplog.records[-1].message
     bad.write_bytes(encode_poses(way(1)))
     assert fuse_results(world.out).done == 1
 
