@@ -117,6 +117,15 @@ def pick(
             "be given several times.",
         ),
     ] = None,
+    disagreement: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RESULTS",
+            help="Folder of `fuse`: the disagreement of its views, mean over a scan, counts as the "
+            "scan's uncertainty.",
+            show_default="that of the network",
+        ),
+    ] = None,
     selection: Annotated[
         ScanSelection,
         Shown(limit={"help": "Look at this number of scans only, evenly spaced."}),
@@ -145,8 +154,10 @@ def pick(
             selection=selection,
             options=run,
             labelled=labelled or (),
+            disagreement=disagreement,
         )
-    table = picked_table(found.picked) if found.picked else None
+    unit = "nats" if disagreement is None else "share"
+    table = picked_table(found.picked, unit) if found.picked else None
     output.result(found.to_dict() | {"out": str(out)}, table)
     outcome, doubted = found.outcome, found.warnings
     run_end.name_failures(outcome.failures)

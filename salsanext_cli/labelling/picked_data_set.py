@@ -39,7 +39,7 @@ class PickedScan:
     rank: int  # From 1, the scan most worth labelling
     sequence: str  # Its sequence and its name without suffix
     scan: str
-    uncertainty: float  # Mean mutual information of its pixels, nats
+    uncertainty: float  # Mean mutual information of its pixels, nats, or mean disagreement
     # Distance to the nearest scan picked before, 1 being that of two scans of the source (root mean
     # square); None for the first
     distance: float | None

@@ -113,13 +113,13 @@ def picked_scans(
     return picked
 
 
-def picked_table(picked: Sequence[PickedScan]) -> Table:
+def picked_table(picked: Sequence[PickedScan], unit: str = "nats") -> Table:
     """Return a table with a row per picked scan, the one most worth labelling first."""
     rows = []
     for each in picked:
         distance = ABSENT if each.distance is None else f"{each.distance:.2f}"
         rows.append((str(each.rank), each.name, f"{each.uncertainty:.4f}", distance, each.reason))
-    headings = ("rank", "scan", "uncertainty,\nnats", "distance", "reason")
+    headings = ("rank", "scan", f"uncertainty,\n{unit}", "distance", "reason")
     return table_of(headings, rows, texts=("scan", "reason"))
 
 

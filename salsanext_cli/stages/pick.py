@@ -36,9 +36,10 @@ from salsanext_cli.report.picked import (
     picked_scans,
     picked_sheet,
 )
-from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.layout import DISAGREEMENT, ScanFile, find_scans, output_path
+from salsanext_cli.results.result_folder import ResultFolder, read_kind
 from salsanext_cli.results.selection import choose, evenly_spaced, scans_of, space_of
-from salsanext_cli.results.stage_records import as_json
+from salsanext_cli.results.stage_records import StageRecords, as_json
 from salsanext_cli.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.uncertainty.scan_description import ScanDescription, describe_scan, label_sampled
 
@@ -91,6 +92,7 @@ def pick(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
     labelled: Sequence[Path] = (),
+    disagreement: Path | None = None,
 ) -> Picking:
     """Pick the scans most worth labelling; write a data set of them in SemanticKITTI's layout.
 
@@ -99,7 +101,8 @@ def pick(
 
     `count`: number of scans to pick, all if there are no more; `strategy`: as `choose_scans` takes
     it; `labelled`: data sets of scans that are labelled already, by sequence and name: other scans
-    are picked, unlike them.
+    are picked, unlike them; `disagreement`: output folder of `fuse`, whose disagreement, mean over
+    the points of a scan, counts as its uncertainty.
     """
     require_choice(count, strategy, seed)
     loaded = network.load()
@@ -109,6 +112,8 @@ def pick(
     space = space_of(every, loaded.space)
     selected = choose(every, replace(selection, limit=None), space, source)
     scans = evenly_spaced(selected, selection.limit or 0)
+    if disagreement is not None:
+        ResultFolder(disagreement).require_column("disagreement", scans)
     known = {scan.name for path in labelled for scan in find_scans(path)}
     done = {scan for scan in scans if scan.name in known}
     if len(done) == len(scans):
@@ -118,6 +123,8 @@ def pick(
         choice = {"strategy": strategy, "count": count, "seed": seed, "scans": _digest(scans)}
         if labelled:
             choice["labelled"] = _digest(sorted(done))
+        if disagreement is not None:
+            choice["disagreement"] = StageRecords(disagreement).origins(["fuse"])
         settings = as_json(choice | {"samples": SAMPLES} | network.record(loaded))
         record = data_set.earlier(settings, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
@@ -125,7 +132,8 @@ def pick(
             return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
         resolved = network.resolved(loaded)
         if record is None:
-            task = NetworkTask(partial(describe_scan, samples=SAMPLES, seed=seed), resolved, loaded)
+            describe = partial(_describe, samples=SAMPLES, seed=seed, disagreement=disagreement)
+            task = NetworkTask(describe, resolved, loaded)
             summary = RunSummary.of_scans(scans, loaded.sensor)
             described, failures = _described(task, scans, options, summary)
             warnings = summary.warnings()
@@ -140,6 +148,19 @@ def pick(
         classes = space if space.fits(loaded.space) else space_of([], loaded.space)
         outcome = _written(task, data_set, record, scans, options, classes)
     return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
+
+
+def _describe(
+    file: ScanFile, network: Network, samples: int, seed: int, disagreement: Path | None
+) -> ScanDescription:
+    """Describe a scan; its uncertainty may be the mean disagreement of the views of its places."""
+    described = describe_scan(file, network, samples, seed)
+    if disagreement is None:
+        return described
+    path = output_path(disagreement, file.sequence, DISAGREEMENT, file.stem)
+    against = read_kind(path, "disagreement", None)
+    known = against[np.isfinite(against)]
+    return replace(described, uncertainty=float(known.mean()) if len(known) else 0.0)
 
 
 def _digest(scans: Sequence[ScanFile]) -> str:

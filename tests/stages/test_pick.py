@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from scans import SMALL, files_below, make_scan, write_sequence, write_weights
+from scans import SMALL, files_below, make_scan, write_array, write_sequence, write_weights
 from world import Kept
 
 from salsanext_cli import label_space, load_network, read_labels, read_scan, write_labels
@@ -88,6 +88,26 @@ def test_what_is_chosen_is_what_the_descriptions_say(drive):
     assert [each.uncertainty for each in found.picked] == [
         doubt[each.scan] for each in choose_scans(features, doubt, 3, "diverse")
     ]
+
+
+def test_disagreement_of_views_may_count_as_uncertainty(drive, tmp_path):
+    results, expected = tmp_path / "fused", {}
+    for number, scan in enumerate(find_scans(drive.data)):
+        values = np.full(1500, [0.1, 0.5, 0.3, 0.9, 0.2, 0.4][number], np.float32)
+        values[:700] = np.nan
+        path = results / f"sequences/08/uncertainty/disagreement/{scan.stem}.npy"
+        write_array(path, values)
+        expected[scan.name] = float(values[-1])
+    found = run(drive, count=6, strategy="uncertainty", disagreement=results)
+    of_scans = {each.name: each.uncertainty for each in found.picked}
+    assert of_scans == pytest.approx(expected)
+    assert found.picked[0].name == max(expected, key=expected.get)
+    path.unlink()
+    found = run(drive, out=drive.out / "some", count=6, disagreement=results)
+    assert [failure.code for failure in found.outcome.failures] == ["format"]
+    with pytest.raises(NoInputError, match="salsanext fuse"):
+        run(drive, out=drive.out / "none", disagreement=tmp_path)
+    assert not (drive.out / "none").exists()
 
 
 def test_the_data_set_is_ready_to_label(picked):
