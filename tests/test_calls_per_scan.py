@@ -152,7 +152,7 @@ def require_linear_steps(folder: Path, commands, weights: Path, scans: int) -> N
 
 @pytest.mark.parametrize(
     ("commands", "scans"),
-    [(QUICK, 20), pytest.param(THOROUGH, 200, marks=pytest.mark.slow)],
+    [(QUICK, 16), pytest.param(THOROUGH, 200, marks=pytest.mark.slow)],
     ids=["quick", "thorough"],
 )
 def test_steps_over_a_run(tmp_path: Path, tiny: Path, commands, scans: int) -> None:

@@ -149,7 +149,10 @@ SIGNALS = pytest.mark.parametrize(
 
 @pytest.mark.parametrize(
     ("name", "number"),
-    [("export-ply", signal.SIGTERM), ("knn-refine", signal.SIGKILL)],
+    [
+        ("export-ply", signal.SIGTERM),
+        pytest.param("knn-refine", signal.SIGKILL, marks=pytest.mark.slow),
+    ],
 )
 def test_a_signal_at_some_step(
     tmp_path: Path, trials: Callable[[str], Trial], name: str, number: signal.Signals
@@ -174,6 +177,7 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Trial:
     return Trial("predict", tmp_path_factory.mktemp("long"), scans=60)
 
 
+@pytest.mark.slow
 def test_two_runs_at_once(tmp_path: Path, long: Trial) -> None:
     folder = tmp_path / "trial"
     for process in [long.begun(folder) for _ in range(2)]:
@@ -191,9 +195,8 @@ def when_working(folder: Path) -> None:
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize(
-    "number", [pytest.param(signal.SIGKILL, marks=pytest.mark.slow), signal.SIGTERM]
-)
+@pytest.mark.slow
+@SIGNALS
 def test_workers_end_with_their_run(tmp_path: Path, long: Trial, number: signal.Signals) -> None:
     process = long.begun(tmp_path / "trial", "--jobs 2")
     when_working(tmp_path / "trial")

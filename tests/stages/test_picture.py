@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from scans import files_below, write_array
 from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.colours import WRONG, screen_colours
@@ -123,19 +121,6 @@ def test_a_scan_without_what_is_asked_for_fails_alone(labelled):
     assert [scan.stem for scan in outcome.missing.scans] == ["000001"]
     with pytest.raises(NoInputError, match="no total known"):
         draw(labelled, colours=["total"], options=OVERWRITE)
-
-
-def test_jobs_and_shards_draw_the_same(labelled, tmp_path):
-    draw(labelled, selection=TWO)
-    alone = pngs(labelled)
-    parallel = RunOptions(jobs=2, backend="threading", overwrite=True)
-    draw(labelled, options=parallel, selection=TWO)
-    assert pngs(labelled) == alone
-    other = replace(labelled, out=tmp_path / "shards")
-    other.predict_by_hand(CAR)
-    for index in (1, 2):
-        draw(other, options=RunOptions(shard=Shard.parse(f"{index}/2")), selection=TWO)
-    assert pngs(other) == alone
 
 
 def test_scans_alone(world):
