@@ -80,6 +80,16 @@ def weights(full_weights: Path) -> Path:
 
 
 @pytest.fixture
+def narrow_weights(tmp_path: Path) -> Iterator[Path]:
+    """Return weights of few channels, which salsanext has as long as the test runs."""
+    from narrow import narrow_salsanext
+    from scans import write_weights
+
+    with narrow_salsanext():
+        yield write_weights(tmp_path / "narrow.safetensors")
+
+
+@pytest.fixture
 def world(tmp_path: Path, weights: Path) -> "World":
     """Return scans in SemanticKITTI's layout, in a folder with a space and an umlaut."""
     from world import World

@@ -113,6 +113,11 @@ def test_the_picture_of_the_pipeline_is_current(tmp_path):
 
 
 @pytest.fixture
+def weights(narrow_weights: Path) -> Path:
+    return narrow_weights
+
+
+@pytest.fixture
 def a_scan_and_weights(tmp_path, weights, monkeypatch) -> Path:
     """Make a folder with the files that the Python examples name the current one."""
     write_bin(tmp_path / "000000.bin", make_scan())

@@ -59,6 +59,11 @@ def test_importing_imports_nothing_heavy():
     assert python(code).stdout == "[]\n"
 
 
+@pytest.fixture
+def weights(narrow_weights: Path) -> Path:
+    return narrow_weights
+
+
 def test_the_sample_of_the_design_runs(tmp_path, monkeypatch, weights):
     """Five lines from a file to labels, the network's view being the preset's."""
     monkeypatch.chdir(tmp_path)
@@ -86,7 +91,7 @@ def test_the_sample_of_the_design_runs(tmp_path, monkeypatch, weights):
 
 
 @pytest.fixture
-def other_sensor(tmp_path, monkeypatch):
+def other_sensor(tmp_path, monkeypatch, weights):
     """Return a folder of scans of bytes, upside down, for weights that know their intensity."""
     monkeypatch.chdir(tmp_path)
     known = replace(SMALL, intensity_quantiles=tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2))
@@ -133,8 +138,8 @@ def test_label_labels_as_the_command_line_does(other_sensor, tmp_path, caplog):
 
     scan = sn.read_scan(first)
     fitted = sn.fit_network(sn.load_network("weights.safetensors", "cpu"), [scan])
-    for weights in ("weights.safetensors", fitted):
-        labels, probabilities, error = sn.label(scan.points, scan.intensity, weights)
+    for given in ("weights.safetensors", fitted):
+        labels, probabilities, error = sn.label(scan.points, scan.intensity, given)
         assert sn.label_space().to_raw(labels).astype("<u4").tobytes() == expected
         np.testing.assert_array_equal(probabilities.astype(np.float16), np.load(softmax))
         assert error is None

@@ -31,7 +31,7 @@ NETWORK = "--weights DATA/w.safetensors --device cpu"
 PREDICT = f"predict DATA {OUT} --probabilities {NETWORK}"
 COMMANDS = {
     "predict": (PREDICT,),
-    "export-ply": (PREDICT, f"export-ply --out {OUT} --colour label"),
+    "export-ply": (f"{PREDICT} --engine torch", f"export-ply --out {OUT} --colour label"),
     "eval": (PREDICT, f"eval --out {OUT}"),
     "knn-refine": (
         f"project DATA {OUT} --sensor DATA/small.toml",
@@ -193,18 +193,6 @@ def when_working(folder: Path) -> None:
     while not list(folder.glob(f"{OUT}/sequences/*/predictions/*.label")):
         assert time.monotonic() < end
         time.sleep(0.02)
-
-
-@pytest.mark.slow
-@SIGNALS
-def test_workers_end_with_their_run(tmp_path: Path, long: Trial, number: signal.Signals) -> None:
-    process = long.begun(tmp_path / "trial", "--jobs 2")
-    when_working(tmp_path / "trial")
-    assert len(in_session(process.pid)) > 2
-    process.send_signal(number)
-    require_ended(process, number)
-    assert process.returncode
-    long.require_made_good(tmp_path / "trial", number)
 
 
 @pytest.mark.slow

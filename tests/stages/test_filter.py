@@ -303,13 +303,6 @@ def test_merged_classes_have_their_own_names():
         named_classes(["car"], coarse)
 
 
-def test_what_is_left_is_read_by_the_other_commands(apply, tmp_path):
-    apply(drop=["vehicle"])
-    assert len(read_scan(tmp_path / "to/sequences/08/velodyne/000000.bin")) == 5
-    with pytest.raises(NoInputError):
-        filter_scans(tmp_path / "nowhere", tmp_path / "to", drop=["car"])
-
-
 @pytest.mark.parametrize(
     ("options", "count"), [({"indices": True, "drop": ["car"]}, 0), ({"keep": ["bicycle"]}, 9)]
 )
