@@ -113,11 +113,6 @@ def test_the_picture_of_the_pipeline_is_current(tmp_path):
 
 
 @pytest.fixture
-def weights(narrow_weights: Path) -> Path:
-    return narrow_weights
-
-
-@pytest.fixture
 def a_scan_and_weights(tmp_path, weights, monkeypatch) -> Path:
     """Make a folder with the files that the Python examples name the current one."""
     write_bin(tmp_path / "000000.bin", make_scan())
@@ -153,7 +148,7 @@ def test_the_python_blocks_run(page, a_scan_and_weights):
     names: dict[str, Any] = {}
     for number, body in enumerate(written):
         exec(compile(body, f"{page.name}, block {number}", "exec"), names)
-    assert names["labels"].shape == (len(names["scan"]),)
+    assert (names["labels"].shape, names["labels"].dtype) == ((len(names["scan"]),), np.uint8)
     of_points = names["probabilities"].ndim == 2
     assert abs(names["probabilities"].sum(axis=int(of_points)) - 1).max() < 1e-5
     if "outcome" in names:

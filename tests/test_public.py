@@ -64,32 +64,6 @@ def weights(narrow_weights: Path) -> Path:
     return narrow_weights
 
 
-def test_the_sample_of_the_design_runs(tmp_path, monkeypatch, weights):
-    """Five lines from a file to labels, the network's view being the preset's."""
-    monkeypatch.chdir(tmp_path)
-    write_bin(Path("000000.bin"), make_scan())
-    Path("weights.safetensors").symlink_to(weights)
-    monkeypatch.setattr("salsanext_cli.sensors.sensor.presets", lambda: {"hdl64": SMALL})
-
-    scan = sn.read_scan("000000.bin")
-    image = sn.project(scan, sn.sensor("hdl64"))
-    network = sn.load_network("weights.safetensors", device="cpu")
-    probs = network.probabilities(image)
-    labels = sn.knn_refine(image, probs.argmax(0))
-
-    assert scan.points.shape == (1500, 3)
-    assert scan.points.dtype == scan.intensity.dtype == np.float32
-    assert image.channels.shape == (5, 16, 128)
-    assert image.pixel_of_point.shape == (1500,)
-    assert image.point_of_pixel.shape == (16, 128)
-    assert probs.shape == (20, 16, 128)
-    np.testing.assert_allclose(probs.sum(axis=0), 1, atol=1e-5)
-    assert labels.shape == (1500,)
-    assert labels.dtype == np.uint8
-    raw = sn.label_space().to_raw(labels)
-    np.testing.assert_array_equal(sn.label_space().to_train(raw), labels)
-
-
 @pytest.fixture
 def other_sensor(tmp_path, monkeypatch, weights):
     """Return a folder of scans of bytes, upside down, for weights that know their intensity."""
