@@ -108,9 +108,11 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw nothing of an evaluation: pictures take tenths of a second, and have their own tests."""
+    """Draw nothing of scans and evaluations: that takes tenths of a second, and has own tests."""
     from salsanext_cli.report import plots
+    from salsanext_cli.stages import picture
 
+    monkeypatch.setattr(picture, "picture_of_results", lambda *_, **__: b"picture")
     monkeypatch.setattr(plots, "iou_bars", lambda *_: b"picture")
     monkeypatch.setattr(plots, "confusion_picture", lambda *_: b"picture")
     names = ("reliability_diagram", "error_diagram", "risk_coverage", "sparsification")
