@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import pytest
@@ -26,9 +27,15 @@ def every_command() -> dict[str, Callable[..., None]]:
     return found
 
 
+@cache
+def root() -> Any:
+    """Return the command line as a whole; it takes a tenth of a second to build."""
+    return typer.main.get_command(app)
+
+
 def parsed(name: str) -> Any:
     """Return a command as the command line knows it, by its full name."""
-    command: Any = typer.main.get_command(app)
+    command = root()
     for word in name.split():
         command = command.commands[word]
     return command

@@ -80,6 +80,16 @@ def weights(full_weights: Path) -> Path:
 
 
 @pytest.fixture
+def narrow_weights(tmp_path: Path) -> Iterator[Path]:
+    """Return weights of few channels, which salsanext has as long as the test runs."""
+    from narrow import narrow_salsanext
+    from scans import write_weights
+
+    with narrow_salsanext():
+        yield write_weights(tmp_path / "narrow.safetensors")
+
+
+@pytest.fixture
 def world(tmp_path: Path, weights: Path) -> "World":
     """Return scans in SemanticKITTI's layout, in a folder with a space and an umlaut."""
     from world import World
@@ -98,9 +108,11 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw nothing of an evaluation: pictures take tenths of a second, and have their own tests."""
+    """Draw nothing of scans and evaluations: that takes tenths of a second, and has own tests."""
     from salsanext_cli.report import plots
+    from salsanext_cli.stages import picture
 
+    monkeypatch.setattr(picture, "picture_of_results", lambda *_, **__: b"picture")
     monkeypatch.setattr(plots, "iou_bars", lambda *_: b"picture")
     monkeypatch.setattr(plots, "confusion_picture", lambda *_: b"picture")
     names = ("reliability_diagram", "error_diagram", "risk_coverage", "sparsification")

@@ -11,9 +11,12 @@ import pytest
 from scans import write_weights
 from world import Kept, World
 
+from salsanext_cli.engines import loading
+from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.network import salsanext
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SALSANEXT, SalsaNext
+from salsanext_cli.network.segmentation import SegmentationNetwork
 
 NARROW = replace(SALSANEXT, widths=(8, 16, 32, 32, 32), decoder_widths=(32, 32, 16, 16))
 """Few channels: a network of full size would take most of the time of a test."""
@@ -28,9 +31,24 @@ def narrow_salsanext() -> Iterator[None]:
         yield
 
 
+READ: dict[tuple[str, str], SegmentationNetwork] = {}
+"""Networks by the SHA-256 of their file and device: to read one takes half of a short run."""
+
+
+def read_once(file: Path, device: str, sha256: str) -> SegmentationNetwork:
+    """Read the network of a weights file that a test before has not read."""
+    if (sha256, device) not in READ or fingerprint(file) != sha256:
+        READ[sha256, device] = read_anew(file, device, sha256)
+    return READ[sha256, device]
+
+
+read_anew = loading._read_module
+
+
 @pytest.fixture(autouse=True, scope="module")
 def narrow() -> Iterator[None]:
-    with narrow_salsanext():
+    with narrow_salsanext(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loading, "_read_module", read_once)
         yield
 
 

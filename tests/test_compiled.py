@@ -114,7 +114,7 @@ def test_processes_that_write_at_once(kernel, tmp_path):
     )
     path = os.pathsep.join(map(str, (tmp_path, Path(salsanext_cli.__file__).parents[1])))
     pipes = {"env": os.environ | {"PYTHONPATH": path}, "stdout": subprocess.PIPE, "text": True}
-    commands = [[sys.executable, "-c", code, order] for order in ("1", "-1", "1")]
+    commands = [[sys.executable, "-c", code, order] for order in ("1", "-1")]
     started = [subprocess.Popen(command, **pipes) for command in commands]
     for process in started:
         process.communicate(timeout=120)

@@ -44,9 +44,10 @@ def test_they_are_small_half_precision_and_say_what_they_are():
     assert plan == seldom.with_changes(precision=card.recipe["precision"])
 
 
-def test_they_know_streets_that_they_never_saw(tmp_path):
-    """The four streets together: a single one may be easier or harder than its error says."""
-    synthesise(tmp_path, train=0, valid=4, scans=1, seed=1234)
+@pytest.mark.parametrize("streets", [1, pytest.param(4, marks=pytest.mark.slow)])
+def test_they_know_streets_that_they_never_saw(tmp_path, streets):
+    """Several streets together: a single one may be easier or harder than its error says."""
+    synthesise(tmp_path, train=0, valid=streets, scans=1, seed=1234)
     network = load_network(None, "cpu")
     assert knows_error(network)
     judged = [[], [], []]

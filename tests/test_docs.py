@@ -17,14 +17,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
 import yaml
-from command_line import every_command, parsed
+from command_line import every_command, parsed, root
 from scans import SMALL, make_scan, write_array, write_sequence
 
 import salsanext_cli
 from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project, read_scan
-from salsanext_cli.cli.app import COMMANDS, app
+from salsanext_cli.cli.app import COMMANDS
 from salsanext_cli.formats import SCAN_SUFFIXES
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.formats.las import asprs_class
@@ -64,19 +63,9 @@ def command_lines(page: Path) -> Iterator[str]:
         yield " ".join(line.split()).removeprefix("time ")
 
 
-CALLS = sorted(
-    {
-        (page.name, line)
-        for page in PAGES
-        for line in command_lines(page)
-        if line.startswith("salsanext ")
-    }
-)
-
-
 def parse(arguments: list[str]) -> None:
     """Parse a command line, options, values and all, without running it."""
-    command: Any = typer.main.get_command(app)
+    command = root()
     context, name, rest = None, "salsanext", arguments
     while hasattr(command, "commands"):
         context = command.make_context(name, list(rest), parent=context, resilient_parsing=True)
@@ -85,34 +74,27 @@ def parse(arguments: list[str]) -> None:
     command.make_context(name, rest, parent=context)
 
 
-@pytest.mark.parametrize(("page", "line"), CALLS)
-def test_every_command_line_parses(page, line, monkeypatch):
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_line_parses(page, monkeypatch):
     monkeypatch.delenv("SALSANEXT_OUT", raising=False)
-    arguments = shlex.split(line, comments=True)[1:]
-    if arguments == ["--help"] or "COMMAND" in arguments or "[OPTIONS]" in arguments:
-        return
-    if len(arguments) == 1:
-        assert arguments[0] in WORDS
-    else:
-        parse(arguments)
+    for line in {line for line in command_lines(page) if line.startswith("salsanext ")}:
+        arguments = shlex.split(line, comments=True)[1:]
+        if len(arguments) == 1:
+            assert arguments[0] in WORDS | {"--help"}
+        elif not {"COMMAND", "[OPTIONS]"} & {*arguments}:
+            parse(arguments)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_every_command_is_documented(name):
-    assert f"`{name}`" in text_of("README.md")
-    assert f"### salsanext {name}\n" in text_of("docs/cli.md")
-    own_words = [page for page in DOCS.glob("*.md") if page.name != "cli.md"]
-    assert any(f"salsanext {name} " in page.read_text("utf-8") for page in own_words)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_help_is_a_sentence_and_an_example(name):
-    command = parsed(name)
-    what, marker, example = command.help.partition("Example: ")
-    assert what.strip().endswith(".")
-    assert marker
-    assert example.startswith(f"salsanext {name}")
-    assert all(p.help for p in command.params)
+def test_every_command_is_documented_and_its_help_is_a_sentence_and_an_example():
+    pages = [page.read_text("utf-8") for page in DOCS.glob("*.md") if page.name != "cli.md"]
+    for name in NAMES:
+        assert f"`{name}`" in text_of("README.md")
+        assert f"### salsanext {name}\n" in text_of("docs/cli.md")
+        assert any(f"salsanext {name} " in page for page in pages), name
+        what, _, example = parsed(name).help.partition("Example: ")
+        assert what.strip().endswith("."), name
+        assert example.startswith(f"salsanext {name}")
+        assert all(p.help for p in parsed(name).params), name
 
 
 def test_the_command_reference_is_current_whatever_the_terminal(monkeypatch):
@@ -166,7 +148,7 @@ def test_the_python_blocks_run(page, a_scan_and_weights):
     names: dict[str, Any] = {}
     for number, body in enumerate(written):
         exec(compile(body, f"{page.name}, block {number}", "exec"), names)
-    assert names["labels"].shape == (len(names["scan"]),)
+    assert (names["labels"].shape, names["labels"].dtype) == ((len(names["scan"]),), np.uint8)
     of_points = names["probabilities"].ndim == 2
     assert abs(names["probabilities"].sum(axis=int(of_points)) - 1).max() < 1e-5
     if "outcome" in names:

@@ -34,6 +34,11 @@ def load(name: str) -> Callable[..., None]:
 
 
 @pytest.fixture
+def weights(narrow_weights: Path) -> Path:
+    return narrow_weights
+
+
+@pytest.fixture
 def scan(tmp_path) -> Path:
     path = tmp_path / "my scans" / "000000.bin"
     write_bin(path, make_scan())

@@ -14,10 +14,8 @@ import numpy as np
 import plyfile
 import pytest
 from scans import files_below, labels_below, write_sequence
-from typer.testing import CliRunner
 
 from salsanext_cli import label_space, read_labels, sensor
-from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
@@ -91,18 +89,6 @@ def test_the_three_lines_as_typed(shell, tmp_path):
         assert done.returncode == 0, done.stderr
         assert "Traceback" not in done.stderr
     assert_scored_and_exported(folder, "seq")
-
-
-def test_the_same_lines_when_the_scans_lie_elsewhere(weights, tmp_path, monkeypatch):
-    for module in ("network.card", "engines.loading"):
-        monkeypatch.setattr(f"salsanext_cli.{module}.default_weights", lambda: weights)
-    elsewhere = write_sequence(tmp_path / "disk 2/Fahrt ü", ["000000"])
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    for line in (f"salsanext predict '{elsewhere}/velodyne' out/", *THREE_LINES[1:]):
-        done = CliRunner().invoke(app, shlex.split(line)[1:])
-        assert done.exit_code == 0, done.output
-    assert_scored_and_exported(tmp_path / "here", "Fahrt ü")
 
 
 @pytest.mark.parametrize("jobs", [pytest.param(1, marks=pytest.mark.slow), 2])

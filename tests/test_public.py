@@ -40,11 +40,10 @@ def test_all_is_what_type_checkers_see():
     assert set(NAMES) <= set(dir(sn))
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_each_is_what_its_home_holds(name):
-    home = importlib.import_module(typed_names()[name])
-    assert getattr(sn, name) is getattr(home, name)
-    assert getattr(sn, name).__doc__
+def test_each_is_what_its_home_holds():
+    for name, home in typed_names().items():
+        assert getattr(sn, name) is getattr(importlib.import_module(home), name)
+        assert getattr(sn, name).__doc__, name
 
 
 def test_other_names_are_attribute_errors():
@@ -60,34 +59,13 @@ def test_importing_imports_nothing_heavy():
     assert python(code).stdout == "[]\n"
 
 
-def test_the_sample_of_the_design_runs(tmp_path, monkeypatch, weights):
-    """Five lines from a file to labels, the network's view being the preset's."""
-    monkeypatch.chdir(tmp_path)
-    write_bin(Path("000000.bin"), make_scan())
-    Path("weights.safetensors").symlink_to(weights)
-    monkeypatch.setattr("salsanext_cli.sensors.sensor.presets", lambda: {"hdl64": SMALL})
-
-    scan = sn.read_scan("000000.bin")
-    image = sn.project(scan, sn.sensor("hdl64"))
-    network = sn.load_network("weights.safetensors", device="cpu")
-    probs = network.probabilities(image)
-    labels = sn.knn_refine(image, probs.argmax(0))
-
-    assert scan.points.shape == (1500, 3)
-    assert scan.points.dtype == scan.intensity.dtype == np.float32
-    assert image.channels.shape == (5, 16, 128)
-    assert image.pixel_of_point.shape == (1500,)
-    assert image.point_of_pixel.shape == (16, 128)
-    assert probs.shape == (20, 16, 128)
-    np.testing.assert_allclose(probs.sum(axis=0), 1, atol=1e-5)
-    assert labels.shape == (1500,)
-    assert labels.dtype == np.uint8
-    raw = sn.label_space().to_raw(labels)
-    np.testing.assert_array_equal(sn.label_space().to_train(raw), labels)
+@pytest.fixture
+def weights(narrow_weights: Path) -> Path:
+    return narrow_weights
 
 
 @pytest.fixture
-def other_sensor(tmp_path, monkeypatch):
+def other_sensor(tmp_path, monkeypatch, weights):
     """Return a folder of scans of bytes, upside down, for weights that know their intensity."""
     monkeypatch.chdir(tmp_path)
     known = replace(SMALL, intensity_quantiles=tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2))
@@ -134,8 +112,8 @@ def test_label_labels_as_the_command_line_does(other_sensor, tmp_path, caplog):
 
     scan = sn.read_scan(first)
     fitted = sn.fit_network(sn.load_network("weights.safetensors", "cpu"), [scan])
-    for weights in ("weights.safetensors", fitted):
-        labels, probabilities, error = sn.label(scan.points, scan.intensity, weights)
+    for given in ("weights.safetensors", fitted):
+        labels, probabilities, error = sn.label(scan.points, scan.intensity, given)
         assert sn.label_space().to_raw(labels).astype("<u4").tobytes() == expected
         np.testing.assert_array_equal(probabilities.astype(np.float16), np.load(softmax))
         assert error is None

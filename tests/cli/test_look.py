@@ -3,7 +3,6 @@
 
 import sys
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 from command_line import only_json
@@ -65,21 +64,6 @@ def test_the_command_says_where_the_recordings_are(run, world, recorded):
     assert {*found} == KEYS
     assert (found["stage"], found["done"]) == ("export-rrd", 1)
     assert run(*given, "-q").stderr == ""
-
-
-def test_what_is_wrong_is_one_line(run, world, recorded):
-    for words, status, says in (
-        (["nowhere"], 1, "nowhere · no such folder"),
-        ([world.out], 1, "its scans are not in"),
-        ([world.out, "--dataset", world.dataset, "--sequences", "9"], 1, "no scans of sequence 9"),
-        ([world.out, "--limit", 0], 2, "--limit · 0"),
-        ([world.out, "--jobs", 2], 2, "No such option"),
-    ):
-        result = run("export-rrd", *words)
-        assert result.exit_code == status, result.output
-        assert says in result.stderr
-        assert "Traceback" not in result.output
-    assert not Path(world.out / "rrd").exists()
 
 
 def test_without_rerun_the_extra_is_named(run, world, monkeypatch):

@@ -57,6 +57,7 @@ def seen(folder: Path, code: str) -> str:
     return (folder / "seen").read_text()
 
 
+@pytest.mark.slow
 def test_sockets_and_telemetry_are_noted(tmp_path):
     noted = seen(
         tmp_path,

@@ -2,7 +2,6 @@
 """End of a run: what comes next, and what is said of scans left out."""
 
 import shlex
-import shutil
 from dataclasses import replace
 
 import pytest
@@ -34,13 +33,6 @@ def test_the_commands_to_type_next_lead_from_scans_to_scores(run, data, weights,
         assert result.exit_code == 0, result.output
         found = only_json(result)
     assert typed == ["predict", "knn-refine", "eval"]
-
-
-def test_what_comes_next_without_labels(run, data, weights, tmp_path):
-    shutil.rmtree(data / "sequences/08/labels")
-    found = only_json(run("predict", data, tmp_path / "out", "--weights", weights, "--json"))
-    assert found["next"] == f"salsanext export-ply {tmp_path / 'out'}"
-    assert run(*shlex.split(found["next"])[1:]).exit_code == 0
 
 
 @pytest.mark.parametrize(

@@ -86,11 +86,8 @@ def require_one_line(result, out: Path, before: dict[str, bytes]) -> None:
 @pytest.mark.parametrize(
     ("stage", "room"),
     [
-        *(("predict", 0), ("project", 40_000), ("export-ply", 40_000)),
-        *(
-            pytest.param(stage, 40_000, marks=pytest.mark.slow)
-            for stage in ("predict", "uncertainty", "picture", "eval")
-        ),
+        ("predict", 0),
+        *(pytest.param(stage, 40_000, marks=pytest.mark.slow) for stage in STAGES),
     ],
 )
 def test_a_full_disk(run, places, disk, tmp_path, stage, room) -> None:

@@ -31,7 +31,7 @@ NETWORK = "--weights DATA/w.safetensors --device cpu"
 PREDICT = f"predict DATA {OUT} --probabilities {NETWORK}"
 COMMANDS = {
     "predict": (PREDICT,),
-    "export-ply": (PREDICT, f"export-ply --out {OUT} --colour label"),
+    "export-ply": (f"{PREDICT} --engine torch", f"export-ply --out {OUT} --colour label"),
     "eval": (PREDICT, f"eval --out {OUT}"),
     "knn-refine": (
         f"project DATA {OUT} --sensor DATA/small.toml",
@@ -149,7 +149,10 @@ SIGNALS = pytest.mark.parametrize(
 
 @pytest.mark.parametrize(
     ("name", "number"),
-    [("export-ply", signal.SIGTERM), ("knn-refine", signal.SIGKILL)],
+    [
+        ("export-ply", signal.SIGTERM),
+        pytest.param("knn-refine", signal.SIGKILL, marks=pytest.mark.slow),
+    ],
 )
 def test_a_signal_at_some_step(
     tmp_path: Path, trials: Callable[[str], Trial], name: str, number: signal.Signals
@@ -174,6 +177,7 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Trial:
     return Trial("predict", tmp_path_factory.mktemp("long"), scans=60)
 
 
+@pytest.mark.slow
 def test_two_runs_at_once(tmp_path: Path, long: Trial) -> None:
     folder = tmp_path / "trial"
     for process in [long.begun(folder) for _ in range(2)]:
@@ -189,19 +193,6 @@ def when_working(folder: Path) -> None:
     while not list(folder.glob(f"{OUT}/sequences/*/predictions/*.label")):
         assert time.monotonic() < end
         time.sleep(0.02)
-
-
-@pytest.mark.parametrize(
-    "number", [pytest.param(signal.SIGKILL, marks=pytest.mark.slow), signal.SIGTERM]
-)
-def test_workers_end_with_their_run(tmp_path: Path, long: Trial, number: signal.Signals) -> None:
-    process = long.begun(tmp_path / "trial", "--jobs 2")
-    when_working(tmp_path / "trial")
-    assert len(in_session(process.pid)) > 2
-    process.send_signal(number)
-    require_ended(process, number)
-    assert process.returncode
-    long.require_made_good(tmp_path / "trial", number)
 
 
 @pytest.mark.slow

@@ -35,9 +35,16 @@ def begun(**environment: str) -> subprocess.Popen[str]:
     )
 
 
-@SIGNALS
-@pytest.mark.parametrize("step", [1, 9, 17])
-def test_a_signal_among_the_imports(number: signal.Signals, step: int) -> None:
+@pytest.mark.parametrize(
+    ("step", "number"),
+    [
+        (1, signal.SIGINT),
+        (17, signal.SIGTERM),
+        pytest.param(1, signal.SIGTERM, marks=pytest.mark.slow),
+        pytest.param(17, signal.SIGINT, marks=pytest.mark.slow),
+    ],
+)
+def test_a_signal_among_the_imports(step: int, number: signal.Signals) -> None:
     process = begun(SIGNAL_AT=f"salsanext_cli/cli/:{step}:{number:d}")
     assert process.communicate(timeout=60) == ("", SAID[number])
     assert process.returncode == 128 + number

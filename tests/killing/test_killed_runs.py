@@ -69,12 +69,15 @@ def kills(run: Run, every: int, folder: Path) -> int:
 def overwriting(folder: Path) -> Run:
     """Return runs of `predict` that write three files per scan over those of other settings."""
     from scans import write_sequence, write_weights
+    from tiny_network import TinyNetwork
 
     from salsanext_cli.engines.settings import NetworkSettings
+    from salsanext_cli.network.registry import ARCHITECTURES
     from salsanext_cli.options import KnnParameters
     from salsanext_cli.parallel.run import RunOptions
     from salsanext_cli.stages.predict import predict_scans
 
+    ARCHITECTURES["salsanext"] = TinyNetwork
     data = write_sequence(folder / "data/08", ["a", "b", "c"], count=3000)
     # OpenVINO's threads do not survive a fork.
     network = NetworkSettings(write_weights(folder / "w.safetensors"), "cpu", engine="torch")

@@ -56,6 +56,7 @@ def test_a_scan_that_is_deleted(world, tmp_path):
     assert labels_below(world.out) == labels_below(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_workers_that_find_other_weights_label_no_scan(world, tmp_path):
     """As those of a training that goes on: who has not loaded the first ones stops."""
     weights = tmp_path / "w.safetensors"

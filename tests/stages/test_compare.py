@@ -34,9 +34,10 @@ def runs(tmp_path):
 
 
 @pytest.fixture(autouse=True)
-def one_picture(monkeypatch):
-    """Draw one scan: each takes a second."""
-    monkeypatch.setattr("salsanext_cli.stages.compare.SHOWN", 1)
+def shown(request, monkeypatch):
+    """Draw one scan, and only where that is looked at: each takes a second."""
+    drawn = any(word in request.node.name for word in ("page", "shown"))
+    monkeypatch.setattr("salsanext_cli.stages.compare.SHOWN", int(drawn))
 
 
 def compared(runs, classes=None, **options):

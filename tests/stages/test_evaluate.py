@@ -82,27 +82,13 @@ def test_ids_of_something_else_are_refused(world, wrong):
     assert "83 % of the labelled points" in evaluation.failures[0].reason
 
 
-def test_missing_predictions_are_listed_and_do_not_fail(world, caplog):
-    world.add("000000", [CAR], [CAR])
-    world.add("000001", [ROAD], None)
-    evaluation = world.evaluate()
-    assert [scan.stem for scan in evaluation.missing.scans] == ["000001"]
-    assert not evaluation.failures
-    assert evaluation.scans == 1
-    assert evaluation.scores.points == 1
-    assert (
-        "1 of 2 scans have no predictions and are left out, the first is 08/000001" in caplog.text
-    )
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_bad_scans_are_named_and_the_others_are_scored(world, jobs):
+def test_bad_scans_are_named_and_the_others_are_scored(world):
     for i in range(5):
         truth = [CAR, ROAD] if i != 1 else None
         world.add(f"{i:06d}", truth, [CAR, ROAD] if i != 3 else [CAR])
     cut_off = world.dataset / "sequences/08/labels/000002.label"
     cut_off.write_bytes(cut_off.read_bytes()[:3])
-    evaluation = world.evaluate(jobs=jobs)
+    evaluation = world.evaluate()
     assert evaluation.scans == 2
     stems = [failure.scan.stem for failure in evaluation.failures]
     assert stems == ["000001", "000002", "000003"]

@@ -61,7 +61,7 @@ def only_failure(found):
     return failure
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", ["S.PLY", "s.laz"])
 def test_shuffled_and_cut_clouds_give_the_truth_back(world, name):
     if name.endswith(("s", "z")):
         pytest.importorskip("laspy")

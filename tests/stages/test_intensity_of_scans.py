@@ -106,14 +106,13 @@ def lit(intensity):
     return lambda scan: Scan(scan.points, np.asarray(intensity(scan), np.float32))
 
 
-@pytest.mark.parametrize("scale", [255, 65535])
-def test_named_columns_do_not_switch_it_off(knowing, tmp_path, scale):
+def test_named_columns_do_not_switch_it_off(knowing, tmp_path):
     run(knowing)
     # As --columns does: the sensor of the weights, with its intensity, and other columns.
     columns = ("x", "y", "z", "intensity")
     named = replace(knowing.network.load().card.sensor, columns=columns)
     knowing.network = replace(knowing.network, sensor=named)
-    outcome = run(knowing, tmp_path / "named", scaled(knowing, tmp_path / "large", scale))
+    outcome = run(knowing, tmp_path / "named", scaled(knowing, tmp_path / "large", 65535))
     assert {warning["code"] for warning in outcome.summary.warnings()} <= {
         "one-class",
         "low-confidence",
@@ -127,23 +126,13 @@ def test_what_is_selected_makes_no_difference(knowing, tmp_path):
     run(knowing, source=dark)
     expected = labels_below(knowing.out)
     assert len(expected) == 3
-    selections = [
-        [ScanSelection(sequences=(name,)) for name in names]
-        for names in (("00", "08"), ("08", "00"))
-    ]
-    selections += [
-        [ScanSelection(limit=1), ScanSelection()],
-        [ScanSelection("valid"), ScanSelection()],
-    ]
-    for number, chosen in enumerate(selections):
-        out = tmp_path / f"{number}"
-        for selection in chosen:
-            assert run(knowing, out, dark, selection=selection).done
-        assert labels_below(out) == expected
     # The same whichever begins: neither finds results of the other.
-    for name in ("00", "08"):
-        run(knowing, tmp_path / name, dark, selection=ScanSelection(sequences=(name,)))
-        assert labels_below(tmp_path / name).items() <= expected.items()
+    for number, first in enumerate((ScanSelection("valid"), ScanSelection(limit=1))):
+        out = tmp_path / f"{number}"
+        assert run(knowing, out, dark, selection=first).done
+        assert labels_below(out).items() < expected.items()
+        assert run(knowing, out, dark).done
+        assert labels_below(out) == expected
 
 
 @pytest.mark.parametrize(
@@ -212,15 +201,11 @@ def test_scans_of_another_scale_than_those_before_are_warned_of(knowing, tmp_pat
 
 
 def test_results_of_another_way_are_refused_in_words(knowing):
-    for was, other, said in (
-        ("match", "raw", "matched and is raw"),
-        ("raw", "none", "raw and is none"),
-        ("none", "match", "none and is matched"),
-    ):
-        first, second = (replace(knowing.network, intensity=how) for how in (was, other))
-        predict_scans(knowing.data, knowing.out / was, network=first)
+    run(knowing)
+    for other, said in (("raw", "matched and is raw"), ("none", "matched and is none")):
+        network = replace(knowing.network, intensity=other)
         with pytest.raises(OutputError, match=rf"intensity was {said} \(--intensity\)"):
-            predict_scans(knowing.data, knowing.out / was, network=second)
+            predict_scans(knowing.data, knowing.out, network=network)
 
 
 @pytest.mark.parametrize("how", ["match", "none"])

@@ -91,14 +91,6 @@ def test_labels_are_not_refined_onto_themselves(world, truth):
     assert files_below(world.out) == before
 
 
-def test_predictions_of_another_stage_are_not_replaced_unasked(world, truth):
-    predict_scans(world.data, world.out, network=world.network)
-    with pytest.raises(OutputError, match="predictions/ holds the results of `predict`"):
-        refine(world, truth)
-    assert refine(world, truth, options=RunOptions(overwrite=True)).done == 3
-    np.testing.assert_array_equal(world.labels(), expected(world, "08", "000000"))
-
-
 def test_other_neighbours_are_other_settings(pixels):
     knn_refine_scans(pixels.out)
     before = labels_below(pixels.out)

@@ -113,7 +113,7 @@ NAN, INF = float("nan"), float("inf")
 ODD_POINTS = [(0, 0, 0), (NAN, 1, 1), (1, INF, 1), (-INF, 0, 0), (NAN, NAN, NAN)]
 
 
-@pytest.mark.parametrize("points", [[], [(5, 1, 0)], [(0, 0, 0)], [*ODD_POINTS, (5, 0, 0)]])
+@pytest.mark.parametrize("points", [[], [(0, 0, 0)], [*ODD_POINTS, (5, 0, 0)]])
 def test_odd_scans(world, points):
     scan = replace_points(world.scan(), points)
     outcome = run(world, scan, extras=("probabilities",))

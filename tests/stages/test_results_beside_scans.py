@@ -49,7 +49,7 @@ NETWORK = "--weights WEIGHTS --device cpu --engine torch --json --columns x,y,z,
         ("plain", "plain/out"),
         ("tables", "tables"),
         ("data/sequences/00/velodyne", "data/sequences/00/velodyne"),
-        ("data", "data"),
+        pytest.param("data", "data", marks=pytest.mark.slow),
         ("streets", "streets"),
     ],
 )

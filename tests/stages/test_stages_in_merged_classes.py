@@ -29,6 +29,8 @@ from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 FULL, COARSE = label_space(), label_space("coarse")
 MERGING = ClassMerging.between(FULL, COARSE)
 FEW = UncertaintyMethod(samples=2)
@@ -165,7 +167,7 @@ def test_labels_of_other_raw_ids_count_where_the_names_of_the_classes_are_the_sa
     (coarse.data / "labels.yaml").write_text(yaml.safe_dump(other.to_dict()))
     np.testing.assert_array_equal(compare(coarse).confusion.matrix, expected)
     # Clouds and pictures compare what `eval` does, in the raw ids of the predictions.
-    assert not picture(coarse.out, colours=["wrong"]).failures
+    assert not picture(coarse.out, colours=["wrong"], query=ResultQuery(selection=ONE)).failures
     export_ply(coarse.out)
     cloud = plyfile.PlyData.read(coarse.result("ply"))["vertex"]
     truth = COARSE.to_raw(other.to_train(truth_of(coarse)))

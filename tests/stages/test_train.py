@@ -133,12 +133,16 @@ def test_an_interrupted_training_ends_with_the_weights_of_an_uninterrupted_one(
     require_same(go(dataset, tmp_path / "whole"), parts)
 
 
+CHANGES = ("mix", "paste", "intensity", "mount", "view", "fewer_beams", "jitter", "holes")
+OTHERWISE = dict.fromkeys(CHANGES, 0.5) | {"sensors": "fitted", "no_intensity": 0.3}
+
+
 @pytest.mark.parametrize(
     ("stop", "changes"),
     [
         (4, {"optimiser": "sgd", "schedule": "decay", "average": 0.0}),
         (1, {"accumulate": 2, "clip_gradient": 0.5, "precision": "float16", "whole_epochs": 1}),
-        (4, {"precision": "bfloat16", "samples_per_epoch": 8, "mix": 0.5, "paste": 0.5}),
+        (4, {"precision": "bfloat16", "samples_per_epoch": 8, **OTHERWISE}),
     ],
 )
 def test_from_a_checkpoint_within_an_epoch_it_goes_on_at_the_next_step(
@@ -404,30 +408,3 @@ def test_folders_that_cannot_be_used(dataset, tmp_path):
     (dataset / "sequences" / "08").rename(dataset / "sequences" / "99")
     with pytest.raises(NoInputError, match="no scans of split valid"):
         go(dataset, tmp_path / "run")
-
-
-@pytest.fixture
-def further(tmp_path):
-    """Write a data set that does not tell vegetation from trunks."""
-    write_sequence(tmp_path / "further" / "sequences" / "00", ["0", "1"], count=600, seed=7)
-    space = replace(label_space(), alternatives={70: (15, 16)})
-    (tmp_path / "further" / "labels.yaml").write_text(json.dumps(space.to_dict()))
-    return tmp_path / "further"
-
-
-OTHERWISE = TINY.with_changes(
-    **dict.fromkeys(("mix", "paste", "intensity", "mount", "view", "fewer_beams"), 0.5),
-    **dict.fromkeys(("jitter", "holes"), 0.5),
-    sensors="fitted",
-    no_intensity=0.3,
-)
-
-
-def test_a_training_on_two_data_sets_can_be_interrupted(dataset, further, tmp_path):
-    given = {"recipe": OTHERWISE, "also": [further]}
-    whole = go(dataset, tmp_path / "whole", **given)
-    assert all(math.isfinite(row["loss"]) for row in whole.rows)
-    stop_at(dataset, tmp_path / "parts", 5, **given)
-    parts = go(dataset, tmp_path / "parts", **given)
-    require_same(whole, parts)
-    assert not same(whole.last, go(dataset, tmp_path / "alone", recipe=OTHERWISE).last)

@@ -30,7 +30,6 @@ from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.tuning import error
 
-LEAST_STEPS = error.LEAST_STEPS
 FEW = Recipe(
     initial="default",
     folds=2,
@@ -63,12 +62,6 @@ def initial(tiny_training: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 
 
 @pytest.fixture
-def good_errors(monkeypatch: pytest.MonkeyPatch, initial: Path) -> None:
-    """Fit errors in as many steps as outside of tests; most of these need no good ones."""
-    monkeypatch.setattr(error, "LEAST_STEPS", LEAST_STEPS)
-
-
-@pytest.fixture
 def data(tmp_path: Path) -> Path:
     """Three scans of three places that no split names."""
     for name in ("a", "b", "c"):
@@ -80,8 +73,8 @@ def go(data: Path, run: Path, recipe: Recipe = FEW, **changes: object) -> TrainR
     return train(data, run, recipe=recipe, device="cpu", **changes)  # type: ignore[arg-type]
 
 
-@pytest.mark.usefixtures("good_errors")
-def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(data, tmp_path):
+def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(data, tmp_path, monkeypatch):
+    monkeypatch.setattr(setup, "gains", lambda _: True)
     reports: list[StepReport] = []
     run = tmp_path / "run"
     result = go(data, run, progress=reports.append)

@@ -24,6 +24,8 @@ from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.report import read_run, report
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 SPACE = label_space()
 EVERY = (("00", "000000"), ("08", "000000"), ("08", "000001"))
 

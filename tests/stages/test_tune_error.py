@@ -25,7 +25,15 @@ from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.error_features import FEATURES
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 ALL = ScanSelection()
+
+
+@pytest.fixture
+def in_few_steps(monkeypatch) -> None:
+    """Fit a model of errors that is good for nothing."""
+    monkeypatch.setattr("salsanext_cli.training.tuning.error.LEAST_STEPS", 1)
 
 
 @pytest.fixture
@@ -43,6 +51,7 @@ def far_is_wrong(world: World, tmp_path) -> World:
     return world
 
 
+@pytest.mark.usefixtures("in_few_steps")
 def test_labels_of_several_classes_are_left_out_and_said(world: World, target) -> None:
     space = label_space()
     own, shares = replace(space, alternatives={10: (1, 4)}), []
@@ -55,6 +64,8 @@ def test_labels_of_several_classes_are_left_out_and_said(world: World, target) -
     tuned = tune("error", world.data, target, network=world.network, selection=ALL)
     assert tuned["several"] == pytest.approx(np.mean(shares), abs=1e-3)
     assert 0 < tuned["several"] < 1
+    again = tune("error", world.data, target, network=world.network, selection=ALL, overwrite=True)
+    assert again == tuned
 
 
 def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, tmp_path) -> None:
@@ -68,8 +79,6 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     assert stored.features == FEATURES
     assert stored.scores == {key: tuned[key] for key in tuned if key != "stage"}
     assert describe_weights(target)["error"] == stored.scores
-    again = tune("error", world.data, target, network=world.network, selection=ALL, overwrite=True)
-    assert again == tuned
     network = replace(world.network, weights=target)
     predict_scans(world.data, world.out, network=network, extras=(ERROR,))
     error = np.load(world.result(ERROR))
@@ -133,6 +142,7 @@ def test_weights_without_it_are_refused(world: World, target, tmp_path) -> None:
     assert not world.result(ERROR).exists()
 
 
+@pytest.mark.usefixtures("in_few_steps")
 def test_other_features_and_merged_classes_are_refused(far_is_wrong: World, target) -> None:
     world = far_is_wrong
     tune("error", world.data, target, network=world.network, selection=ALL)
@@ -167,6 +177,7 @@ def test_labels_that_teach_nothing(world: World, target, tmp_path) -> None:
     assert not target.exists()
 
 
+@pytest.mark.usefixtures("in_few_steps")
 def test_a_single_scan_is_not_cross_validated(far_is_wrong: World, target, caplog) -> None:
     world = far_is_wrong
     selection = ScanSelection(split="valid", limit=1)

@@ -159,7 +159,10 @@ def test_scans_that_cannot_be_read_and_scans_moved_away_are_told(world, caplog):
     )
 
 
-@pytest.mark.parametrize(("ending", "damaged"), [(signal.SIGINT, False), (signal.SIGTERM, True)])
+@pytest.mark.parametrize(
+    ("ending", "damaged"),
+    [pytest.param(signal.SIGINT, False, marks=pytest.mark.slow), (signal.SIGTERM, True)],
+)
 def test_it_ends_when_it_is_told_to(world, ending, damaged):
     if damaged:
         (world.dataset / "sequences/08/velodyne/000000.bin").write_bytes(b"damaged")
