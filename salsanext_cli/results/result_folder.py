@@ -246,7 +246,7 @@ class ResultFolder(StageRecords):
             "predictions_of": stage,
             "weights": self.weights("predictions"),
             "temperature": softmax.get("temperature"),
-            "reject": rejection[1] if (rejection := self.rejection()) else None,
+            "reject": rejection.above if (rejection := self.rejection()) else None,
             "uncertainty": {k: estimated[k] for k in UNCERTAINTY_SETTINGS if k in estimated}
             or None,
             "origins": self.origins(sorted(made_by)),
@@ -278,8 +278,9 @@ class ResultFolder(StageRecords):
         paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
         uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
         rejection, rejected = self.rejection(), None
-        if rejection and rejection[0] in uncertainty:
-            rejected = uncertainty[rejection[0]] > rejection[1]
+        if rejection and rejection.kind in uncertainty:
+            unlabelled = np.zeros(count, np.bool_) if label is None else label == 0
+            rejected = rejection.of_points(uncertainty[rejection.kind], unlabelled)
         return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
 
     def with_results(self, scans: list[ScanFile]) -> list[ScanFile]:
