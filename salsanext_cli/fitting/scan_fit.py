@@ -227,8 +227,9 @@ def view_of(sensor: Sensor) -> dict[str, Any]:
 def is_other_view(view: Mapping[str, Any], sensor: Sensor) -> bool:
     """Whether a sensor is not fitted as that of `view_of` was, or far otherwise."""
     own = view_of(sensor)
-    return own["name"] != view["name"] or any(
-        np.abs(np.subtract(own[name], view[name])).max() > tolerance
+    other = own | dict(view)
+    return bool(own["name"] != other["name"]) or any(
+        np.abs(np.subtract(own[name], other[name])).max() > tolerance
         for name, tolerance in VIEW_TOLERANCES.items()
     )
 

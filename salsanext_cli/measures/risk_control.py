@@ -36,11 +36,7 @@ def means_of_units(losses: Ratios, units: npt.NDArray[Any]) -> Ratios:
 
     `units` (n,): what names the unit of each scan.
     """
-    names, places = np.unique(units, return_inverse=True)
-    sums = np.zeros((len(names), *losses.shape[1:]))
-    np.add.at(sums, places, losses)
-    means: Ratios = (sums.T / np.bincount(places)).T
-    return means
+    return np.stack([losses[units == unit].mean(axis=0) for unit in np.unique(units)])
 
 
 def held_thresholds(

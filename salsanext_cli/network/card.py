@@ -135,6 +135,8 @@ class WeightsCard:
             tables = (*TABLES, *(name for name in ("error", *FITTED) if name in values))
             if bad := [key for key in tables if not isinstance(values[key], dict)]:
                 raise TypeError(f"{bad[0]} is no table")
+            # A view that a threshold holds for is that of a sensor.
+            Sensor.from_dict({**values["sensor"], **values.get("risk", {}).get("view", {})}, source)
             return cls(
                 architecture=values["architecture"],
                 space=LabelSpace.from_dict(values["label_space"], source),
@@ -160,7 +162,7 @@ def _numbers_of(part: str, values: Any) -> dict[str, Any]:
         raise ValueError(f"{part} holds {shortened(numbers)}")
     if part == "risk":
         of_risk = {"kind", "confidence", "sequences"} <= values.keys()
-        tables = [values.get(name, {}) for name in ("settings", "classes", "view")]
+        tables = [values.get(name, {}) for name in ("settings", "classes")]
         if not (of_risk and all(isinstance(table, dict) for table in tables)):
             raise ValueError("risk does not say what it holds for")
         if not all(type(each) in (int, float) for each in tables[1].values()):

@@ -128,9 +128,10 @@ def test_each_class_has_a_threshold_that_holds_of_its_own_points(
     results = [ResultFolder(world.out).read(file) for file in find_scans(world.data)]
     assert sum(each.rejected_points for each in results) == rejected > 0
     other = target.with_name("other.safetensors")
-    save_with_card(target, other, replace(read_card(target), risk={**risk, "classes": {"car": ""}}))
-    with pytest.raises(WeightsError, match="damaged metadata"):
-        read_card(other)
+    for damage in ({"classes": {"car": ""}}, {"view": {"fov_up": "x"}}, {"view": 3}):
+        save_with_card(target, other, replace(read_card(target), risk={**risk, **damage}))
+        with pytest.raises(WeightsError, match="damaged metadata"):
+            read_card(other)
 
 
 def _labels_of(file) -> str:
