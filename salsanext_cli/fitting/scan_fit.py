@@ -225,7 +225,7 @@ def view_of(sensor: Sensor) -> dict[str, Any]:
 
 
 def is_other_view(view: Mapping[str, Any], sensor: Sensor) -> bool:
-    """Whether a sensor is not fitted as that of `view_of` was, or far otherwise."""
+    """Say whether a sensor is not fitted as that of `view_of` was, or far otherwise."""
     own = view_of(sensor)
     other = own | dict(view)
     return bool(own["name"] != other["name"]) or any(

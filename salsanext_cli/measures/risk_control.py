@@ -101,7 +101,7 @@ def needed_scans(at_most: float, confidence: float | None) -> int:
 
 
 def enough_drives(drives: int, at_most: float, confidence: float | None) -> bool:
-    """Whether the drive, and not the scan, is the unit of a promise.
+    """Say whether the drive, and not the scan, is the unit of a promise.
 
     On the mean twice the least number: with fewer, more than half of the level is set aside for the
     new drive, and few points are kept.
@@ -189,7 +189,7 @@ class KeptPromise:
 
     @property
     def is_broken(self) -> bool:
-        """Whether more was found than promised."""
+        """Say whether more was found than promised."""
         if self.confidence is None:
             return self.mean > self.at_most
         return self.above / self.units > round(1 - self.confidence, 9)

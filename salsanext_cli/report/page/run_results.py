@@ -221,7 +221,7 @@ class RunResults:
 
     @property
     def promise(self) -> KeptPromise | None:
-        """What was promised of the labels that are kept, beside what is found."""
+        """Promise of the labels that are kept, beside what is found."""
         settings = StageRecords(self.reader.out).settings_of("predictions")
         if self.counts is None or settings is None or "promised" not in settings:
             return None
