@@ -35,7 +35,7 @@ def picture(
         tuple[float, float] | None,
         typer.Option(
             help="Values at the two ends of the colour map, for a single --colour.",
-            show_default="range of most of the values",
+            show_default="range of most values; fixed for error",
         ),
     ] = None,
     gif: Annotated[bool, typer.Option("--gif", help="Animate each sequence as GIF.")] = False,

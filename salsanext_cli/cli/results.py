@@ -231,7 +231,7 @@ def export_ply(
         tuple[float, float] | None,
         typer.Option(
             help="Values at the two ends of the colour map.",
-            show_default="range of most of the values",
+            show_default="range of most values; fixed for error",
         ),
     ] = None,
     max_error: Annotated[

@@ -78,6 +78,13 @@ def tune_risk(
             show_default="on the mean of scans",
         ),
     ] = None,
+    per_class: Annotated[
+        bool,
+        typer.Option(
+            "--per-class",
+            help="Hold it of the points of each label, too, by thresholds of their own.",
+        ),
+    ] = False,
     selection: options.LabelledSelection,
     network: options.Network,
     overwrite: options.Overwrite = False,
@@ -93,12 +100,15 @@ def tune_risk(
     from salsanext_cli.report.tables import kept_table
 
     given = {"at_most": at_most, "confidence": confidence}
-    numbers = {
+    numbers: dict[str, float | None] = {
         name: options.share(f"--{name.replace('_', '-')}", text) for name, text in given.items()
     }
+    numbers["per_class"] = per_class
     tuned = _tuned("risk", dataset, target, network, selection, overwrite, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
-    output.result(tuned, Group(kept_table(tuned["kept"]["classes"]), *sentences))
+    output.result(
+        tuned, Group(kept_table(tuned["kept"]["classes"], tuned.get("classes", {})), *sentences)
+    )
     output.say(f"tune risk: {tuned['promise']} → {target}, {tuned['curve']}")
 
 

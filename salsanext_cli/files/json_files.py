@@ -59,12 +59,12 @@ class RecordedSettings(dict[str, Any]):
         """Return a setting that is itself a mapping."""
         return RecordedSettings(self._as(dict, key, "a JSON object"), self.path)
 
-    def pair(self, key: str) -> tuple[float, float]:
-        """Return a setting that is two numbers."""
-        value = self._as(list, key, "two numbers")
-        if [type(v) in (int, float) for v in value] != [True, True]:
-            raise self._wrong(f"settings have {key} {value!r}", "two numbers")
-        return float(value[0]), float(value[1])
+    def numbers(self, key: str) -> tuple[float, ...]:
+        """Return a setting that is two numbers or more."""
+        value = self._as(list, key, "two numbers or more")
+        if len(value) < 2 or any(type(v) not in (int, float) for v in value):
+            raise self._wrong(f"settings have {key} {value!r}", "two numbers or more")
+        return tuple(map(float, value))
 
     def _as(self, kind: type[Kind], key: str, expected: str) -> Kind:
         value = self[key]

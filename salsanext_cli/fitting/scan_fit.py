@@ -2,12 +2,14 @@
 """Network of a run, fitted to its scans: what their sensor does otherwise than that of training."""
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
+
+import numpy as np
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
@@ -37,6 +39,9 @@ MAX_SCANS = 16
 """Scans that a fit reads, evenly spaced among all of a source."""
 FITTED = ("name", "fov_up", "fov_down", "up", "origin")
 """Fields of a sensor that a fit of the view changes."""
+VIEW_TOLERANCES = {"fov_up": 5.0, "fov_down": 5.0, "up": 0.1, "origin": 0.5}
+"""Differences in degrees, of a unit vector, and in metres, that fits to scans of one sensor have;
+those to halves of drives of nuScenes and to single scans differed by up to 5 degrees."""
 EGO = ("min_range", "ego_box")
 """Fields that it finds unless they are told."""
 INTENSITIES = ("auto", "match", "raw", "none")
@@ -212,6 +217,21 @@ def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, A
         "--sensor": {key: value for key, value in view.items() if key != "columns"},
     }
     return dict(as_json(asked))
+
+
+def view_of(sensor: Sensor) -> dict[str, Any]:
+    """Return what a fit of the view changes, as JSON gives it back."""
+    return dict(as_json({name: getattr(sensor, name) for name in FITTED}))
+
+
+def is_other_view(view: Mapping[str, Any], sensor: Sensor) -> bool:
+    """Say whether a sensor is not fitted as that of `view_of` was, or far otherwise."""
+    own = view_of(sensor)
+    other = own | dict(view)
+    return bool(own["name"] != other["name"]) or any(
+        np.abs(np.subtract(own[name], other[name])).max() > tolerance
+        for name, tolerance in VIEW_TOLERANCES.items()
+    )
 
 
 def network_of_run(

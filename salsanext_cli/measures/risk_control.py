@@ -2,8 +2,9 @@
 """Threshold of an uncertainty chosen from labelled scans, with a promise about a new scan.
 
 The loss of a scan at a threshold is the share of all its scored points that are kept and wrong; it
-rises with the threshold. Scans, not points, are taken as exchangeable: those at hand and a new one
-come in any order with the same chance. Arrays of losses are (n, T): scans by rising threshold.
+rises with the threshold. Scans, or drives where there are enough, but not points, are taken as
+exchangeable: those at hand and a new one come in any order with the same chance. The loss of a
+drive is the mean of its scans. Arrays of losses are (n, T): scans or drives by rising threshold.
 """
 
 import math
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few
@@ -19,6 +21,22 @@ from salsanext_cli.measures.scores import Confusion, Ratios
 
 PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
 """Classes whose points are of people."""
+KEEPS_NONE = -1.0
+"""Threshold of a class of which no label is kept."""
+BROKEN = (
+    "more is kept and wrong than was promised: by chance, if these scans are few, else because "
+    "their place, sensor or weather is another than that of the scans that the threshold was "
+    "chosen on; choose it with `salsanext tune risk` on labelled scans like these"
+)
+"""Meaning of a promise that does not hold."""
+
+
+def means_of_units(losses: Ratios, units: npt.NDArray[Any]) -> Ratios:
+    """Return the mean of each unit, as a drive of several scans, in sorted order: (n, …) to (U, …).
+
+    `units` (n,): what names the unit of each scan.
+    """
+    return np.stack([losses[units == unit].mean(axis=0) for unit in np.unique(units)])
 
 
 def held_thresholds(
@@ -82,6 +100,15 @@ def needed_scans(at_most: float, confidence: float | None) -> int:
     return math.ceil(round(math.log(1 - confidence) / math.log(confidence), 9))
 
 
+def enough_drives(drives: int, at_most: float, confidence: float | None) -> bool:
+    """Say whether the drive, and not the scan, is the unit of a promise.
+
+    On the mean twice the least number: with fewer, more than half of the level is set aside for the
+    new drive, and few points are kept.
+    """
+    return drives >= needed_scans(at_most, confidence) * (2 if confidence is None else 1)
+
+
 @dataclass(frozen=True, slots=True)
 class KeptLabels:
     """Coverage and risk of labels of which some were rejected; points are those scored."""
@@ -91,7 +118,8 @@ class KeptLabels:
     wrong: int
     people: int  # Number of points of people, and of them, kept with a label of something else
     missed_people: int
-    classes: dict[str, tuple[int, int]]  # Kept points and wrong ones of them, by predicted class
+    # Kept points and wrong ones of them, by predicted class, those of people first
+    classes: dict[str, tuple[int, int]]
     # Name, points, kept and wrong ones, of the scan with the largest share that is kept and wrong
     worst: tuple[str, int, int, int]
 
@@ -102,7 +130,8 @@ class KeptLabels:
         """Count the points whose predicted class is not 0; `scans`: as `worst`, by name."""
         matrix = confusion.counted(space.scored)
         kept, right = matrix[:, 1:].sum(axis=0), matrix.diagonal()[1:]
-        pairs = zip(kept.tolist(), (kept - right).tolist(), strict=True)
+        of_classes = zip(space.names[1:], kept.tolist(), (kept - right).tolist(), strict=True)
+        in_order = sorted(of_classes, key=lambda each: each[0] not in PEOPLE)
         people = np.isin(space.names, PEOPLE)
         worst = max(scans, key=lambda name: scans[name][2] / max(scans[name][0], 1))
         return cls(
@@ -111,7 +140,7 @@ class KeptLabels:
             wrong=int((kept - right).sum()),
             people=int(matrix[people].sum()),
             missed_people=int(matrix[people][:, 1:][:, ~people[1:]].sum()),
-            classes={n: each for n, each in zip(space.names[1:], pairs, strict=True) if each[0]},
+            classes={n: (k, w) for n, k, w in in_order if k},
             worst=(worst, *scans[worst]),
         )
 
@@ -132,11 +161,12 @@ class KeptLabels:
 
 @dataclass(frozen=True, slots=True)
 class KeptPromise:
-    """Promise about scans beside the losses that were found, shares of their scored points."""
+    """Promise about scans or drives beside the losses found, shares of their scored points."""
 
     at_most: float
-    confidence: float | None  # None where the mean over the scans is at most that
-    scans: int  # Number of scans, and of those of them that lose more
+    confidence: float | None  # None where the mean over them is at most that
+    unit: str  # "scan" or "drive"
+    units: int  # Number of scans or drives, and of those of them that lose more
     above: int
     mean: float  # Mean loss, and the largest
     worst: float
@@ -146,26 +176,38 @@ class KeptPromise:
         cls, promised: Mapping[str, Any], scans: Mapping[str, tuple[int, int, int]]
     ) -> Self | None:
         """Compare with points, kept and wrong ones of scans, by name; None without any points."""
-        losses = np.array([wrong / points for points, _, wrong in scans.values() if points])
-        if not losses.size:
+        judged = {name: wrong / points for name, (points, _, wrong) in scans.items() if points}
+        if not judged:
             return None
+        losses, unit = np.array([*judged.values()]), promised.get("unit", "scan")
+        if unit == "drive":
+            drives = np.array([name.rpartition("/")[0] for name in judged])
+            losses = means_of_units(losses, drives)
         above = int((losses > promised["at_most"]).sum())
         found = len(losses), above, float(losses.mean()), float(losses.max())
-        return cls(promised["at_most"], promised["confidence"], *found)
+        return cls(promised["at_most"], promised["confidence"], unit, *found)
+
+    @property
+    def is_broken(self) -> bool:
+        """Say whether more was found than promised."""
+        if self.confidence is None:
+            return self.mean > self.at_most
+        return self.above / self.units > round(1 - self.confidence, 9)
 
     @property
     def sentence(self) -> str:
         """The same for people."""
         level, worst = f"{100 * self.at_most:.3g} %", f"{100 * self.worst:.1f} % in the worst"
-        mean = f"{100 * self.mean:.1f} % on the mean of {counted(self.scans, 'scan')}"
+        judged = counted(self.units, self.unit)
+        mean = f"{100 * self.mean:.1f} % on the mean of {judged}"
         if self.confidence is None:
-            lost = f"at most {level} of the points of known classes of a new scan kept and wrong"
-            return f"promised: {lost}, on the mean; found: {mean}, {worst}"
+            lost = f"at most {level} of the points of known classes of a new {self.unit}"
+            return f"promised: {lost} kept and wrong, on the mean; found: {mean}, {worst}"
         sure, rest = f"{100 * self.confidence:.3g} %", f"{100 - 100 * self.confidence:.3g} %"
-        found = f"{self.above} of {counted(self.scans, 'scan')}"
+        found = f"{self.above} of {judged}"
         return (
-            f"promised with {sure} confidence: at most {rest} of scans with more than {level} of "
-            f"their points of known classes kept and wrong; found: {found}, {worst}"
+            f"promised with {sure} confidence: at most {rest} of {self.unit}s with more than "
+            f"{level} of their points of known classes kept and wrong; found: {found}, {worst}"
         )
 
 
@@ -173,11 +215,16 @@ def promise(risk: Mapping[str, Any]) -> str:
     """Say what the threshold of weights holds for, of the `risk` in their card."""
     level, scans = f"{100 * risk['at_most']:.3g} %", counted(risk["scans"], "scan")
     kept = f"{risk['kind']} up to {risk['threshold']:.4g} kept"
-    like = f"of the drives that it was chosen on ({scans} of {first_few(risk['sequences'])})"
+    chosen, unit = f"({scans} of {first_few(risk['sequences'])})", risk.get("unit", "scan")
+    like = f"of the drives that it was chosen on {chosen}, not of others"
+    if unit == "drive":
+        like = f"like those that it was chosen on {chosen}"
+    alike = "; the same of the points labelled as each of " + first_few([*risk.get("classes", {})])
+    alike *= "classes" in risk
     if risk["confidence"] is None:
         expected = f"{level} of the points of known classes are expected to be kept and wrong"
-        return f"{kept}: of another scan {like}, at most {expected}"
+        return f"{kept}: of another {unit} {like}, at most {expected}{alike}"
     sure = f"{100 * risk['confidence']:.3g} %"
     rest = f"{100 - 100 * risk['confidence']:.3g} %"
     more = f"more than {level} of their points of known classes kept and wrong"
-    return f"{kept}: with {sure} confidence, at most {rest} of scans {like} have {more}"
+    return f"{kept}: with {sure} confidence, at most {rest} of {unit}s {like} have {more}{alike}"

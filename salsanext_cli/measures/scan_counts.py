@@ -37,6 +37,7 @@ from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.result_folder import read_kind
+from salsanext_cli.results.stage_records import Rejection
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -159,7 +160,7 @@ def count_scan(
     merging: ClassMerging | None = None,
     trained_on: Collection[str] = (),
     objects: bool = False,
-    rejection: tuple[str, float] | None = None,
+    rejection: Rejection | None = None,
 ) -> ScanCounts:
     """Count one scan; one without predictions counts as missing.
 
@@ -171,7 +172,7 @@ def count_scan(
     distance too, for which the scan is read; `labels`: meaning of the raw ids of the labels, if
     they have their own for these classes; `merging`: of the classes of the probabilities into those
     compared; `trained_on`: digests of scans that the weights were trained on; `objects`: whether
-    the predictions have instances; `rejection`: as `StageRecords.rejection`.
+    the predictions have instances; `rejection`: that of the run.
     """
     counts = ScanCounts.none(space, by_distance)
     predictions = output_path(out, scan.sequence, "predictions", scan.stem)
@@ -222,10 +223,10 @@ def count_scan(
         if present(path := output_path(out, scan.sequence, folder, scan.stem)):
             counts.files[folder] = 1
             values[kind] = read_kind(path, kind, len(scored))[scored]
-    if rejection and rejection[0] in values:
-        rejected = values[rejection[0]] > rejection[1]
-        values = {kind: np.where(rejected, np.nan, each) for kind, each in values.items()}
+    if rejection and rejection.kind in values:
         labelled = predicted[scored] != 0
+        rejected = rejection.of_points(values[rejection.kind], ~labelled)
+        values = {kind: np.where(rejected, np.nan, each) for kind, each in values.items()}
         kept = int(labelled.sum()), int((labelled & wrong).sum())
         counts.kept[scan.name] = len(labelled), *kept
     for kind, of_points in values.items():

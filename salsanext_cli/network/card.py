@@ -79,8 +79,9 @@ class WeightsCard:
     # Model of the probability that a label is wrong; None if none was fitted
     error: ErrorModel | None = None
     # Threshold above which `predict --reject risk` rejects: its `kind` of uncertainty, `threshold`,
-    # `at_most`, `confidence`, `scans` and `sequences` that it was chosen on, and `settings`, those
-    # that labels depend on, by option; empty without
+    # `at_most`, `confidence`, `unit`, `scans` and `sequences` that it was chosen on, `settings`,
+    # those that labels depend on, by option, `view` that was fitted, and thresholds of `classes`
+    # that have their own; empty without
     risk: Mapping[str, Any] = field(default_factory=dict)
     # Line from the logit of a run's mean confidence to that of its accuracy: `slope`, `offset`, and
     # `deviation` of the accuracy from it, 0…1; empty if none was fitted
@@ -134,6 +135,8 @@ class WeightsCard:
             tables = (*TABLES, *(name for name in ("error", *FITTED) if name in values))
             if bad := [key for key in tables if not isinstance(values[key], dict)]:
                 raise TypeError(f"{bad[0]} is no table")
+            # A view that a threshold holds for is that of a sensor.
+            Sensor.from_dict({**values["sensor"], **values.get("risk", {}).get("view", {})}, source)
             return cls(
                 architecture=values["architecture"],
                 space=LabelSpace.from_dict(values["label_space"], source),
@@ -157,9 +160,13 @@ def _numbers_of(part: str, values: Any) -> dict[str, Any]:
     numbers = [values[name] for name in FITTED[part]]
     if not all(type(each) in (int, float) and math.isfinite(each) for each in numbers):
         raise ValueError(f"{part} holds {shortened(numbers)}")
-    of_risk = {"kind", "confidence", "sequences"} <= values.keys()
-    if part == "risk" and not (of_risk and isinstance(values.get("settings", {}), dict)):
-        raise ValueError("risk does not say what it holds for")
+    if part == "risk":
+        of_risk = {"kind", "confidence", "sequences"} <= values.keys()
+        tables = [values.get(name, {}) for name in ("settings", "classes")]
+        if not (of_risk and all(isinstance(table, dict) for table in tables)):
+            raise ValueError("risk does not say what it holds for")
+        if not all(type(each) in (int, float) for each in tables[1].values()):
+            raise ValueError(f"risk holds {shortened(tables[1])}")
     return dict(values)
 
 

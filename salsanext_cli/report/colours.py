@@ -22,8 +22,12 @@ Colours = npt.NDArray[np.uint8]
 Values = npt.NDArray[np.float64]
 Legend = Sequence[tuple[str, tuple[int, int, int]]]
 """Names with their red, green, blue."""
-Scales = dict[str, tuple[float, float]]
-"""Values at the ends of the colour map, by colour."""
+Scale = tuple[float, ...]
+"""Values at equal steps along the colour map, rising: its two ends at least."""
+Scales = dict[str, Scale]
+"""Scales by colour."""
+FIXED_SCALES: Scales = {"error": (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)}
+"""Those that are the same for every run: most errors are below 0.1, as those of kept points."""
 
 EMPTY = (36, 38, 45)
 """Colour of a place without a measurement."""
@@ -77,11 +81,17 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
 def common_scales(
     out: Path, scans: Sequence[ScanFile], colours: Iterable[str], space: LabelSpace, sensor: Sensor
 ) -> Scales:
-    """Find what most points of some evenly spaced scans span; classes have no scale."""
-    folder = ResultFolder(out)
+    """Find what most points of some evenly spaced scans span, unless it is fixed.
+
+    Classes have no scale.
+    """
+    folder, scales = ResultFolder(out), dict[str, Scale]()
     values: dict[str, list[npt.NDArray[Any]]] = {}
     sampled: dict[ScanFile, list[str]] = {}
     for colour in [each for each in colours if each not in CLASS_COLOURS]:
+        if colour in FIXED_SCALES:
+            scales[colour] = FIXED_SCALES[colour]
+            continue
         values[colour] = [np.empty(0, np.float32)]
         known = folder.with_column(colour, scans)
         for file in known[:: -(-len(known) // SCANS_FOR_SCALE) or 1]:
@@ -92,7 +102,7 @@ def common_scales(
             columns = scalar_columns(folder.read(file, sensor), space)
             for colour in known_colours:
                 values[colour].append(columns[colour])
-    return {colour: value_range(np.concatenate(samples)) for colour, samples in values.items()}
+    return scales | {name: value_range(np.concatenate(each)) for name, each in values.items()}
 
 
 def require_colouring(colours: Iterable[str], scale: tuple[float, float] | None) -> None:
@@ -218,14 +228,14 @@ def map_on_dark() -> Colours:
 
 
 def value_colours(
-    values: npt.NDArray[Any], low: float, high: float, colour_map: Colours | None = None
+    values: npt.NDArray[Any], *scale: float, colour_map: Colours | None = None
 ) -> Colours:
-    """Colour values, (…) to (…, 3), from the low to the high end of a map (256, 3); NaN is `EMPTY`.
+    """Colour values, (…) to (…, 3), by a `Scale` along a map (256, 3); NaN is `EMPTY`.
 
     The map is otherwise that of pictures, `map_on_dark`.
     """
-    span = high - low if high > low else 1.0
-    share = np.clip((values.astype(np.float64) - low) / span, 0, 1)
+    marks = scale if scale[-1] > scale[0] else (scale[0], scale[0] + 1)
+    share = np.interp(values, marks, np.linspace(0, 1, len(marks)))
     position = np.rint(np.nan_to_num(share) * 255).astype(np.intp)
     colours = (map_on_dark() if colour_map is None else colour_map)[position]
     return np.where(np.isnan(share)[..., None], np.array(EMPTY, np.uint8), colours)
@@ -251,7 +261,7 @@ class PointColours:
     """Colouring of points, the same for all scans of a run."""
 
     colour: str  # One of `COLOURS`, "uncertainty" aside
-    scale: tuple[float, float]  # Values at the ends of the colour map, for colours that are values
+    scale: Scale  # Of colours that are values
     space: LabelSpace  # Colours of the classes
     dark: bool = False  # Whether they are seen on `EMPTY`, and not in a file for other tools
 
@@ -260,14 +270,14 @@ class PointColours:
         """One line with the meaning of the colours."""
         if self.colour in CLASS_COLOURS:
             return self.colour
-        return f"{self.colour} {COLOUR_MAP} {self.scale[0]:.6g} {self.scale[1]:.6g}"
+        return " ".join((self.colour, COLOUR_MAP, *(f"{mark:.6g}" for mark in self.scale)))
 
     def of_points(self, columns: Mapping[str, npt.NDArray[Any]]) -> Colours:
         """Return red, green and blue of every point, (N, 3), from its `scalar_columns`."""
         colours: Colours
         if self.colour not in CLASS_COLOURS:
             of_files = None if self.dark else map_colours(COLOUR_MAP)
-            return value_colours(columns[self.colour], *self.scale, of_files)
+            return value_colours(columns[self.colour], *self.scale, colour_map=of_files)
         if self.colour == "wrong":
             colours = OUTCOMES[np.nan_to_num(columns["wrong"] + 1).astype(np.intp)]
             return colours

@@ -25,6 +25,7 @@ from salsanext_cli.report.colours import (
     Colours,
     Legend,
     PointColours,
+    Scale,
     Scales,
     legend_of,
     map_on_dark,
@@ -73,7 +74,7 @@ class Strip(NamedTuple):
 
     title: str
     picture: Colours  # (H, W, 3) uint8: red, green, blue of every pixel; row 0 is the highest beam
-    scale: tuple[float, float] | None = None  # Values at the ends of its colour bar
+    scale: Scale | None = None  # Of its colour bar
     unit: str = ""  # Unit of these values
 
 
@@ -88,9 +89,8 @@ def picture_of_results(
 ) -> bytes:
     """Draw a scan and its results, as a PNG.
 
-    `sensor`: sensor of the range image; `scales`: values at the ends of the colour map, by colour;
-    `views`, `strips`: of `COLOURINGS`, all known: those seen from above, and those of the range
-    image.
+    `sensor`: sensor of the range image; `views`, `strips`: of `COLOURINGS`, all known: those seen
+    from above, and those of the range image.
     """
     columns = scalar_columns(results, space)
     image = project(results.scan, sensor)
@@ -174,14 +174,15 @@ def scan_picture(
     return canvas.png_of(figure)
 
 
-def _draw_bar(figure: Figure, scale: tuple[float, float], unit: str, left: int, top: int) -> None:
-    low, high = scale
+def _draw_bar(figure: Figure, scale: Scale, unit: str, left: int, top: int) -> None:
+    low, high = scale[0], scale[-1]
+    marks = scale if len(scale) > 2 else (low, (low + high) / 2, high)
     height = STRIP_HEIGHT_PX
     rows = np.linspace(255, 0, height).round().astype(np.intp)
     canvas.show_pixels(figure, map_on_dark()[rows][:, None], left, top, 16, height)
     # Digits by the span of the scale: its lower end is "0" rather than "0.00035".
     digits = 2 - math.floor(math.log10(max(high - low, 1e-9)))
-    for value, down in ((high, 9), ((low + high) / 2, height // 2), (low, height - 9)):
+    for value, down in zip(marks, np.linspace(height - 9, 9, len(marks)), strict=True):
         text = f"{round(value, digits):.4g} {unit}".strip()
         canvas.text_at(figure, left + 24, top + down, text, 15)
 

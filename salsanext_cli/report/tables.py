@@ -4,6 +4,7 @@
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from rich.console import Group
@@ -158,10 +159,21 @@ def error_table(tuned: Mapping[str, Any]) -> Table:
     return table_of(headings, rows, title=f"Scans left out, {counted(tuned['folds'], 'fold')}")
 
 
-def kept_table(classes: Mapping[str, tuple[int, int]]) -> Table:
-    """Return a table of the kept points of each predicted class and of the wrong ones of them."""
-    rows = ((name, f"{kept:,}", percent(wrong / kept)) for name, (kept, wrong) in classes.items())
-    return table_of(("labelled as", "kept points", "wrong %"), rows, title="Kept labels")
+def kept_table(
+    classes: Mapping[str, tuple[int, int]], thresholds: Mapping[str, float] = MappingProxyType({})
+) -> Table:
+    """Return a table of the kept points of each predicted class and of the wrong ones of them.
+
+    `thresholds`: those of classes that have their own.
+    """
+    rows = []
+    for name in dict.fromkeys([*classes, *thresholds]):
+        kept, wrong = classes.get(name, (0, 0))
+        share = percent(wrong / kept if kept else math.nan)
+        own = [f"{thresholds[name]:.4g}" if kept else "none kept"] if name in thresholds else []
+        rows.append((name, f"{kept:,}", share, *own))
+    headings = ("labelled as", "kept points", "wrong %", *(["own threshold"] * bool(thresholds)))
+    return table_of(headings, rows, title="Kept labels")
 
 
 def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float) -> Table:

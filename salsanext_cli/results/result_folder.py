@@ -252,7 +252,7 @@ class ResultFolder(StageRecords):
             "predictions_of": stage,
             "weights": self.weights("predictions"),
             "temperature": softmax.get("temperature"),
-            "reject": rejection[1] if (rejection := self.rejection()) else None,
+            "reject": rejection.above if (rejection := self.rejection()) else None,
             "uncertainty": {k: estimated[k] for k in UNCERTAINTY_SETTINGS if k in estimated}
             or None,
             "origins": self.origins(sorted(made_by)),
@@ -274,6 +274,11 @@ class ResultFolder(StageRecords):
         scan = read_scan(file.path, sensor)
         count = len(scan)
         label = _labels(self._path(file, "label"), count)
+        rejection, rejected = self.rejection(), None
+        own_space = self.label_space() if rejection else None
+        unlabelled = np.zeros(count, np.bool_)
+        if label is not None and own_space:
+            unlabelled = own_space.to_train(label, strict=False) == 0
         if label is not None and classes is not None:
             label = classes.to_raw(classes.to_train(label, strict=False))
         truth = _labels(file.label_path, count) if truth_in else None
@@ -283,9 +288,8 @@ class ResultFolder(StageRecords):
             truth = truth if own.learning_map == space.learning_map else space.to_raw(train)
         paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
         uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
-        rejection, rejected = self.rejection(), None
-        if rejection and rejection[0] in uncertainty:
-            rejected = uncertainty[rejection[0]] > rejection[1]
+        if rejection and rejection.kind in uncertainty:
+            rejected = rejection.of_points(uncertainty[rejection.kind], unlabelled)
         return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
 
     def with_results(self, scans: list[ScanFile]) -> list[ScanFile]:

@@ -6,7 +6,10 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging, contradiction
@@ -72,6 +75,20 @@ class StageRecord:
     def write(self, out: Path) -> None:
         """Write the record into an output folder, durably."""
         write_json(out / f"{self.stage}.json", self.to_dict())
+
+
+class Rejection(NamedTuple):
+    """Rule by which a run left points unlabelled."""
+
+    kind: str  # Kind of uncertainty
+    above: float  # Points above it are unlabelled
+    lowest: float  # The lowest of the thresholds that classes have of their own, else the same
+
+    def of_points(
+        self, uncertainty: npt.NDArray[Any], unlabelled: npt.NDArray[np.bool_]
+    ) -> npt.NDArray[np.bool_]:
+        """Return which points (N,) it took the label from."""
+        return (uncertainty > self.above) | (unlabelled & (uncertainty > self.lowest))
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,14 +256,15 @@ class StageRecords:
                 remedy = f"{remedy} --classes of the labels"
                 raise OutputError(self.root, f"labels in {classes}", "the same for both", remedy)
 
-    def rejection(self, folder: str = "predictions") -> tuple[str, float] | None:
-        """Return the kind of uncertainty above which points were left unlabelled, and the value.
-
-        `folder`: of results of the same run.
-        """
+    def rejection(self, folder: str = "predictions") -> Rejection | None:
+        """Return by what points were left unlabelled; `folder`: of results of the same run."""
         settings: Mapping[str, Any] = self.settings_of(folder) or {}
         above = settings.get("reject")
-        return None if above is None else (settings.get("reject_by", "error"), above)
+        if above is None:
+            return None
+        of_classes = settings.get("promised", {}).get("classes", {})
+        lowest = min([above, *of_classes.values()])
+        return Rejection(settings.get("reject_by", "error"), above, lowest)
 
 
 def as_json(settings: Any) -> Any:

@@ -18,7 +18,7 @@ from salsanext_cli.files.reading import present
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.panoptic import panoptic_quality
-from salsanext_cli.measures.risk_control import KeptLabels, KeptPromise
+from salsanext_cli.measures.risk_control import BROKEN, KeptLabels, KeptPromise
 from salsanext_cli.measures.scan_counts import (
     RING_NAMES,
     CountsApart,
@@ -187,6 +187,8 @@ def evaluate(
     )
     for text in counts.label_warnings(space):
         log.warning("%s", text)
+    if evaluation.promise and evaluation.promise.is_broken:
+        log.warning("%s", BROKEN)
     compared = evaluation.scans + len(evaluation.failures) + len(counts.missing)
     evaluation.missing.log_error(compared, "predictions")
     files = _files(evaluation)

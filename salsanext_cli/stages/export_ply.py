@@ -102,7 +102,7 @@ def export_ply(
     results that have been made anew since are replaced.
 
     `colour`: one of `COLOURS`; `scale`: values at the ends of the colour map, the same for all
-    scans, otherwise what most points of the first scans span; `max_error`: points whose error, 0…1,
+    scans, otherwise as `common_scales` finds it; `max_error`: points whose error, 0…1,
     is above it are written as unlabelled; `form`: of `FORMATS`; `voxel`: instead of scans, the
     map of each drive with fused labels goes to `OUT/sequences/<seq>/map.ply`, with one point in
     each voxel of such an edge in metres, in the frame of the poses.
@@ -129,27 +129,27 @@ def export_ply(
     results.require_column(colour, scans)
     sensor = results.sensor()
     if voxel is not None:
-        ends = scale or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
+        marks = scale or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
         return _export_maps(
-            results, chosen, PointColours(colour, ends, space), form, voxel, options
+            results, chosen, PointColours(colour, marks, space), form, voxel, options
         )
     stage, folder = _place(out, colour, form)
     made_of, earlier = results.origins(LABELLING_STAGES), results.settings(stage)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
     if scale is None and earlier is not None and not overwrite:
         # A run that goes on colours alike.
-        scale = earlier.pair("scale")
-    if scale is None:
-        scale = common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
+        marks = earlier.numbers("scale")
+    else:
+        marks = scale or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
     settings = {
         "colour": colour,
-        "scale": list(scale),
+        "scale": list(marks),
         "label_space": space.to_dict(),
         "origins": made_of,
         **({} if max_error is None else {"max_error": max_error}),
     }
     rejected = list[int]()
-    colours = PointColours(colour, scale, space)
+    colours = PointColours(colour, marks, space)
     with output_run(
         *(out, stage, settings, (folder,), scans),
         overwrite=overwrite,

@@ -74,7 +74,7 @@ def picture(
     any results, pictures are of the scans of `dataset` alone.
 
     `colours`: of `COLOURS`, otherwise everything known of each scan; `scale`: values at the ends of
-    the colour map, the same for all scans, otherwise what most points of some scans span;
+    the colour map, the same for all scans, otherwise as `common_scales` finds it;
     `animations`: of "gif" and "mp4".
     """
     results = ResultFolder(out, query.dataset)
@@ -172,6 +172,6 @@ def _scales(
     if given:
         return dict.fromkeys(known, given)
     recorded = earlier.table("scales") if earlier is not None else RecordedSettings({}, out)
-    kept = {colour: recorded.pair(colour) for colour in recorded}
+    kept = {colour: recorded.numbers(colour) for colour in recorded}
     unknown = [colour for colour in known if colour not in kept]
     return kept | common_scales(out, scans, unknown, space, sensor)

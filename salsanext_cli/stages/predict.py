@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +32,7 @@ from salsanext_cli.fitting.scan_checks import check_image
 from salsanext_cli.fitting.scan_fit import (
     fit_network,
     fitted_view,
+    is_other_view,
     labels_depend_on,
     network_of_run,
 )
@@ -60,6 +61,11 @@ from salsanext_cli.uncertainty.error_features import error_model, knows_error, l
 IN_MEMORY = ScanFile("scan", "points", Path("points"))
 """Name of the points in warnings and errors."""
 
+OTHER_VIEW = (
+    "the view fitted to these scans is not that of the scans that the threshold was chosen on: of "
+    "another sensor or mounting nothing is promised; choose it with `tune risk` on its own scans"
+)
+
 log = logging.getLogger(__name__)
 
 
@@ -69,7 +75,8 @@ class LabelWriter:
 
     knn: KnnParameters  # Neighbours in the kNN refinement
     output: OutputRun  # Takes the results
-    reject: float | None  # Points whose uncertainty is above it are unlabelled
+    # (C,) or None: points whose uncertainty is above that of their label are unlabelled
+    reject: Float | None
     reject_by: str = "error"  # Kind of that uncertainty
 
     def write(self, scan: LabelledScan, network: Network) -> ScanSummary:
@@ -94,7 +101,7 @@ class LabelWriter:
             output.write_array(file, ERROR, values["error"])
         rejected = np.zeros(len(labels), bool)
         if self.reject is not None:
-            rejected = values[self.reject_by] > self.reject
+            rejected = values[self.reject_by] > self.reject[labels]
         labels[rejected] = 0
         raw = space.to_raw(labels)
         if "objects" in output.folders:
@@ -151,7 +158,8 @@ def predict_scans(
     `extras`: further results to write, of "pixel_labels", "probabilities", "votes" for `fuse`,
     "objects", whose numbers the labels hold too, and "uncertainty/error";
     `reject`: points whose error, 0…1, is above it are unlabelled, and the error is written too;
-    "risk": those above the threshold that `tune risk` wrote into the weights;
+    "risk": those above the threshold, of all or their class, that `tune risk` wrote into the
+    weights;
     `batch`: scans computed together, halved where memory runs out; None for what suits the device.
     """
     if batch is not None and batch < 1:
@@ -159,10 +167,10 @@ def predict_scans(
     loaded = network.load()
     found = scans_of(source)
     scans = choose(found, selection, space_of(found, loaded.card.space), source)
-    reject_by, promised = "error", {}
+    reject_by, risk = "error", dict[str, Any]()
     if reject == "risk":
-        reject, reject_by = _chosen_threshold(network, loaded, knn)
-        promised = {"promised": {key: loaded.card.risk[key] for key in ("at_most", "confidence")}}
+        risk = _chosen_threshold(network, loaded, knn)
+        reject, reject_by = float(risk["threshold"]), str(risk["kind"])
     if reject is not None:
         if not 0 <= reject <= 1:
             raise UsageError("--reject", f"{reject:g}", "a probability from 0 to 1")
@@ -171,10 +179,13 @@ def predict_scans(
     if ERROR in extras:
         error_model(loaded)
     loaded = network_of_run(network, loaded, found, out, overwrite=options.overwrite)
+    if "view" in risk and is_other_view(risk["view"], loaded.sensor):
+        log.warning("--reject risk: %s", OTHER_VIEW)
     temperature = loaded.card.temperature
     settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
     settings |= {} if reject is None else {"reject": reject}
-    settings |= promised | ({} if reject_by == "error" else {"reject_by": reject_by})
+    settings |= {"promised": risk} if risk else {}
+    settings |= {} if reject_by == "error" else {"reject_by": reject_by}
     settings |= {"objects": True} if "objects" in extras else {}
     summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
     if reject is None:
@@ -182,7 +193,10 @@ def predict_scans(
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
-        writer = LabelWriter(knn, output, reject, reject_by)
+        of_classes = risk.get("classes", {})
+        limits = [of_classes.get(name, reject) for name in loaded.space.names]
+        above = None if reject is None else np.array(limits, np.float32)
+        writer = LabelWriter(knn, output, above, reject_by)
         label = partial(predict_scan, writer=writer)
         task = NetworkTask(label, network.resolved(loaded), loaded, takes_softmax=True, batch=batch)
         outcome = run_over_scans(
@@ -194,9 +208,9 @@ def predict_scans(
 
 def _chosen_threshold(
     settings: NetworkSettings, loaded: Network, knn: KnnParameters
-) -> tuple[float, str]:
-    """Return the threshold in the weights and its kind of uncertainty; refuse where it is void."""
-    risk = loaded.card.risk
+) -> dict[str, Any]:
+    """Return the threshold in the weights, with what it holds for; refuse where it is void."""
+    risk = dict(loaded.card.risk)
     if not risk:
         remedy = "`salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%` chooses one"
         raise WeightsError(loaded.engine.name, "no threshold of risk", "weights with one", remedy)
@@ -207,7 +221,7 @@ def _chosen_threshold(
         found = "`--reject risk` promises nothing of other labels"
         raise UsageError(others[0], found, "the settings of `tune risk`")
     log.log(NOTICE, "--reject risk: %s", promise(risk))
-    return risk["threshold"], risk["kind"]
+    return risk
 
 
 def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> ScanSteps:

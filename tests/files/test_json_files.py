@@ -15,7 +15,7 @@ from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 
 SETTINGS = RecordedSettings(
-    {"n": 3, "endless": "Infinity", "pair": [1, 2.5], "in": {"k": 5}},
+    {"n": 3, "endless": "Infinity", "marks": [1, 2.5, 4], "in": {"k": 5}},
     Path("out/predict.json"),
 )
 
@@ -33,12 +33,12 @@ def change(path, *keys, to=None):
 
 
 def test_settings_are_read_back():
-    assert SETTINGS.pair("pair") == (1.0, 2.5)
+    assert SETTINGS.numbers("marks") == (1.0, 2.5, 4.0)
     assert SETTINGS.table("in")["k"] == 5
     assert SETTINGS.get("none") is None
 
 
-@pytest.mark.parametrize("read", ["pair", "table", "__getitem__"])
+@pytest.mark.parametrize("read", ["numbers", "table", "__getitem__"])
 def test_what_was_cut_out_is_named(read):
     with pytest.raises(OutputError, match=r"out/predict\.json · settings lack none · .*delete it"):
         getattr(SETTINGS, read)("none")
@@ -49,8 +49,8 @@ def test_what_was_cut_out_is_named(read):
 @pytest.mark.parametrize(
     ("read", "key"),
     [
-        *(("pair", key) for key in ("n", "endless", "in")),
-        *(("table", key) for key in ("n", "pair", "endless")),
+        *(("numbers", key) for key in ("n", "endless", "in")),
+        *(("table", key) for key in ("n", "marks", "endless")),
     ],
 )
 def test_what_was_put_in_is_named(read, key):

@@ -17,6 +17,7 @@ from salsanext_cli.report.colours import (
     lab_difference,
     legend_of,
     map_colours,
+    map_on_dark,
     on_dark,
     screen_colours,
     value_colours,
@@ -48,13 +49,20 @@ PUBLISHED = """
 
 def test_values_have_the_colours_of_the_map():
     values = np.array([-9.0, 1.0, 2.0, 3.0, np.inf, np.nan])
-    colours = value_colours(values, 1.0, 3.0, map_colours("viridis"))
+    colours = value_colours(values, 1.0, 3.0, colour_map=map_colours("viridis"))
     viridis = matplotlib.colormaps["viridis"]
     expected = [viridis(place, bytes=True)[:3] for place in (0, 0, 128, 255, 255)]
     np.testing.assert_array_equal(colours, [*expected, EMPTY])
     in_pictures = [*on_dark(expected), EMPTY]
     np.testing.assert_array_equal(value_colours(values, 1.0, 3.0), in_pictures)
     assert value_colours(np.array([2.0, 2.0]), 2.0, 2.0).shape == (2, 3)
+
+
+def test_marks_of_a_scale_are_at_equal_steps_of_the_map():
+    values = np.array([0.01, 0.02, 0.35, 1.0, 9.0, np.nan])
+    colours = value_colours(values, 0.0, 0.02, 0.2, 0.5, 1.0, 2.0, 3.0)
+    steps = np.rint(np.array([0.5, 1, 2.5, 4, 6]) / 6 * 255).astype(int)
+    np.testing.assert_array_equal(colours, [*map_on_dark()[steps], EMPTY])
 
 
 @given(arrays(np.float32, (3, 4), elements=st.floats(width=32)))

@@ -83,6 +83,14 @@ def test_rings_are_compared_in_the_same_classes():
     ]
 
 
+def test_a_class_with_a_threshold_of_its_own_has_a_row_though_none_is_kept():
+    assert printed(kept_table({"car": (10, 1), "road": (5, 0)}, {"bus": -1.0, "car": 0.125})) == [
+        ["car", "10", "10.0", "0.125"],
+        ["road", "5", "0.0", ""],
+        ["bus", "0", "–", "none kept"],
+    ]
+
+
 def ranked(*uncertainty):
     """Return what is found of points of which the last is wrong."""
     count = len(uncertainty)
@@ -134,7 +142,7 @@ def tables_of_a_large_data_set(weights):
     yield from tables_of(calibration, mutual_information=ranking, error=replace(ranking, ece=0.1))
     of_error = {"ece": 0.1, "risk_80": 0.1, "auroc": 0.9, "aurc": 0.1}
     yield error_table({"folds": 5, "error": of_error, "confidence": of_error})
-    yield kept_table({"person-or-cycle": (MANY, 1000)})
+    yield kept_table({"person-or-cycle": (MANY, 1000)}, {"person-or-cycle": 0.0008049})
     paper = {"parameters": 26.38, "flops": 125.68, "determined": False}
     paper |= dict.fromkeys(("miou_pixels", "miou", "miou_test"), 59.5)
     network = {"name": "salsanext-v1-context", "agrees": True, "parameters": 26_406_196}

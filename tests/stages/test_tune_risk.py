@@ -10,6 +10,7 @@ from world import World
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import TrainingError, UsageError, WeightsError
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS
+from salsanext_cli.measures.risk_control import BROKEN
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import KnnParameters, ScanSelection
@@ -18,6 +19,7 @@ from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.report import report
 from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.tuning.risk import _left_out, exceeds, judged_scan
 
@@ -73,9 +75,13 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     assert tuned["promise"] in "".join(caplog.messages)
     # What was reported of the threshold is what `eval` finds of the run.
     found = evaluate(find_scans(world.data), world.out, space)
-    numbers = {"scans": 3, "above": sum(loss > 0.3 for loss in losses), "at_most": 0.3}
+    numbers = {"units": 3, "above": sum(loss > 0.3 for loss in losses), "at_most": 0.3}
     numbers |= {"mean": pytest.approx(np.mean(losses)), "worst": pytest.approx(max(losses))}
-    assert found.to_dict()["rejection"]["promise"] == {**numbers, "confidence": None}
+    numbers |= {"confidence": None, "unit": "scan"}
+    assert found.to_dict()["rejection"]["promise"] == numbers
+    page = report(world.out).page.read_text("utf-8")
+    assert f"<dd>{tuned['promise']}</dd>" in page
+    assert all(sentence[1:] in page for sentence in (found.promise.sentence, *found.kept.sentences))
     kept = found.kept
     assert kept is not None
     assert {name: getattr(kept, name) for name in tuned["kept"]} == tuned["kept"]
@@ -83,6 +89,76 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     assert 0 < kept.wrong / kept.points <= (4 * 0.3 - 1) / 3
     results = ResultFolder(world.out).read(find_scans(world.data)[0], truth_in=(space, space))
     assert results.rejected_points == doubts[0]
+
+
+def test_each_class_has_a_threshold_that_holds_of_its_own_points(
+    unsure_is_wrong: World, target, caplog
+) -> None:
+    world = unsure_is_wrong
+    numbers = {"at_most": 0.4, "per_class": True}
+    tuned = tune("risk", world.data, target, network=world.network, selection=ALL, **numbers)
+    risk, space = read_card(target).risk, label_space()
+    assert risk["classes"] == tuned["classes"]
+    assert max(risk["classes"].values()) <= risk["threshold"]
+    predict_scans(world.data, world.out.with_name("all"), network=world.network)
+    predict_scans(
+        world.data, world.out, network=replace(world.network, weights=target), reject="risk"
+    )
+    losses, rejected = dict[str, list[float]](), 0
+    for file in find_scans(world.data):
+        every = space.to_train(read_labels(world.out.with_name("all") / _labels_of(file)))
+        truth = space.to_train(read_labels(file.label_path))
+        doubt = np.load(world.result(LEAST_CONFIDENCE, file.sequence, file.stem))
+        kept = space.to_train(world.labels(file.sequence, file.stem))
+        for label, name in enumerate(space.names):
+            own = every == label
+            above = doubt[own] > risk["classes"].get(name, risk["threshold"])
+            np.testing.assert_array_equal(kept[own], np.where(above, 0, label))
+            rejected += above.sum()
+            if (judged := own & (truth > 0)).any():
+                loss = (judged & (kept == label) & (truth != label)).sum() / judged.sum()
+                losses.setdefault(name, []).append(loss)
+    # (n mean + 1) / (n + 1) ≤ 0.4 of the n scans that have the label, if they are 2 or 3.
+    own = {name for name, each in losses.items() if name != "unlabeled" and len(each) > 1}
+    assert own == set(risk["classes"])
+    assert all((sum(losses[name]) + 1) / (len(losses[name]) + 1) <= 0.4 for name in own)
+    found = evaluate(find_scans(world.data), world.out, space)
+    assert found.kept is not None
+    assert {name: getattr(found.kept, name) for name in tuned["kept"]} == tuned["kept"]
+    results = [ResultFolder(world.out).read(file) for file in find_scans(world.data)]
+    assert sum(each.rejected_points for each in results) == rejected > 0
+    other = target.with_name("other.safetensors")
+    for damage in ({"classes": {"car": ""}}, {"view": {"fov_up": "x"}}, {"view": 3}):
+        save_with_card(target, other, replace(read_card(target), risk={**risk, **damage}))
+        with pytest.raises(WeightsError, match="damaged metadata"):
+            read_card(other)
+
+
+def _labels_of(file) -> str:
+    return f"sequences/{file.sequence}/predictions/{file.stem}.label"
+
+
+def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, caplog) -> None:
+    world, network = unsure_is_wrong, replace(unsure_is_wrong.network, weights=target)
+    tuned = tune("risk", world.data, target, network=world.network, selection=ALL, at_most=0.6)
+    assert tuned["unit"] == "drive"
+    predict_scans(world.data, world.out, network=network, reject="risk")
+    assert "nothing is promised" not in caplog.text
+    found = evaluate(find_scans(world.data), world.out, label_space()).promise
+    assert found is not None
+    assert (found.unit, found.units) == ("drive", 2)
+    assert BROKEN not in caplog.messages
+    for file in find_scans(world.data):
+        labels = world.labels(file.sequence, file.stem)
+        write_labels(file.label_path, np.where(labels == 10, 40, 10).astype(np.uint32))
+    evaluate(find_scans(world.data), world.out, label_space())
+    assert BROKEN in caplog.messages
+    # A sensor that was fitted otherwise
+    card = read_card(target)
+    view = card.risk["view"] | {"fov_up": card.risk["view"]["fov_up"] + 8}
+    save_with_card(target, target, replace(card, risk={**card.risk, "view": view}))
+    predict_scans(world.data, world.out.with_name("o"), network=network, reject="risk")
+    assert "nothing is promised" in caplog.text
 
 
 def test_a_run_without_rejection_has_no_coverage(unsure_is_wrong: World) -> None:
@@ -131,10 +207,13 @@ def test_what_is_kept_of_a_scan_does_not_grow_with_its_points(unsure_is_wrong: W
     file = find_scans(unsure_is_wrong.data)[0]
     judged = judged_scan(file, network, space, "least_confidence", counts)
     assert judged is not None
-    assert judged.below.shape == (2, UNCERTAINTY_BINS)
+    assert judged.below.shape == (2, 1, UNCERTAINTY_BINS)
     assert counts.sum() == judged.points == (space.to_train(read_labels(file.label_path)) > 0).sum()
     wrong = counts[~np.eye(space.class_count, dtype=bool)].sum(axis=0)
-    np.testing.assert_array_equal(judged.below[1], wrong[:-1].cumsum())
+    np.testing.assert_array_equal(judged.below[1, 0], wrong[:-1].cumsum())
+    by_label = judged_scan(file, network, space, "least_confidence", counts, per_class=True)
+    assert by_label is not None
+    np.testing.assert_array_equal(by_label.below.sum(axis=1, keepdims=True), judged.below)
 
 
 def test_an_error_that_was_fitted_to_these_scans_is_said(
@@ -152,7 +231,7 @@ def test_a_drive_left_out_is_judged_by_what_is_promised(confidence, is_above) ->
     losses = np.where(np.arange(44) < 35, 0.0, 0.06)  # Nine of 22 scans of the second drive
     kept = np.stack([np.ones(44), losses], axis=1)[..., None]
     sequences, numbers = np.repeat(["a", "b"], 22), {"at_most": 0.05, "confidence": confidence}
-    of_b = _left_out(kept, sequences, numbers)[1]
+    of_b = _left_out(kept, sequences, np.arange(44), numbers)[1]
     assert of_b["above"] == pytest.approx(9 / 22)
     assert exceeds(of_b, **numbers) == is_above
 

@@ -156,11 +156,12 @@ def _tiles(rows: Sequence[ScanRow], compared: Comparison | None) -> str:
 
 
 def _sentence(compared: Comparison | None) -> str:
-    """Return the sentence on risk; none without labels and uncertainty."""
-    if compared is None or compared.uncertainty.kept is None:
+    """Return the sentences on risk; none without labels and uncertainty."""
+    if compared is None:
         return ""
-    words = compared.uncertainty.kept.sentence
-    return f'<p class="sentence">{_text(words[:1].upper() + words[1:])}.</p>'
+    kept, words = compared.uncertainty.kept, [*compared.sentences]
+    words += [kept.sentence] if kept else []
+    return "".join(f'<p class="sentence">{_text(w[:1].upper() + w[1:])}.</p>' for w in words)
 
 
 def _class_points(rows: Sequence[ScanRow], space: LabelSpace) -> Counts:

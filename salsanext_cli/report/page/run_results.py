@@ -24,11 +24,13 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import SalsanextError, UsageError, counted, first_few
 from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.json_files import RecordedSettings
 from salsanext_cli.files.reading import present, reading, refusing_damage
 from salsanext_cli.fitting.view_fit import view_text
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.measures.histograms import lack_of_confidence
+from salsanext_cli.measures.risk_control import BROKEN, KeptLabels, KeptPromise, promise
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts, count_scan, read_softmax
 from salsanext_cli.measures.scores import Confusion, Counts, Scores, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
@@ -41,7 +43,7 @@ from salsanext_cli.results.layout import ERROR, ScanFile, find_outputs, output_p
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
-from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.results.stage_records import Rejection, StageRecords
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -86,7 +88,7 @@ class RunReader:
     labels: LabelSpace  # Meaning of the raw ids of the truth
     merging: ClassMerging | None  # Of the classes of the probabilities into those of `space`
     sensor: Sensor  # Sensor of the range images, and origin of the scans
-    rejection: tuple[str, float] | None  # As `StageRecords.rejection`
+    rejection: Rejection | None  # That of the run
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,6 +183,7 @@ class Comparison:
     counts: ScanCounts  # Counts of their points
     scores: Scores  # Scores of the labels
     uncertainty: UncertaintyEvaluation  # Results for the probabilities and uncertainties
+    sentences: list[str]  # Coverage and risk of a run that rejected labels, and its promise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,13 +212,28 @@ class RunResults:
             return None
         space = self.reader.space
         uncertainty = evaluate_uncertainty(self.counts, space)
-        return Comparison(self.counts, scores(self.counts.confusion, space), uncertainty)
+        confusion, kept, sentences = self.counts.confusion, self.counts.kept, list[str]()
+        if kept:
+            sentences += KeptLabels.of_confusion(confusion, space, kept).sentences
+        if self.promise:
+            sentences.append(self.promise.sentence)
+        return Comparison(self.counts, scores(confusion, space), uncertainty, sentences)
+
+    @property
+    def promise(self) -> KeptPromise | None:
+        """Promise of the labels that are kept, beside what is found."""
+        settings = StageRecords(self.reader.out).settings_of("predictions")
+        if self.counts is None or settings is None or "promised" not in settings:
+            return None
+        return KeptPromise.of_scans(settings["promised"], self.counts.kept)
 
     def warnings(self) -> list[str]:
         """Return every reason to doubt the page, a line each."""
         lines = warnings_of_run(self.reader.out, {row.file.name for row in self.rows})
         if self.counts:
             lines = [*self.counts.label_warnings(self.reader.space), *lines]
+        if self.promise and self.promise.is_broken:
+            lines = [BROKEN, *lines]
         if self.missing.scans:
             lines.append(f"{counted(len(self.missing.scans), 'scan')} without results left out")
         return lines
@@ -292,7 +310,10 @@ def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
     yield "Weights", _weights(records)
     yield "Sensor", f"{sensor.name}, {sensor.height}×{sensor.width}, {view_text(sensor)}"
     if stage := records.owner("predictions"):
-        yield "Labels", _labels(stage, records.settings(stage) or {})
+        of_labels = records.settings(stage) or RecordedSettings({}, out)
+        yield "Labels", _labels(stage, of_labels)
+        if "promised" in of_labels:
+            yield "Promise", promise(of_labels.table("promised"))
     if settings := records.settings("uncertainty"):
         numbers = ("samples", "seed", "aleatoric")
         given = (f"{key} {settings[key]}" for key in numbers if key in settings)
@@ -329,7 +350,8 @@ def _labels(stage: str, settings: Mapping[str, Any]) -> str:
     if isinstance(temperature := settings.get("temperature"), float):
         words.append(f"temperature {temperature:.3g}")
     if settings.get("reject") is not None:
-        words.append(f"points unlabelled whose error is above {settings['reject']:g}")
+        kind = settings.get("reject_by", "error").replace("_", " ")
+        words.append(f"points unlabelled whose {kind} is above {settings['reject']:g}")
     return ", ".join(words)
 
 

@@ -14,14 +14,17 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import LabelError, TrainingError, UsageError, counted, first_few
 from salsanext_cli.fitting.label_scan import labelled, project_for
-from salsanext_cli.fitting.scan_fit import labels_depend_on
+from salsanext_cli.fitting.scan_fit import labels_depend_on, view_of
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
 from salsanext_cli.measures.risk_control import (
+    KEEPS_NONE,
     KeptLabels,
     bad_share,
+    enough_drives,
     held_thresholds,
+    means_of_units,
     needed_scans,
     promise,
 )
@@ -43,11 +46,17 @@ class JudgedScan:
 
     file: ScanFile
     points: int
-    below: npt.NDArray[np.int32]  # (2, B): points kept, and kept and wrong, up to each bin
+    # (2, C, B): points kept, and kept and wrong, up to each bin, by label; (2, 1, B): of all labels
+    below: npt.NDArray[np.int32]
 
 
 def judged_scan(
-    file: ScanFile, network: Network, space: LabelSpace, kind: str, counts: Counts
+    file: ScanFile,
+    network: Network,
+    space: LabelSpace,
+    kind: str,
+    counts: Counts,
+    per_class: bool = False,
 ) -> JudgedScan | None:
     """Label a scan as `predict` does, and judge it; None if the weights were trained on it.
 
@@ -69,25 +78,39 @@ def judged_scan(
     bins = np.where(np.isnan(values) | (labels == 0), UNCERTAINTY_BINS, bin_of(values))
     truth, labels, bins = truth[scored], labels[scored], bins[scored]
     np.add.at(counts, (truth, labels, bins), 1)
-    of_bins = [np.bincount(b, minlength=UNCERTAINTY_BINS) for b in (bins, bins[labels != truth])]
-    below = np.stack([each[:UNCERTAINTY_BINS] for each in of_bins]).cumsum(axis=1, dtype=np.int32)
+    shape = space.class_count if per_class else 1, UNCERTAINTY_BINS + 1
+    place = (labels.astype(np.intp) if per_class else 0) * shape[1] + bins
+    both = (place, place[labels != truth])
+    of_bins = [np.bincount(each, minlength=math.prod(shape)) for each in both]
+    below = np.reshape(of_bins, (2, *shape))[..., :-1].cumsum(axis=2, dtype=np.int32)
     return JudgedScan(file, len(truth), below)
 
 
 def kept_labels(
-    scans: Sequence[JudgedScan], counts: Counts, space: LabelSpace, held: int
-) -> KeptLabels:
-    """Return what is kept at the highest of so many thresholds that hold."""
-    confusion = Confusion(space.class_count, counts[..., :held].sum(axis=2))
-    confusion.matrix[:, 0] += counts[..., held:].sum(axis=(1, 2))
-    of_scans = {s.file.name: (s.points, *s.below[:, held - 1].tolist()) for s in scans}
-    return KeptLabels.of_confusion(confusion, space, of_scans)
+    scans: Sequence[JudgedScan], counts: Counts, space: LabelSpace, held: Counts
+) -> tuple[KeptLabels, dict[str, tuple[int, ...]]]:
+    """Return what is kept at the highest of so many thresholds that hold, of each label or of all.
+
+    Then points, kept and wrong ones of each scan.
+    """
+    is_kept = np.arange(counts.shape[2]) < held[:, None]
+    confusion = Confusion(space.class_count, (counts * is_kept).sum(axis=2))
+    confusion.matrix[:, 0] += (counts * ~is_kept).sum(axis=(1, 2))
+    labels = np.flatnonzero(held)
+    kept = [each.below[:, labels, held[labels] - 1].sum(axis=1).tolist() for each in scans]
+    of_scans = {s.file.name: (s.points, *of_scan) for s, of_scan in zip(scans, kept, strict=True)}
+    return KeptLabels.of_confusion(confusion, space, of_scans), of_scans
 
 
-def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None) -> Tuned:
+def fit_risk(
+    scans: TuningScans, at_most: float, confidence: float | None = None, per_class: bool = False
+) -> Tuned:
     """Choose the highest threshold of error, else of least confidence, that holds a level.
 
-    Reports beside it `KeptLabels`, and what the threshold of the other sequences keeps of each.
+    The drive is the unit if there are enough of them, else the scan.
+    `per_class`: hold the level of the points of each label, too, by a threshold of its own, if so
+    many scans or drives have that label. Reports beside it `KeptLabels`, and what the threshold of
+    the other sequences keeps of each.
     """
     if not 0 < at_most < 1:
         raise UsageError("--at-most", f"{at_most:.4g}", "above 0 and below 100%, such as 5%")
@@ -100,30 +123,46 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         _warn_of_fitted(scans)
     classes = space.class_count
     counts = np.zeros((classes, classes, UNCERTAINTY_BINS + 1), np.int64)
-    every = [judged_scan(file, network, space, kind, counts) for file in scans.each()]
+    every = [judged_scan(file, network, space, kind, counts, per_class) for file in scans.each()]
     judged = [scan for scan in every if scan]
     if trained_on := len(every) - len(judged):
         log.warning("%s left out: the weights were trained on them", counted(trained_on, "scan"))
         _require_scans(scans, len(judged), at_most, confidence)
     shares = np.empty((len(judged), 2, UNCERTAINTY_BINS))
     for share, scan in zip(shares, judged, strict=True):
-        np.divide(scan.below, scan.points, out=share)
+        np.divide(scan.below.sum(axis=1), scan.points, out=share)
     numbers: dict[str, Any] = {"at_most": at_most, "confidence": confidence}
-    held = held_thresholds(shares[:, 1], **numbers)
+    sequences = np.array([scan.file.sequence for scan in judged])
+    unit, units = "scan", np.arange(len(judged))
+    if enough_drives(len(np.unique(sequences)), **numbers):
+        unit, units = "drive", sequences
+    held = held_thresholds(means_of_units(shares[:, 1], units), **numbers)
     if not held or not shares[:, 0, held - 1].any():
         found = f"no threshold of {kind} keeps points and at most {at_most:.3g} of them wrong"
         raise TrainingError(scans.source, found, "a higher --at-most, or better weights")
-    labels = kept_labels(judged, counts, space, held)
-    sequences = np.array([scan.file.sequence for scan in judged])
-    left_out = _left_out(shares, sequences, numbers)
+    of_labels, own = _of_labels(judged, units, held, numbers)
+    labels, of_scans = kept_labels(judged, counts, space, of_labels)
+    # Of none, the last.
+    highest = np.append(np.minimum(highest_of_bins(), 1.0), KEEPS_NONE)
+    left_out = _left_out(shares, sequences, units, numbers)
     risk = {
         "kind": kind,
-        "threshold": float(min(highest_of_bins()[held - 1], 1.0)),
+        "threshold": float(highest[held - 1]),
         **numbers,
+        "unit": unit,
         "scans": len(judged),
         "sequences": np.unique(sequences).tolist(),
         "settings": labels_depend_on(scans.settings, scans.loaded),
+        "view": view_of(network.sensor),
     }
+    sentences = [*labels.sentences, *map(_sentence, left_out)]
+    if per_class:
+        of_class = zip(space.names, highest[of_labels - 1].tolist(), strict=True)
+        risk["classes"] = {name: value for i, (name, value) in enumerate(of_class) if own[i]}
+        few = [space.names[i] for i in np.flatnonzero(counts.any(axis=(0, 2)) & ~own) if i]
+        if few:
+            common = f"too few {unit}s for a promise, so by the common threshold"
+            sentences.append(f"{first_few(few)}: {common}")
     report = {
         "promise": promise(risk),
         **risk,
@@ -131,14 +170,34 @@ def fit_risk(scans: TuningScans, at_most: float, confidence: float | None = None
         "kept": asdict(labels),
         "left_out": left_out,
         "risk_coverage": _curve(shares.mean(axis=0)),
-        "of_scans": shares[:, :, held - 1].tolist(),
-        "sentences": [*labels.sentences, *map(_sentence, left_out)],
+        "of_scans": [[kept / points, wrong / points] for points, kept, wrong in of_scans.values()],
+        "sentences": sentences,
     }
-    if above := [each["sequence"] for each in left_out if exceeds(each, **numbers)]:
+    above = [each["sequence"] for each in left_out if exceeds(each, **numbers)]
+    if above and unit == "scan":
         log.warning("%s: more wrong than that, by the threshold of the others", first_few(above))
     elif not left_out:
         log.warning("scans of one sequence do not tell how the threshold holds on another")
     return Tuned(replace(network.card, risk=risk), report)
+
+
+def _of_labels(
+    scans: Sequence[JudgedScan], units: npt.NDArray[Any], held: int, numbers: Mapping[str, Any]
+) -> tuple[Counts, npt.NDArray[np.bool_]]:
+    """Return how many thresholds hold for the points of each label, up to those held by all.
+
+    Then which labels enough scans or drives have to hold a level, (C,); the others have all.
+    """
+    count = scans[0].below.shape[1]
+    of_labels, own = np.full(count, held), np.zeros(count, np.bool_)
+    for label in range(1, count):
+        below = np.array([scan.below[:, label] for scan in scans])
+        has = below[:, 0, -1] > 0
+        own[label] = len(np.unique(units[has])) >= needed_scans(**numbers)
+        if own[label]:
+            losses = means_of_units(below[has, 1] / below[has, :1, -1], units[has])
+            of_labels[label] = min(held, held_thresholds(losses, **numbers))
+    return of_labels, own
 
 
 def _curve(means: Ratios) -> list[list[float]]:
@@ -179,16 +238,21 @@ def _require_scans(
 
 
 def _left_out(
-    kept: Ratios, sequences: npt.NDArray[np.str_], numbers: Mapping[str, Any]
+    kept: Ratios,
+    sequences: npt.NDArray[np.str_],
+    units: npt.NDArray[Any],
+    numbers: Mapping[str, Any],
 ) -> list[dict[str, Any]]:
     """Return what is kept of each sequence by the threshold of the others; none of a single one.
 
-    `kept` (n, 2, B): shares of the points that are kept, and kept and wrong.
+    `kept` (n, 2, B): shares of the points that are kept, and kept and wrong; `units`: as
+    `means_of_units` takes them.
     """
-    reports, names = [], np.unique(sequences)
+    reports, names, count = [], np.unique(sequences), len(np.unique(units))
     for sequence in names if len(names) > 1 else ():
         own = sequences == sequence
-        held = held_thresholds(kept[~own, 1], **numbers, scans=len(kept))
+        others = means_of_units(kept[~own, 1], units[~own])
+        held = held_thresholds(others, **numbers, scans=count)
         shares, losses = kept[own, :, held - 1].T if held else np.zeros((2, own.sum()))
         means = {"kept": shares.mean(), "loss": losses.mean(), "worst": losses.max()}
         means["above"] = (losses > numbers["at_most"]).mean()
