@@ -61,10 +61,7 @@ class Scan:
 
 
 def normalised_intensity(values: npt.NDArray[Any], scale: float) -> Float:
-    """Return intensities (N,) of a file as float32, nominally 0…1.
-
-    Bytes are divided by 255 whatever the scale, since their type tells their range.
-    """
+    """Return intensities (N,) of a file as float32, nominally 0…1; bytes are divided by 255."""
     divisor = 255.0 if values.dtype == np.uint8 else scale
     # A signalling NaN is a point without an intensity.
     with np.errstate(over="ignore", invalid="ignore"):

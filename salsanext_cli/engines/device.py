@@ -111,11 +111,7 @@ def _openvino_fails() -> str:
 
 
 def choose_precision(name: str, device: str) -> str:
-    """Return the number type of a name on a device.
-
-    ``"auto"`` is float16 on a GPU with tensor cores, bfloat16 on a CPU that multiplies it, and
-    float32 elsewhere.
-    """
+    """Return the number type of a name on a device; ``"auto"`` is the fastest that it has."""
     if name not in PRECISIONS:
         raise UsageError("--precision", name, ", ".join(PRECISIONS))
     if device == "cpu":

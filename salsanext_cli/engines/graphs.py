@@ -137,10 +137,7 @@ def _erfc(node: Any) -> Any:
 
 
 def partly_float32(core: "openvino.Core", model: "openvino.Model") -> "openvino.Model":
-    """Mark what stays float32 in bfloat16: layers of the range image, logits, what follows them.
-
-    Python's interface cannot set the mark; OpenVINO's file format has it.
-    """
+    """Mark layers of the range image, logits and what follows as float32, in OpenVINO's XML."""
     import openvino
 
     try:

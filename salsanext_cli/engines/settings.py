@@ -96,10 +96,8 @@ class NetworkSettings:
         return read_card(self.path).sensor
 
     def named_sensor(self) -> "Sensor | None":
-        """Return the sensor that was asked for, None if none was: the rest is that of the weights.
-
-        A built-in sensor tells noise and scale of intensity only.
-        """
+        """Return the sensor that was asked for, None if none was."""
+        # A built-in sensor tells noise and scale of intensity only.
         from salsanext_cli.sensors.sensor import OF_DEVICE, presets, sensor
 
         named = self.sensor or AUTO

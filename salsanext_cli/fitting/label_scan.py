@@ -40,10 +40,7 @@ class LabelledScan(ProjectedScan):
 def label_scan(
     file: ScanFile, network: Network, knn: KnnParameters = KnnParameters()
 ) -> Generator[RangeImage | None, Float | None, LabelledScan]:
-    """Label a scan in steps: yields its range image, and again when its softmax is computed.
-
-    A softmax (C, H, W) that is sent in for the range image is taken as it is.
-    """
+    """Label a scan: yields its range image, for which a softmax may be sent, and None after it."""
     projected = project_for(network, file)
     softmax = yield projected.image
     if softmax is None:

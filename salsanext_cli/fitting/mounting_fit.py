@@ -119,10 +119,8 @@ def _triples() -> npt.NDArray[np.float64]:
 
 
 def _heights(points: Float, normals: Float, offsets: Float) -> Float:
-    """Return the heights of points (N, 3) above planes (P, 3) and (P,), (P, N).
-
-    A matrix product would leave threads behind that take the processors from the network.
-    """
+    """Return the heights of points (N, 3) above planes (P, 3) and (P,), (P, N)."""
+    # A matrix product would leave threads behind that take the processors from the network.
     x, y, z = np.ascontiguousarray(points.T)
     of_x, of_y, of_z = normals.T[:, :, None]
     heights: Float = of_x * x
@@ -161,11 +159,7 @@ MIN_POINTS_OF_ORIGIN = 1000
 
 
 def find_origin(points: Float) -> tuple[float, float, float] | None:
-    """Return the place that points (N, 3) are seen from, within centimetres, None without a comb.
-
-    They are upright, of one scan or of several, without those of the ground, which has one
-    elevation as seen from a place on it.
-    """
+    """Return the place that upright points (N, 3) but the ground are seen from, or None."""
     doubles: Double = points.astype(np.float64)
     distances = np.hypot(doubles[:, 0], doubles[:, 1])
     near, far = (
@@ -204,10 +198,7 @@ def _sharpest(points: Double, places: Double) -> Double:
 
 
 def sharpness(points: Double, place: Double) -> float:
-    """Return how sharp the comb of elevations seen from a place is; about 1 where there is none.
-
-    It is the mean height of the histogram over that of its neighbourhood.
-    """
+    """Return the mean height of the comb of elevations over that around; about 1 without a comb."""
     x, y, z = (points - place).T
     elevations = np.degrees(np.arctan2(z, np.hypot(x, y)))
     bins = ((elevations + 90) / BIN_DEG).astype(np.intp)
@@ -288,11 +279,7 @@ def _place(
 
 
 def ground_of(scan: Scan) -> Ground | None:
-    """Find the ground in a scan, from some of its points.
-
-    A tilted one must be likelier than the best level one, and at the height of a sensor on a
-    vehicle, or pass through the origin; much likelier if it could be the ceiling of a room.
-    """
+    """Find the ground in a scan; if tilted, it must be likelier than the best level one."""
     points = _finite(few_points(scan))
     ground = find_ground(points)
     if ground is None or ground.tilt_deg <= MAX_TILT_DEG:

@@ -139,10 +139,7 @@ def upper_intensity(intensity: Float) -> float:
 def intensity_findings(
     bright: float, reason: str, sensor: Sensor, trained: Sensor, fitting: bool
 ) -> Iterator[Finding]:
-    """Compare an upper intensity with that of scans matched with, of training, or with 0 to 1.
-
-    `reason` says why the values are no intensity, if so.
-    """
+    """Compare an upper intensity with what is expected; `reason` says why it is none, if so."""
     matched = sensor.intensity_quantiles
     if reason:
         found = reason if matched else f"{reason}; the network takes it as it is"

@@ -126,11 +126,7 @@ def _usable(function: Callable[[Any], Result], items: Iterable[Any]) -> list[Res
 def fit_scans(
     settings: NetworkSettings, network: Network, sample: ScanSample, earlier: Sensor | None = None
 ) -> Network:
-    """Return the network for the scans: view, intensity and gaps between the rows of their sensor.
-
-    `network`: what the settings load; `earlier`: sensor of earlier results in the same folder; what
-    was fitted then stays.
-    """
+    """Return the network, as loaded, for the scans; what was fitted for `earlier` results stays."""
     method, trained = _method(settings, network), network.card.sensor
     if sample.image_of is None:
         view = fitted_view(sample, network.sensor, earlier, view=settings.fits_view)
@@ -199,10 +195,7 @@ def _method(settings: NetworkSettings, network: Network) -> str:
 
 
 def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, Any]:
-    """Return what was asked for that labels depend on, besides weights and scans, by option.
-
-    `network`: what the settings load, before any fit.
-    """
+    """Return by option what labels depend on besides weights and scans, before any fit."""
     view = (settings.named_sensor() or network.card.sensor).view() | {"fit": settings.fits_view}
     asked = {
         "--min-range": view.pop("min_range", None),
@@ -223,11 +216,7 @@ def network_of_run(
     overwrite: bool = False,
     image_of: Callable[[ScanFile], Float] | None = None,
 ) -> Network:
-    """Return a network fitted to the scans of a run.
-
-    `files` and `image_of` are as `ScanSample` takes them. What earlier results in the output folder
-    were made with stays, unless they are to be replaced.
-    """
+    """Return a network fitted to a run's scans, as earlier results in its folder were made."""
     earlier = None if overwrite else StageRecords(out).settings_with(network.engine.sha256)
     sensor = Sensor.from_dict(earlier.table("sensor"), earlier.path) if earlier else None
     sample = ScanSample(files, network.sensor, image_of)

@@ -63,20 +63,14 @@ def fit_beams(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
 
 
 def _sines(scan: Scan, sensor: Sensor) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Return sine of elevation and range (M,) of points with a measurement; which these are, (N,).
-
-    Points of housing and vehicle are none.
-    """
+    """Return sines of elevation and ranges (M,) of the measured points, and which these are."""
     points = without_ego(scan, sensor).points
     ranges, measured = measured_ranges(points, float(LARGEST))
     return points[measured, 2] / ranges[measured], ranges[measured], measured
 
 
 def _of_rings(elevation: Array, ring: npt.NDArray[np.int32]) -> Array:
-    """Return the medians of rings, rising; none if the points of a ring differ too much.
-
-    Columns of that name, or rows of organised clouds, may hold something else.
-    """
+    """Return the medians of rings, rising; none if they seem to hold something else."""
     elevation, ring = elevation[ring >= 0], ring[ring >= 0]
     medians = medians_of_rings(elevation, ring)
     beams = np.sort(medians[np.isfinite(medians)])
@@ -265,11 +259,9 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
 
 
 def _view(elevations: npt.NDArray[np.float64], extent: float) -> tuple[float, float]:
-    """Return the edges, lower first, of a view of elevations (N,) that rise, in degrees.
-
-    It shows all points if it then is about as large as that of training; otherwise it is as large
-    as that, or larger until it shows `SHOWN` of the points.
-    """
+    """Return lower and upper edge in degrees of a view of elevations (N,) that rise."""
+    # Of all points, if it then is about as large as that of training; else as large, or larger
+    # until it shows `SHOWN` of the points.
     lowest, highest = map(float, np.quantile(elevations, (OUTLIERS, 1 - OUTLIERS)))
     if highest - lowest <= MOST_ENLARGED * extent:
         return lowest, highest

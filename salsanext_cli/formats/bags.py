@@ -25,11 +25,8 @@ EXPECTED, REMEDY = "a ROS bag", "mend it by `rosbag reindex`, `ros2 bag reindex`
 
 
 def columns_of(message: Any, path: Path) -> Columns:
-    """Return the values (N,) of each field of one value per point, as views into the message.
-
-    Of two fields of one name, the first counts. Rows may be padded, points too; those of an
-    organised cloud follow row by row, which is their ring, unless a field says otherwise.
-    """
+    """Return the values (N,) of each field of one value per point, as views into the message."""
+    # Of two fields of one name, the first counts. Rows and points may be padded.
     height, width, step = message.height, message.width, message.point_step
     row_step = message.row_step if height > 1 else width * step
     order = ">" if message.is_bigendian else "<"

@@ -213,12 +213,9 @@ def other_suffix(start: bytes) -> str | None:
 
 
 def are_float64(values: Float) -> bool:
-    """Say whether float32 values (M,) of a file are the halves of float64 ones.
-
-    Then most are possible as float64 and most of their low halves are not as float32: those of
-    rounded decimals are random, those that were float32 before have one of eight values, of which
-    six are impossible.
-    """
+    """Say whether float32 values (M,) of a file are the halves of float64 ones."""
+    # Then most are possible as float64, and most of the low halves are not as float32: of rounded
+    # decimals they are random; of former float32 they have eight values, six of them impossible.
     if len(values) % 2:
         return False
     halves = np.ascontiguousarray(_sample(values.reshape(-1, 2)))
@@ -278,10 +275,7 @@ RANGE_LOG10 = 3.0
 
 
 def evident_count(values: Float, expected: int) -> int | None:
-    """Return another number of columns than expected that a table evidently has, else None.
-
-    A part of the last row may be missing from its values (M,), row by row.
-    """
+    """Return another number of columns than expected that values (M,) evidently have, else None."""
     if len(values) < LEAST_EXPLAINED_BY_CHANCE:
         return None
     if _are_in_turn(values, expected):
@@ -300,11 +294,9 @@ def evident_count(values: Float, expected: int) -> int | None:
 
 
 def likely_names(table: Float) -> tuple[str, ...] | None:
-    """Return names to try for the columns of a table (N, C) float32, None if some are no float32.
-
-    The intensity is the first column after the coordinates that varies and is never negative. Of
-    five columns, one of whole numbers beside it tells the beam.
-    """
+    """Return names to try for the columns of a table (N, C), None if some are no float32."""
+    # The intensity is the first other column that varies and is never negative; of five columns,
+    # one of whole numbers beside it tells the beam.
     rows = table[:: max(1, len(table) // (BLOCKS * VALUES))]
     for column in rows.T:
         values = column[np.isfinite(column) & (column != 0)]
@@ -332,10 +324,7 @@ def _places(count: int, length: int) -> npt.NDArray[np.intp]:
 
 
 def _are_in_turn(values: Float, columns: int) -> bool:
-    """Say whether rows of so many values are points in the order of a scanner's turn.
-
-    Rows without a measurement are left out.
-    """
+    """Say whether rows of so many values are points measured in the order of a scanner's turn."""
     rows = values[: len(values) // columns * columns].reshape(-1, columns)
     # A NaN may signal.
     with np.errstate(invalid="ignore"):

@@ -55,10 +55,7 @@ class LabelledCloud:
 
 
 def read_labelled_cloud(path: Path, scalar: str | None = None) -> LabelledCloud:
-    """Read coordinates and labels of a PLY, PCD, LAS or LAZ file.
-
-    Without a `scalar`, the labels are the only one of the `LABEL_NAMES`.
-    """
+    """Read coordinates and labels, by default those of `LABEL_NAMES`, of a PLY, PCD, LAS or LAZ."""
     columns = READERS[path.suffix.lower()](path)
     columns = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
     points = coordinates(columns, path)

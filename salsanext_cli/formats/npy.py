@@ -86,10 +86,7 @@ def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[
 
 
 def read_uncertainty(path: Path, count: int | None, highest: float = math.inf) -> Float:
-    """Read one kind of uncertainty of a scan's points, (count,) float32; NaN where there is none.
-
-    The `highest` possible value of a probability is 1.
-    """
+    """Read one kind of uncertainty, 0 to `highest`, (count,) float32; NaN where there is none."""
     values: Float = read_array(path, np.float32, (count,))
     bounded = math.isfinite(highest)
     found = f"below 0 or above {highest:g}" if bounded else "negative or infinite"

@@ -106,10 +106,7 @@ def recorded_columns(path: Path) -> Columns:
 
 
 def _opened(path: Path) -> tuple[Path, Recording, dict[str, str]]:
-    """Return the path of the recording of a path, the recording, and its topics by their folders.
-
-    It is kept open until another one is asked for.
-    """
+    """Return path and recording that a path is of, kept open, and its topics by their folders."""
     folder = recording_of(path)
     if folder is None:
         raise FormatError(path, "no such recording", "a recording or a scan in one")

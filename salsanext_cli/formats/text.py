@@ -61,10 +61,7 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
 
 
 def layout_of(content: bytes, has_names: bool) -> Layout:
-    """Find the first point; the line before it without any number is a header.
-
-    A number alone is that of the points, and lines after it may be any text.
-    """
+    """Find the first point, after a header or a number alone and what text follows that."""
     at, names, count = 0, tuple[str, ...](), None
     while at < min(len(content), MAX_HEADER_BYTES):
         end = content.find(b"\n", at) + 1 or len(content)

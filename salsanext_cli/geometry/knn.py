@@ -116,10 +116,7 @@ def knn_refine(
 
 
 def _framed(image: npt.NDArray[Scalar], half: int, beyond: float) -> npt.NDArray[Scalar]:
-    """Return the flattened image in a frame of `half` pixels, periodic in azimuth.
-
-    With it no step has to test for the border.
-    """
+    """Return the flat image in a frame of `half` pixels, periodic in azimuth, for steps beyond."""
     wide = np.pad(image, ((0, 0), (half, half)), mode="wrap")
     return np.pad(wide, ((half, half), (0, 0)), constant_values=beyond).reshape(-1)
 

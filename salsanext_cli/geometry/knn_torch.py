@@ -49,10 +49,7 @@ def refine(
 def nearest_labels(
     own: torch.Tensor, distance: torch.Tensor, labels: torch.Tensor, k: int
 ) -> torch.Tensor:
-    """Return the labels of the point itself and its nearest candidates, (N, ≤ k) int64.
-
-    A candidate is one integer as in `knn.vote_of_block`, so that no two are equally near.
-    """
+    """Return labels of the point and its nearest candidates, (N, ≤ k) int64, ranked as in `knn`."""
     place = torch.arange(distance.shape[1], device=distance.device) << 8
     keys = (distance.view(torch.int32).long() << 32) | place | labels.long()
     others = min(k - 1, keys.shape[1])

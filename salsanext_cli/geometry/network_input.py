@@ -47,11 +47,7 @@ GAP_DIGITS = 4
 
 
 def network_input(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
-    """Return channels (5, H, W) of a sensor as weights that were trained on another take them.
-
-    Gaps and intensity become those of training where both sensors know theirs. Returns (1, 5, H, W)
-    float32.
-    """
+    """Return channels (5, H, W) as weights of another sensor take them, (1, 5, H, W) float32."""
     own, of_training = sensor.intensity_quantiles, trained.intensity_quantiles
     if own and of_training:
         channels = match_intensity(channels, own, of_training)
@@ -143,10 +139,7 @@ def bright_intensity(sensor: Sensor) -> float:
 
 
 def without_intensity(points: Float, intensity: Float) -> str:
-    """Say why the intensities (N,) of a scan tell nothing about its surfaces; nothing if they do.
-
-    `points` (N, 3), metres, are in the frame of the sensor, in the order of the file.
-    """
+    """Say why intensities (N,) of points (N, 3) in the order of a file are none, or nothing."""
     places = drawn(len(points), SAMPLE)
     points, intensity = points[places], intensity[places]
     ranges, measured = measured_ranges(points)
@@ -199,10 +192,7 @@ def dependence(ranks: npt.NDArray[np.int64], on: npt.NDArray[np.number]) -> floa
 
 
 def row_gaps(images: Iterable[Float]) -> float | None:
-    """Return the share of gaps among the pixels of points and gaps, None without a point.
-
-    A gap are up to `MAX_GAP` empty pixels between two of points in a column.
-    """
+    """Return the share of gaps, up to `MAX_GAP` empty pixels between two of points in a column."""
     gaps = occupied = 0
     for channels in images:
         full = channels[0] > 0

@@ -36,10 +36,7 @@ NEAREST_M, MAX_FITTED = np.float32(0.05), 128
 
 
 def find_objects(image: RangeImage, labels: TrainIds, things: npt.NDArray[np.bool_]) -> Objects:
-    """Return the number of the object of each point, (N,) uint16 from 1; 0 for none.
-
-    `labels` (N,): train ids of the points; `things` (C,): classes that consist of objects.
-    """
+    """Return the number of each point's object, (N,) uint16 from 1, of `things` (C,); else 0."""
     wanted = (np.arange(len(things), dtype=np.uint8) * things)[labels]
     seen = pixels_from_points(wanted, image.point_of_pixel)
     channels = argument(image.channels, np.float32)

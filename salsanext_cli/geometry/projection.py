@@ -243,10 +243,7 @@ def pixels_from_points(
 def measured_ranges(
     points: Float, farthest: float = sys.float_info.max
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-    """Return the ranges (N,) float64 of points in metres, and which hold a measurement, (N,) bool.
-
-    The origin, NaN, infinity and ranges beyond the farthest are none.
-    """
+    """Return ranges (N,) float64 in metres, and which are measurements, finite and above 0."""
     with np.errstate(invalid="ignore"):  # of a signalling NaN
         x, y, z = np.square(points.T, dtype=np.float64)
         ranges = np.sqrt(x + y + z)
@@ -254,10 +251,8 @@ def measured_ranges(
 
 
 def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
-    """Return a number of points of a scan in their order, drawn alike; all if there are no more.
-
-    Of points in the order of a grid, every n-th could be of few beams or in few directions.
-    """
+    """Return some points of a scan in their order, drawn alike; all if there are no more."""
+    # Of points in the order of a grid, every n-th could be of few beams or in few directions.
     if len(scan) <= count:
         return scan
     places = drawn(len(scan), count)
@@ -275,10 +270,7 @@ def _uniform(count: int) -> npt.NDArray[np.float64]:
 
 
 def in_sensor_frame(scan: Scan, sensor: Sensor) -> Scan:
-    """Return the scan moved from the sensor's `origin`, and turned so that its `up` is the z axis.
-
-    Points at the origin of the files are no measurements and stay none.
-    """
+    """Return the scan moved from the sensor's `origin`, and turned so that its `up` is z."""
     points = scan.points
     if sensor.origin != ORIGIN:
         points = points - np.array(sensor.origin, np.float32)
@@ -318,10 +310,8 @@ def ego_points(points: Float, sensor: Sensor) -> npt.NDArray[np.intp]:
 
 
 def upright_rotation(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the rotation that turns a direction (3,) to z and the direction ahead to x, (3, 3).
-
-    Ahead is the level part of x; of z in frames of cameras, with y down, and with x up or down.
-    """
+    """Return the rotation (3, 3) that turns a direction (3,) to z and the direction ahead to x."""
+    # Ahead is the level part of x; of z in frames of cameras, with y down, and with x up or down.
     up = up / np.linalg.norm(up)
     largest = int(np.abs(up).argmax())
     ahead = np.eye(3)[2 if largest == 0 or (largest == 1 and up[1] < 0) else 0]

@@ -94,11 +94,8 @@ def find_pixels(
 def find_nearest(
     pixel_of_point: torch.Tensor, point_range: torch.Tensor, pixels: int
 ) -> torch.Tensor:
-    """Return the nearest point of each pixel, the first of equally near ones; (pixels,) int64.
-
-    Range and index make one integer (the bits of a float ≥ 0 are in its order), whose minimum does
-    not depend on the order in which threads arrive.
-    """
+    """Return the nearest point of each pixel, the first of equally near ones; (pixels,) int64."""
+    # One integer of range and index, whose minimum does not depend on the order of threads.
     index = torch.arange(len(point_range), device=point_range.device)
     key = (point_range.view(torch.int32).long() << 32) | index
     target = torch.where(pixel_of_point < 0, pixels, pixel_of_point).long()

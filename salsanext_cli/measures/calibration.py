@@ -78,11 +78,7 @@ def reliability(counts: Counts, bin_count: int = POOLED_BINS) -> Reliability:
 
 
 def adaptive_error(counts: Counts, bin_count: int = POOLED_BINS) -> float:
-    """Return Σ_b |accuracy_b − confidence_b| / B over bins that hold equally many points each.
-
-    Points of one confidence that a border falls among are divided in proportion, right and wrong
-    alike. NaN without points.
-    """
+    """Return Σ_b |accuracy_b − confidence_b| / B over bins of equally many points, ties divided."""
     points = counts.sum(axis=0)
     held = points > 0
     if not held.any():

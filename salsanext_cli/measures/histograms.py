@@ -63,10 +63,7 @@ def softmax_errors(probabilities: npt.NDArray[Any], truth: npt.NDArray[Any]) -> 
 
 
 def lack_of_confidence(probabilities: npt.NDArray[Any]) -> Float:
-    """Return 1 − the largest probability: (N, C) to (N,) float32, 0 … 1 − 1/C.
-
-    It is the sum of the others, which float16 resolves finely where 1 − 0.9999 would be 0.
-    """
+    """Return 1 − the largest probability, as the sum of the others: (N, C) to (N,) float32."""
     others = probabilities.astype(np.float32)
     others[np.arange(len(others)), others.argmax(axis=1)] = 0
     rest: Float = np.einsum("nc->n", others)
@@ -128,10 +125,7 @@ class Histogram:
 def confidence_histogram(
     errors: SoftmaxErrors, group: npt.NDArray[Any], group_count: int
 ) -> Histogram:
-    """Count the points of a scan by confidence, in a bin for each of `CONFIDENCES`.
-
-    `group` (N,): group of each point, below `group_count`.
-    """
+    """Count points by group (N,) and by confidence, in a bin for each of `CONFIDENCES`."""
     bins = errors.confidence.view(np.uint16).astype(np.intp)
     known, shape = ~np.isnan(errors.confidence), (2, group_count, len(CONFIDENCES))
     return _histogram(shape, known, errors.wrong, group, bins, nll=errors.nll, brier=errors.brier)
@@ -147,11 +141,8 @@ def uncertainty_histogram(
 
 
 def error_histogram(error: npt.NDArray[Any], wrong: Mask) -> Histogram:
-    """Count the points of a scan by the probability that their label is wrong, (N,) or NaN.
-
-    The bins are `CONFIDENCES`, to which probabilities are rounded, and there is one group. "Wrong"
-    is what is claimed with this probability, so a point that is wrong counts as right here.
-    """
+    """Count points by the probability (N,) that their label is wrong, in bins of `CONFIDENCES`."""
+    # "Wrong" is what is claimed with this probability, so a wrong point counts as right here.
     shape, group = (2, 1, len(CONFIDENCES)), np.zeros(len(error), np.intp)
     bins = np.abs(error).astype(np.float16).view(np.uint16).astype(np.intp)
     return _histogram(shape, ~np.isnan(error), ~wrong, group, bins)

@@ -101,10 +101,7 @@ def aurc(right: Counts, wrong: Counts) -> float:
 def risk_coverage(
     right: Counts, wrong: Counts, coverage: Ratios = COVERAGE
 ) -> tuple[Ratios, Ratios]:
-    """Return the risk of keeping shares (K,) of the points, and the thresholds for it, (K,) each.
-
-    A threshold is the upper end of the bin in which the coverage is reached; NaN without points.
-    """
+    """Return risks and thresholds (K,) of keeping shares (K,) of the points; NaN without points."""
     reached = (right + wrong).cumsum()
     kept = coverage * reached[-1]
     if not reached[-1]:
@@ -157,10 +154,7 @@ class KeptPoints:
 
 
 def kept_points(kind: str, histogram: Histogram) -> KeptPoints:
-    """Find the threshold that keeps nearly `PERCENT_KEPT` of the points, of tied ones all or none.
-
-    The groups of the `uncertainty_histogram`, of at least one point, are taken together.
-    """
+    """Find the threshold that keeps nearly `PERCENT_KEPT` of the points, ties together."""
     right, wrong = histogram.total().counts[:, 0]
     tied = right + wrong
     reached, errors = tied.cumsum(), wrong.cumsum()
@@ -181,10 +175,7 @@ def kept_points(kind: str, histogram: Histogram) -> KeptPoints:
 
 
 def _between(highest: float, others: float) -> float:
-    """Return a number of few digits above the highest value of a bin and not above those kept out.
-
-    `others` is the highest value of the empty bins between them, or `highest` itself.
-    """
+    """Return a number of few digits above `highest`, and at most the next after `others`."""
     lowest_out = float(np.nextafter(np.float32(others), np.float32(np.inf)))
     middle = (highest + lowest_out) / 2
     rounded = (float(f"{middle:.{digits}g}") for digits in FEW_DIGITS)
@@ -196,10 +187,7 @@ def _percent(share: float) -> str:
 
 
 def spearman(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
-    """Return Spearman's rank correlation of finite numbers, (N,) each, -1…1.
-
-    Equal numbers share the mean of their ranks; NaN where one of the two does not vary.
-    """
+    """Return Spearman's rank correlation of finite numbers (N,), -1…1; NaN if one does not vary."""
     ranks = [_centred_ranks(values) for values in (one, other)]
     norm = math.prod(math.sqrt(r @ r) for r in ranks)
     return float(ranks[0] @ ranks[1] / norm) if norm else math.nan

@@ -170,10 +170,7 @@ class RunSummary:
 
     @contextmanager
     def kept_in(self, run: OutputRun, scans: Sequence[ScanFile]) -> Iterator[None]:
-        """Finish the summary when the run in an output folder ends, and keep what it found there.
-
-        What earlier runs of the stage found of scans that have their results is added.
-        """
+        """Finish the summary when the run ends, and keep what it and earlier runs found."""
         try:
             yield
         finally:
@@ -188,10 +185,7 @@ class RunSummary:
                     self.findings.setdefault(texts[0], []).append((name, Finding(*texts)))
 
     def warnings(self) -> list[dict[str, Any]]:
-        """Return what was found, by code, with the scans, as plain data, in sorted order.
-
-        The words are those of the first scan, whatever the order in which workers were done.
-        """
+        """Return what was found, by code, in the words of the first scan, with all scans."""
         warnings = []
         for code in sorted(self.findings):
             names, findings = zip(*sorted(self.findings[code], key=itemgetter(0)), strict=True)
@@ -260,10 +254,7 @@ def mixed_sensors(
 
 
 def _groups(values: npt.NDArray[Any], factor: float) -> Counts:
-    """Return the numbers (F,) of the groups of values that gaps of a factor divide, from 0.
-
-    A value of 0 is unknown and in the first group.
-    """
+    """Return the groups (F,), from 0, of values that gaps of a factor divide; 0 is unknown."""
     groups = np.zeros(len(values), np.int64)
     known = np.flatnonzero(values > 0)
     order = known[np.argsort(values[known], kind="stable")]

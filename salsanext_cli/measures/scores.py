@@ -59,10 +59,7 @@ class Confusion:
         return self
 
     def counted(self, scored: Mask) -> Counts:
-        """Return the matrix (C, C) with 0 in the rows of ignored classes; `scored` is (C,) bool.
-
-        Columns of ignored classes stay: a labelled point predicted "unlabelled" is a miss.
-        """
+        """Return the matrix (C, C), rows of ignored classes 0; their columns, misses, stay."""
         return np.where(scored[:, None], self.matrix, 0)
 
     def __add__(self, other: Confusion) -> Confusion:

@@ -20,10 +20,9 @@ Stack = Callable[[int, int], nn.Module]
 
 
 class Unit(nn.Sequential):
-    """Convolution → LeakyReLU → batch norm, size preserving: (B, in, H, W) → (B, out, H, W).
+    """Convolution → LeakyReLU → batch norm, size preserving: (B, in, H, W) → (B, out, H, W)."""
 
-    A 2×2 kernel keeps its size only with dilation 2 and padding 1.
-    """
+    # A 2×2 kernel keeps its size only with dilation 2 and padding 1.
 
     def __init__(self, inputs: int, outputs: int, kernel: int, dilation: int = 1) -> None:
         padding = dilation * (kernel - 1) // 2
@@ -139,11 +138,7 @@ def transposed_unit(convolution: nn.ConvTranspose2d) -> nn.Sequential:
 
 
 class UpBlock(nn.Module):
-    """Upsample ×2, concatenate or add the skip connection, fuse; channel dropout around each.
-
-    `upsampling`: (B, in, H, W) to (B, upsampled, 2H, 2W); `joined`: channels with the skip
-    connection; `stack`: factory of the layers that fuse.
-    """
+    """Upsample ×2, concatenate or add the skip connection, fuse; channel dropout around each."""
 
     def __init__(
         self,

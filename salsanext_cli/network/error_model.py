@@ -18,10 +18,7 @@ BLOCK = 256
 
 
 def last_values(rows: Float, layers: Sequence[tuple[Float, Float]]) -> Float:
-    """Return the value of the last layer for rows (N, F), (N,) float32; NaN for rows with NaN.
-
-    `layers` are those of an `ErrorModel`. No bit depends on the number of threads.
-    """
+    """Return an `ErrorModel`'s last value for rows (N, F), (N,) float32; NaN for rows with NaN."""
     rows = argument(rows, np.float32)
     given = tuple((argument(w, np.float32), argument(b, np.float32)) for w, b in layers)
     values = np.empty(len(rows), np.float32)

@@ -73,10 +73,7 @@ def _fields(content: bytes) -> Iterator[tuple[int, int, bytes]]:
 
 
 def _varint(content: bytes, at: int) -> tuple[int, int]:
-    """Read a number of seven bits per byte, the lowest first; the eighth says that more follow.
-
-    Also return the place after it.
-    """
+    """Read a number of seven bits per byte, the lowest first; also return the place after it."""
     value = 0
     for shift, byte in enumerate(content[at : at + 10]):
         value |= (byte & 127) << (7 * shift)

@@ -60,10 +60,7 @@ class UpStage(nn.Sequential):
 
 
 class RangeNet53(SegmentationNetwork):
-    """A Darknet53 that keeps the height of the image; 50 377 364 parameters with 20 classes.
-
-    `width`: channels of the stem, doubled by every stage.
-    """
+    """A Darknet53 that keeps the height of the image; 50 377 364 parameters with 20 classes."""
 
     stride = (1, 2 ** len(DEPTHS))
 
@@ -77,10 +74,7 @@ class RangeNet53(SegmentationNetwork):
         self.logits = nn.Conv2d(width, class_count, 3, padding=1)
 
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:
-        """Compute the features of stem and first stage, (B, 32, H, W) and (B, 64, H, W/2).
-
-        Of (B, 5, H, W) with W divisible by 32.
-        """
+        """Compute the features of stem and first stage, (B, 32, H, W) and (B, 64, H, W/2)."""
         stem: Tensor = self.stem(image)
         return stem, self.stages[0](stem)
 

@@ -165,11 +165,7 @@ class Sensor:
         return cls(**values)
 
     def to_toml(self, *, images: bool = True) -> str:
-        """Return the text of a TOML file that `sensor` reads; the file's name is the sensor's.
-
-        Without `images`, size and normalisation are left out, so that they are those of the
-        weights that the file is used with.
-        """
+        """Return a TOML file that `sensor` reads; size and normalisation only with `images`."""
         left_out = ("name",) if images else ("name", *OF_IMAGES)
         values = {key: value for key, value in self.to_dict().items() if key not in left_out}
         # What JSON writes for texts, numbers and lists of numbers is TOML as well.

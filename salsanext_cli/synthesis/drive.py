@@ -135,10 +135,7 @@ class _Track:
     def in_motion(
         self, s: float, origins: Array, directions: Array, times: Array
     ) -> tuple[Array, Array]:
-        """Return world origins and directions of rays fired while the vehicle drives on past s.
-
-        Over the tenth of a second of a revolution the pose changes linearly.
-        """
+        """Return world origins and directions of rays fired past s, the pose changing linearly."""
         start, end = times.min(), times.max()
         first, last = self.pose(s + self._speed * start), self.pose(s + self._speed * end)
         share = ((times - start) / (end - start))[:, None]

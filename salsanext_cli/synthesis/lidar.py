@@ -121,11 +121,8 @@ def _edges(rng: Rng, reach: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
 
 
 def _lost_to_gloss(reflected: Array, cosine: Array, gloss: Array, power: Array) -> Array:
-    """Return the chance (R,) that a pulse is lost to a mirror, which sends it elsewhere.
-
-    A mirror sends a pulse back only when hit straight on. Strong lasers still see its dirt, so
-    that glass and dark paint come back in some rows and not in others.
-    """
+    """Return the chance (R,) that a mirror, not hit straight on, sends a pulse elsewhere."""
+    # Strong lasers still see its dirt, so glass and dark paint come back in some rows only.
     diffuse = np.minimum(MOST_DIFFUSE, DIFFUSE_SHARE * reflected / DIFFUSE_BRIGHTNESS)
     straight_on = STRAIGHT_ON_SHARE * cosine**STRAIGHT_ON_EXPONENT
     mirrored = gloss * (1 - straight_on) * (1 - diffuse)

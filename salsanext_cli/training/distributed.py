@@ -67,10 +67,7 @@ class ProcessGroup:
                 dist.broadcast(tensor, 0)
 
     def on_main(self, work: Callable[[], T]) -> T:
-        """Call a function in the main worker only, and return its result in all of them.
-
-        A `SalsanextError` of the main worker is raised by all, marked as reported by the main one.
-        """
+        """Call a function in the main worker only; all return its result, or raise its error."""
         if self.size == 1:
             return work()
         answer: list[Any] = [None]

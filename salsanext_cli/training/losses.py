@@ -62,10 +62,7 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
 def lovasz_softmax(
     probabilities: Tensor, truth: Tensor, group: ProcessGroup = SINGLE_PROCESS
 ) -> Tensor:
-    """Return a worker's share of the mean Lovász-Softmax loss of the classes in the truth, 0-d.
-
-    Of probabilities (P, C) and truth (P,) int64.
-    """
+    """Return a worker's share of the mean Lovász-Softmax loss of softmax (P, C)."""
     present = group.sum(truth.bincount(minlength=probabilities.shape[1])).nonzero()[:, 0]
     if not len(present):
         return probabilities.sum()

@@ -219,10 +219,7 @@ class Setup:
         run_folder.begin(self.run, self.settings, overwrite=self.overwrite)
 
     def _report_fold(self, number: int, count: int, report: StepReport) -> None:
-        """Report a step as one of the whole cross-validation and the training after it.
-
-        After an epoch, the best weights of the fold become those of the run if they are better.
-        """
+        """Report a step of a fold as one of all; its weights become the run's if better."""
         best = self.run / run_folder.BEST
         own = run_folder.fold_folder(self.run, number) / run_folder.BEST
         if report.row and own.exists() and not (self.run / run_folder.CHECKPOINT).exists():

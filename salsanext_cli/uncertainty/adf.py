@@ -142,11 +142,9 @@ def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def logistic_moments(d: Tensor, variance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return mean, 1 − mean and variance of the logistic function of N(d, variance).
-
-    Everything is a rise or fall from the smaller of logistic(d) and 1 − logistic(d), so that a
-    confident class keeps its digits.
-    """
+    """Return mean, 1 − mean and variance of the logistic function of N(d, variance)."""
+    # Everything is a rise or fall from the smaller of logistic(d) and 1 − logistic(d), so that a
+    # confident class keeps its digits.
     near, deviation = -d.abs(), variance.sqrt()
     small, large = torch.sigmoid(near), torch.sigmoid(-near)
     slope = small * large
@@ -205,11 +203,7 @@ def _sum_of_others(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaussian:
-    """Independent Gaussians in place of a tensor's numbers.
-
-    PyTorch asks it what each function of a network does to it. A function without a rule is an
-    error, so that the moments cannot drift apart from the network.
-    """
+    """Independent Gaussians in place of a tensor; a function without a rule is an error."""
 
     # From a function to what it does to moments (Gast & Roth 2018), with the same arguments
     RULES: ClassVar[Mapping[Callable[..., Any], Callable[..., Any]]] = {}

@@ -25,11 +25,8 @@ COST = 8
 
 
 def label_support(image: RangeImage, probabilities: Float, labels: TrainIds, pixels: Int) -> Float:
-    """Return the mean probability (M,) of labels (M,) of pixels among those around at their range.
-
-    Of a window of 9 × 17 pixels, which goes on around the image, every second row and column
-    counts; in an image that is narrower, a column may count twice. `pixels` (M,) are occupied.
-    """
+    """Return the mean probability (M,) of labels (M,) around pixels (M,) at their range."""
+    # Every second row and column of 9 × 17 pixels; in a narrower image a column may count twice.
     ranges, softmax = argument(image.channels[0], np.float32), argument(probabilities, np.float32)
     labels, pixels = argument(labels, np.uint8), argument(pixels, np.int32)
     support = np.empty(len(labels), np.float32)
@@ -124,10 +121,7 @@ NEAREST_M = 0.5
 
 
 def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) -> Float:
-    """Return the features of every point, (N, 9) float32; NaN where it has no pixel.
-
-    `probabilities` (C, H, W) are the softmax of a single pass, `labels` (N,) those after kNN.
-    """
+    """Return the features of points, (N, 9) float32, NaN without a pixel; labels after kNN."""
     # Most points have the label of their pixel: described once per pixel, the others on their own.
     classes, table = _of_pixels(image, probabilities)
     features = np.empty((len(labels), len(FEATURES)), np.float32)
@@ -150,10 +144,7 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
 
 
 def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float]:
-    """Return the class of each pixel, (H · W,), and its features, (H · W, 9) float32.
-
-    They are those of its nearest point, if that has this class; how far it lies beyond is 0.
-    """
+    """Return the class of each pixel, (H · W,), and features of its nearest point, (H · W, 9)."""
     largest, second = np.zeros((2, *probabilities.shape[1:]), np.float32)
     classes = np.zeros(largest.shape, np.uint8)
     for train_id, each in enumerate(probabilities):

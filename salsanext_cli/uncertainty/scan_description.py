@@ -32,11 +32,9 @@ class ScanDescription:
 
 
 def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> ScanDescription:
-    """Read a scan, and describe it by what the network makes of it.
-
-    The masks of dropout are those of the seed, the same for every scan: between masks the mutual
-    information of a scan varies more than between scans of one drive.
-    """
+    """Describe a scan by what the network makes of it."""
+    # The masks of dropout are the same for every scan: between masks the mutual information varies
+    # more than between scans of one drive.
     projected = project_for(network, file)
     image = projected.image
     filled = image.point_of_pixel >= 0
@@ -52,11 +50,7 @@ def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> 
 def label_sampled(
     file: ScanFile, network: Network, samples: int, seed: int
 ) -> tuple[LabelledScan, Float]:
-    """Label a scan by the mean softmax of the passes.
-
-    Returns the mutual information of label and weights of each pixel, (H, W), nats, too; it is
-    meaningless where the pixel is empty.
-    """
+    """Label a scan by the mean softmax of passes; also return their information (H, W), nats."""
     projected = project_for(network, file)
     estimate = _estimate(file, projected.image, network, samples, seed)
     scan = labelled(projected, estimate.probabilities, network, KnnParameters())

@@ -95,11 +95,9 @@ class Checkerboard:
         return cls(bands, sectors, random.uniform(-np.pi, np.pi), sensor.fov_down, sensor.fov_up)
 
     def odd(self, points: Float) -> npt.NDArray[np.bool_]:
-        """Return whether points (N, 3) lie in odd cells, (N,) bool.
-
-        It changes with every border between a point and the lowest band of the first sector: a cone
-        between bands, a plane through the origin for two borders between sectors.
-        """
+        """Return whether points (N, 3) lie in odd cells, (N,) bool."""
+        # It changes with every border between a point and the lowest band of the first sector: a
+        # cone between bands, a plane through the origin for two borders between sectors.
         x, y, z = np.ascontiguousarray(points.T)
         odd = np.zeros(len(points), np.bool_)
         edges = np.radians(np.linspace(self.fov_down, self.fov_up, self.bands + 1)[1:-1])

@@ -95,11 +95,8 @@ def fewer_beams(channels: Float, random: Rng) -> Float:
 
 
 def hole_cells(ranges: Float) -> npt.NDArray[np.intp]:
-    """Return the cell of `HOLE_SHARES`, counted row by row, of each pixel of ranges (H, W).
-
-    It depends on the next measured pixels (above 0) to the left and right around the circle,
-    whether or not the pixel itself is measured; -1 where they are more than `MAX_RUN` apart.
-    """
+    """Return the cell of `HOLE_SHARES` of each pixel of ranges (H, W), -1 beyond `MAX_RUN`."""
+    # By the next measured pixels to the left and right, whether or not itself is measured.
     sides, steps = np.zeros((2, *ranges.shape), np.float32), np.full((2, *ranges.shape), MAX_RUN)
     for step in range(MAX_RUN, 0, -1):
         for side, signed in enumerate((step, -step)):
@@ -113,11 +110,8 @@ def hole_cells(ranges: Float) -> npt.NDArray[np.intp]:
 
 
 def make_holes(channels: Float, random: Rng) -> Float:
-    """Return channels (C, H, W), the range first, of which pixels are lost as real sensors do.
-
-    By the share of their cell times a factor, uniform up to `MOST_HOLES`; with probability
-    `CONTINUED` a pixel shares the random number of its left neighbour.
-    """
+    """Return channels (C, H, W), the range first, of which pixels are lost as in real sensors."""
+    # By the share of their cell times a factor; by `CONTINUED` with their left neighbours.
     shares = np.append(HOLE_SHARES, 0.0)[hole_cells(channels[0])] * random.uniform(0, MOST_HOLES)
     chance, own = random.random(shares.shape), random.random(shares.shape) >= CONTINUED
     source = np.maximum.accumulate(np.where(own, np.arange(own.shape[1]), 0), axis=1)

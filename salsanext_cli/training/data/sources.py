@@ -187,11 +187,7 @@ def _name_unsplit(dataset: Path, space: LabelSpace) -> None:
 def labelled_split(
     dataset: Path, space: LabelSpace | None, split: str
 ) -> tuple[LabelSpace, list[ScanFile]]:
-    """Return the label space of a data set, and the scans of a split.
-
-    What is not given or not in the space, itself, splits, alternatives of merged classes, is what
-    the data set says, else SemanticKITTI's. A split without scans raises `NoInputError`.
-    """
+    """Return the label space of a data set, completed as `with_splits_of`, and a split's scans."""
     space = with_splits_of(dataset, space)
     members = space.split(split)
     scans = [scan for scan in find_scans(dataset) if scan.sequence in members]

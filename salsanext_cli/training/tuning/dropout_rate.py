@@ -61,10 +61,7 @@ def fit_dropout(
     highest: float = HIGHEST,
     steps: int = STEPS,
 ) -> Tuned:
-    """Find the rate of dropout of the least `objective`, mean over the points, among some rates.
-
-    `samples`, `seed`: passes per scan and rate, and the seed of their masks.
-    """
+    """Find the rate of dropout of the least mean `objective`, of `samples` passes with a `seed`."""
     rates = rates_between(lowest, highest, steps)
     require_sampling(with_dropout(scans.loaded, lowest), samples)
     noise_of(scans.loaded.sensor)

@@ -158,11 +158,7 @@ def gains(model: ErrorModel) -> bool:
 
 
 def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
-    """Fit a model of the least cross-entropy to points of all scans, some wrong and some right.
-
-    The mean and spread of the features become part of the first layer. Without `height`, the
-    weights of that feature are 0.
-    """
+    """Fit a model of least cross-entropy to points; without `height` that feature weighs 0."""
     features = np.concatenate([scan.features for scan in scans])
     wrong = torch.from_numpy(np.concatenate([scan.wrong for scan in scans])).float()
     mean, spread = features.mean(axis=0), np.maximum(features.std(axis=0), LEAST_SPREAD)
