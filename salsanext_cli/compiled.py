@@ -41,8 +41,7 @@ CACHE_ERRORS = (
     ValueError,
 )
 """Raised where no folder can be written, and by code of another version of llvmlite."""
-MIN_SLICE_ITEMS = 16384
-"""Number below which a second thread costs more than it saves."""
+MIN_SLICE_ITEMS = 16384  # Number below which a second thread costs more than it saves
 
 
 @lru_cache(maxsize=1)

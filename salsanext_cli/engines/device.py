@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
 PRECISIONS = ("auto", "float32", "bfloat16", "float16")
 ENGINES = ("auto", "openvino", "torch")
-MAX_BATCH_PIXELS = 16 * 64 * 2048
-"""Pixels that a GPU computes side by side."""
+MAX_BATCH_PIXELS = 16 * 64 * 2048  # Pixels that a GPU computes side by side
 GPU_FILES = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-ctrl", "/dev/kfd", "/dev/dxg")
 """Devices of Linux without one of which torch finds no GPU."""
 CPUINFO = Path("/proc/cpuinfo")

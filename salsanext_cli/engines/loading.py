@@ -105,7 +105,7 @@ def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":
     module, _ = read_weights(file)
     if fingerprint(file) != sha256:
         raise replaced(file)
-    return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+    return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def replaced(file: Path) -> WeightsError:

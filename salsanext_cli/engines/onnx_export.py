@@ -26,10 +26,8 @@ if TYPE_CHECKING:
     import onnx
 
 INPUT, OUTPUT = "image", "logits"
-TOLERANCE = 1e-3
-"""Largest difference from torch, relative to the largest logit."""
-SHIFT = 128
-"""From signed to unsigned bytes."""
+TOLERANCE = 1e-3  # Largest difference from torch, relative to the largest logit
+SHIFT = 128  # From signed to unsigned bytes
 
 
 class _Traced(nn.Module):

@@ -18,15 +18,11 @@ MAX_POINTS = 512
 """Points that a plane is sought among, evenly taken from those near the sensor."""
 RANGES_M = (2.0, 25.0)
 """Nearest and farthest of them: nearer is the vehicle itself, farther the ground bends."""
-TRIPLES = 2048
-"""Triples of points that planes are put through."""
-PLANES = 256
-"""Planes that are tried, of those that may be the ground."""
-MIN_AREA_M2 = np.float32(1e-3)
-"""Twice the least area of the triangle of a triple."""
+TRIPLES = 2048  # Triples of points that planes are put through
+PLANES = 256  # Planes that are tried, of those that may be the ground
+MIN_AREA_M2 = np.float32(1e-3)  # Twice the least area of the triangle of a triple
 TOLERANCE_M = 0.15
-MIN_SHARE = 0.1
-"""Least share of the points on a plane that is called the ground."""
+MIN_SHARE = 0.1  # Least share of the points on a plane that is called the ground
 MIN_POINTS = 100
 MIN_HEIGHT_M = 0.4
 """Least height of a sensor; lower, the origin of the points is not the sensor's place."""
@@ -35,8 +31,7 @@ MIN_COSINE = 0.8
 FLAT = 0.75
 """Share of the next larger one that the mean of a coordinate of directions may have, if the sensor
 turns about that axis."""
-AXES, UPWARDS = range(3), 2
-"""Indices of x, y, z, and of z."""
+AXES, UPWARDS = range(3), 2  # Indices of x, y, z, and of z
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,8 +188,7 @@ def _grid(*axes: Sequence[float] | Double) -> Double:
 
 
 def _sharpest(points: Double, places: Double) -> Double:
-    sharpest: Double = max(places, key=lambda place: sharpness(points, place))
-    return sharpest
+    return max(places, key=lambda place: sharpness(points, place))
 
 
 def sharpness(points: Double, place: Double) -> float:
@@ -215,8 +209,7 @@ def _averaged(histogram: Double, width: int) -> Double:
 MAX_TILT_DEG = 8.0
 """Largest angle between the ground's normal and z of a sensor that stands upright; real ones had up
 to 5°. A vehicle stands on its street, however steep that is."""
-UPSIDE_DOWN_DEG = 155.0
-"""Least angle of a ground above the sensor."""
+UPSIDE_DOWN_DEG = 155.0  # Least angle of a ground above the sensor
 SUPPORT = 1.5
 """Factor by which a tilted ground must have more points than the best one that is not."""
 SUPPORT_OF_CEILING = 4.0

@@ -41,10 +41,8 @@ from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)
 """Elevations between which points are counted. Below them every beam meets the ground, wherever the
 sensor is; above, it may meet the sky."""
-VIEW = (0.01, 0.99)
-"""Quantiles of the elevation that describe a view."""
-MIN_POINTS = 100
-"""Fewest points of which a check says something."""
+VIEW = (0.01, 0.99)  # Quantiles of the elevation that describe a view
+MIN_POINTS = 100  # Fewest points of which a check says something
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +110,7 @@ MEDIAN_RANGES_M = (0.3, 250.0)
 """Least and largest median range of a scan in metres; real scans had 4 to 32."""
 USUAL_RANGES_M = (60.0, 300.0)
 """Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
-MAX_VIEW_DEG = 120.0
-"""Largest usual field of view; that of sensors was 90° or less."""
+MAX_VIEW_DEG = 120.0  # Largest usual field of view; that of sensors was 90° or less
 MIN_MEASURED = 0.4
 """Least usual share of the points with a measurement; organised clouds had 0.55 or more."""
 MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
@@ -245,8 +242,7 @@ def _require_metres(path: Path, count: int, ranges: npt.NDArray[np.float64]) -> 
 def _sines(points: Float) -> Float:
     """Return the sines of elevation of points (N, 3), (N,)."""
     ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
-    sines: Float = (points[:, 2] / np.maximum(ranges, np.finfo(np.float32).tiny)).clip(-1, 1)
-    return sines
+    return (points[:, 2] / np.maximum(ranges, np.finfo(np.float32).tiny)).clip(-1, 1)
 
 
 def _of_units(

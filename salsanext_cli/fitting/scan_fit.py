@@ -33,12 +33,10 @@ log = logging.getLogger(__name__)
 Scans = Sequence[ScanFile | Scan]
 Result = TypeVar("Result")
 
-MAX_SCANS = 16
-"""Scans that a fit reads, evenly spaced among all of a source."""
+MAX_SCANS = 16  # Scans that a fit reads, evenly spaced among all of a source
 FITTED = ("name", "fov_up", "fov_down", "up", "origin")
 """Fields of a sensor that a fit of the view changes."""
-EGO = ("min_range", "ego_box")
-"""Fields that it finds unless they are told."""
+EGO = ("min_range", "ego_box")  # Fields that it finds unless they are told
 INTENSITIES = ("auto", "match", "raw", "none")
 
 

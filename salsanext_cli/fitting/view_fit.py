@@ -28,8 +28,7 @@ MIN_GAIN = 0.005
 """Least gain of a narrower window, as a share of the points close to a beam."""
 MAX_VALLEY = 0.5
 """Largest share of the lower of two maxima that the histogram falls to between two beams."""
-MIN_WEIGHT = 0.15
-"""Least weight of a beam, as a share of that of one beside it."""
+MIN_WEIGHT = 0.15  # Least weight of a beam, as a share of that of one beside it
 MIN_SHARE = 0.75
 """Least share of the points within a quarter of the distance to the next beam; evenly spread
 elevations have a half."""
@@ -135,11 +134,9 @@ SHARE_OF_HEIGHT = 0.8
 """Largest minimum range, as a share of the height above the ground: a low sensor sees its floor."""
 LEAST_HEIGHT_M = 0.1
 """Least height of a sensor above what can be the ground that it stands on."""
-FARTHEST_M = 3.0
-"""Farthest body of a vehicle that is sought."""
+FARTHEST_M = 3.0  # Farthest body of a vehicle that is sought
 MIN_SCANS = 5
-AZIMUTHS, ELEVATIONS = 120, 120
-"""Cells around, and from straight down to straight up."""
+AZIMUTHS, ELEVATIONS = 120, 120  # Cells around, and from straight down to straight up
 MIN_CELLS = 5
 """Fewest cells of a body; of SemanticKITTI's car, which is not seen, was one by chance."""
 CENTRES = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS - 0.5) * np.pi
@@ -150,8 +147,7 @@ SEEN, STAYS = 0.9, 0.8
 range stays."""
 MOVING = 0.15
 """Largest share of the farther cells above the ground whose range stays, if the vehicle moves."""
-ABOVE_GROUND_M = 0.4
-"""Height above the ground of what is not the ground."""
+ABOVE_GROUND_M = 0.4  # Height above the ground of what is not the ground
 MARGIN_M = 0.05
 WIDEST_M = 2.6
 """Largest of the lesser of length and width of a vehicle; wider is something beside it, and so is
@@ -231,8 +227,7 @@ SHOWN = 0.85
 and down would make objects much lower in the image than those of training."""
 MOST_ENLARGED = 1.2
 """Largest extent of a view of all points that is taken as it is, as a multiple of training's."""
-PLACES = 400
-"""Places of a view of given extent that are tried."""
+PLACES = 400  # Places of a view of given extent that are tried
 NEARLY = 0.999
 """Share of the most points in a view at which another is as good; of these, the middle one."""
 MIN_VIEW_DEG = 1.0

@@ -23,16 +23,13 @@ from salsanext_cli.formats.columns import ring_of, scan_of, unnamed_columns
 from salsanext_cli.records import Float, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
-COLUMNS = 4
-"""x, y, z in metres, remission."""
-COLUMNS_WITH_RING = 5
-"""x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes."""
+COLUMNS = 4  # x, y, z in metres, remission
+COLUMNS_WITH_RING = 5  # x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes
 GZIP_SUFFIX = ".gz"
 MAX_DECOMPRESSED_BYTES = 1 << 28
 """Sixteen million points; a file of some hundred kilobytes could fill the memory otherwise."""
 ANEW = "write it anew as float32 x, y, z, intensity"
-MAX_CLASS = 0xFFFF
-"""Largest label of four bytes without an instance."""
+MAX_CLASS = 0xFFFF  # Largest label of four bytes without an instance
 
 
 def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
@@ -185,8 +182,7 @@ MAGIC = {
 }
 """Suffixes of other formats by the bytes that their files begin with."""
 TEXT_SUFFIX = ".csv"
-TEXT_BYTES = 4096
-"""Size of the start of a file that shows whether it is text."""
+TEXT_BYTES = 4096  # Size of the start of a file that shows whether it is text
 MIN_TEXT_BYTES = 256
 """Size from which on float32 values hold some of the bytes that do not occur in text."""
 MIN_ASCII_BYTES = 16
@@ -200,8 +196,7 @@ LEAST_POSSIBLE_SHARE = 0.5
 LEAST_POSSIBLE_SHARE_OF_LOW = 0.42
 """The same of every second float32, of which a scanner of one plane has half, z, equal to 0."""
 LEAST_POSSIBLE_SHARE_OF_FLOAT64 = 0.9
-SAMPLE = 4096
-"""Rows that are looked at, evenly spaced."""
+SAMPLE = 4096  # Rows that are looked at, evenly spaced
 
 
 def other_suffix(start: bytes) -> str | None:
@@ -246,18 +241,13 @@ def are_possible(values: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
     # A NaN may signal.
     with np.errstate(invalid="ignore"):
         magnitudes = np.abs(values)
-        possible: npt.NDArray[np.bool_] = (magnitudes > LEAST) & (magnitudes < MOST)
-    return possible
+        return (magnitudes > LEAST) & (magnitudes < MOST)
 
 
-COUNTS = range(3, 17)
-"""Numbers of columns that are told apart."""
-BLOCKS = 32
-"""Places of a file that are looked at, evenly spaced."""
-ROWS = 64
-"""Rows of each that are looked at for their order."""
-VALUES = 128
-"""Values of each that are looked at for their kinds."""
+COUNTS = range(3, 17)  # Numbers of columns that are told apart
+BLOCKS = 32  # Places of a file that are looked at, evenly spaced
+ROWS = 64  # Rows of each that are looked at for their order
+VALUES = 128  # Values of each that are looked at for their kinds
 STEP_DEG = 5.0
 """Largest difference in azimuth between points that a scanner measured in turn."""
 IN_TURN = 0.6
@@ -268,10 +258,8 @@ SHARE_OF_LARGEST = 0.6
 scans the right one has 0.97 or more, in tables of others 4 has 0.4 or less."""
 LEAST_EXPLAINED, LEAST_EXPLAINED_BY_CHANCE = 0.05, 40
 """Explained variance below which nothing is said; the second is by the number of values."""
-LEAST_VARIANCE = 0.005
-"""Variance of a property below which it is not looked at."""
-RANGE_LOG10 = 3.0
-"""Magnitudes count up to a factor of a thousand."""
+LEAST_VARIANCE = 0.005  # Variance of a property below which it is not looked at
+RANGE_LOG10 = 3.0  # Magnitudes count up to a factor of a thousand
 
 
 def evident_count(values: Float, expected: int) -> int | None:

@@ -34,8 +34,7 @@ LABEL_NAMES = (
 """Names of scalars that hold labels, in lower case, without the prefix."""
 OF_ASPRS = "classification"
 """Name of the scalar that holds classes of the ASPRS in LAS files, whoever made them."""
-PREFIX = "scalar_"
-"""Start of the names of scalars in what CloudCompare writes."""
+PREFIX = "scalar_"  # Start of the names of scalars in what CloudCompare writes
 NO_VALUE = np.iinfo(np.int64).min
 """Id of a point without a value, for which programs write NaN."""
 MAX_ID = 0xFFFFFFFF
@@ -148,8 +147,7 @@ class LabelIds:
         found, index = np.unique(_classes(ids), return_inverse=True)
         of_class = [self.raw_of.get(i, self.unlabelled) for i in found.tolist()]
         instances = np.where(ids > 0, ids, 0) & ~CLASS_BITS
-        raw: RawIds = (np.array(of_class, np.int64)[index] | instances).astype(np.uint32)
-        return raw
+        return (np.array(of_class, np.int64)[index] | instances).astype(np.uint32)
 
     def described(self) -> str:
         """Return all known ids and their names in one line."""

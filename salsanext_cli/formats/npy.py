@@ -15,8 +15,7 @@ from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.records import Float
 
-MAX_HEADER_BYTES = 1024
-"""Largest header; that of an array with a few dimensions has 128."""
+MAX_HEADER_BYTES = 1024  # Largest header; that of an array with a few dimensions has 128
 ROUNDING = 0.01
 """Largest deviation of a sum over the classes from 1; that by float16 is a tenth of it."""
 

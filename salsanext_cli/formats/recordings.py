@@ -22,8 +22,7 @@ RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf")
 METADATA = "metadata.yaml"
 """File that makes a folder with `.db3` or `.mcap` files a ROS 2 bag."""
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
-MAX_SHOWN = 500
-"""Characters of a list of topics in an error."""
+MAX_SHOWN = 500  # Characters of a list of topics in an error
 
 
 def is_recording(path: Path) -> bool:

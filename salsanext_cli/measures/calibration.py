@@ -14,10 +14,8 @@ import numpy as np
 from salsanext_cli.measures.histograms import CONFIDENCES, Histogram
 from salsanext_cli.measures.scores import Counts, Ratios, ratio
 
-POOLED_BINS = 15
-"""Number of bins of the pooled errors and of the diagram."""
-SCAN_BINS = 10
-"""Number of bins of the error of a single scan, as in Calib3D."""
+POOLED_BINS = 15  # Number of bins of the pooled errors and of the diagram
+SCAN_BINS = 10  # Number of bins of the error of a single scan, as in Calib3D
 
 
 @dataclass(frozen=True, slots=True)

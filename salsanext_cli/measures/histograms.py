@@ -32,8 +32,7 @@ LOWEST, HIGHEST = -48, 8
 """Exponents of two of the first and the last bin; uncertainties below are as good as 0."""
 UNCERTAINTY_BINS = 1 + (HIGHEST - LOWEST) * BINS_PER_OCTAVE
 """Number of bins: one for everything below the lowest, then 128 per octave; the last is open."""
-BFLOAT16_SHIFT = 16
-"""Bits of a float32 that a bfloat16 does not have."""
+BFLOAT16_SHIFT = 16  # Bits of a float32 that a bfloat16 does not have
 FIRST_KEY = int(np.float32(2.0**LOWEST).view(np.int32)) >> BFLOAT16_SHIFT
 
 
@@ -66,8 +65,7 @@ def lack_of_confidence(probabilities: npt.NDArray[Any]) -> Float:
     """Return 1 − the largest probability, as the sum of the others: (N, C) to (N,) float32."""
     others = probabilities.astype(np.float32)
     others[np.arange(len(others)), others.argmax(axis=1)] = 0
-    rest: Float = np.einsum("nc->n", others)
-    return rest
+    return np.einsum("nc->n", others)
 
 
 def softmax_entropy(probabilities: npt.NDArray[Any]) -> Float:
@@ -93,8 +91,7 @@ class Histogram:
     @property
     def points(self) -> Counts:
         """Number of points of each group, (G,)."""
-        points: Counts = self.counts.sum(axis=(0, 2))
-        return points
+        return self.counts.sum(axis=(0, 2))
 
     def means(self, name: str) -> Ratios:
         """Divide a sum by the number of points of each group, (G,); NaN for one without points."""

@@ -15,10 +15,8 @@ from salsanext_cli.measures.scores import Counts, Mask, Ratios, ious, plain, rat
 from salsanext_cli.results.layout import ScanFile
 
 RESAMPLES, SEED = 1000, 0
-MIN_SCANS = 5
-"""Fewer scans have no interval: their resamples are too much alike."""
-NAMED = 10
-"""Scans, and pairs of classes, that are named."""
+MIN_SCANS = 5  # Fewer scans have no interval: their resamples are too much alike
+NAMED = 10  # Scans, and pairs of classes, that are named
 
 
 class Difference(NamedTuple):
@@ -123,8 +121,7 @@ class RunComparison:
     @cached_property
     def turned(self) -> Counts:
         """Points (C, C) of all scans by label of the first run and of the second."""
-        turned: Counts = np.sum([pair.turned for pair in self.pairs], axis=0)
-        return turned
+        return np.sum([pair.turned for pair in self.pairs], axis=0)
 
     def turns(self) -> list[tuple[str, str, int, float]]:
         """Return which classes turned into which, most points first, and the share that did."""

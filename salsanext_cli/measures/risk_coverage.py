@@ -196,5 +196,4 @@ def spearman(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
 def _centred_ranks(values: npt.NDArray[Any]) -> Ratios:
     """Return ranks whose mean is 0, so that those of equal values are exactly 0."""
     _, rank_of, count = np.unique(values, return_inverse=True, return_counts=True)
-    ranks: Ratios = (count.cumsum() - (count + len(values)) / 2)[rank_of]
-    return ranks
+    return (count.cumsum() - (count + len(values)) / 2)[rank_of]

@@ -48,8 +48,7 @@ EVALUATED_KINDS = (*OF_SOFTMAX, *UNCERTAINTY)
 """Every kind of uncertainty, in the order in which they are reported."""
 SCORES_OF_SCAN = ("points", "accuracy", "iou_mean_present")
 CLASS, RING = "class", "ring"
-OF_ERROR = ("error", "calibration")
-"""Key of the histogram of the error as a probability."""
+OF_ERROR = ("error", "calibration")  # Key of the histogram of the error as a probability
 LEAST_ACCURACY, MIN_JUDGED = 0.2, 10_000
 """Least accuracy, over so many points or more, of labels that mean the same as the predictions;
 that of other ids was 0.02, that of the default weights in streets 0.75 or more."""

@@ -34,8 +34,7 @@ from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.results.owned_folder import Texts
 from salsanext_cli.sensors.sensor import Sensor
 
-LARGEST_CLASSES = 5
-"""Classes that a summary names."""
+LARGEST_CLASSES = 5  # Classes that a summary names
 LARGEST_SHARE = 0.75
 """Largest share of a class in a scan that is believed; an empty crossroads had 0.6 of road."""
 FEW_CLASSES = 10
@@ -52,8 +51,7 @@ USUAL = (
 DENSITY_FACTOR = 1.5
 """Least factor between the numbers of points that two sensors have around an elevation; scans of
 one sensor had up to 1.27, the two most similar sensors 1.77."""
-POINTS_FACTOR = 4.0
-"""The same for all their points, of which the sky leaves more or less."""
+POINTS_FACTOR = 4.0  # The same for all their points, of which the sky leaves more or less
 LEAST_SHARE = 0.02
 """Points around an elevation, as a share of those of the largest scan, up to which they do not
 count."""

@@ -9,8 +9,7 @@ from salsanext_cli.records import CHANNELS
 
 SLOPE, MOMENTUM = 0.1, 0.01
 """Slope of LeakyReLU below 0, and momentum of batch norm, as its authors have them."""
-DEPTHS = (1, 2, 8, 8, 4)
-"""Residual blocks of the encoder's stages."""
+DEPTHS = (1, 2, 8, 8, 4)  # Residual blocks of the encoder's stages
 
 
 class NormedUnit(nn.Sequential):
@@ -34,8 +33,7 @@ class Bottleneck(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, C, H, W) to the same shape."""
-        features: Tensor = x + self.wide(self.narrow(x))
-        return features
+        return x + self.wide(self.narrow(x))
 
 
 class Stage(nn.Sequential):
@@ -87,5 +85,4 @@ class RangeNet53(SegmentationNetwork):
         upsampled = skips.pop()
         for step in self.raises:
             upsampled = step(upsampled) + skips.pop()
-        decoded: Tensor = self.dropout(upsampled)
-        return decoded
+        return self.dropout(upsampled)

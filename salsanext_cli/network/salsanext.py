@@ -18,8 +18,7 @@ from salsanext_cli.network.dropout import ChannelDropout
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import CHANNELS
 
-CONTEXT_WIDTH = 32
-"""Channels of the context module."""
+CONTEXT_WIDTH = 32  # Channels of the context module
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,9 +126,7 @@ class SalsaNext(SegmentationNetwork):
         return upsampled
 
     def _block(self, number: int, x: Tensor) -> Tensor:
-        features: Tensor = self.get_submodule(f"block{number}")(x)
-        return features
+        return self.get_submodule(f"block{number}")(x)
 
     def _down(self, number: int, x: Tensor) -> Tensor:
-        pooled: Tensor = self.get_submodule(f"down{number}")(x)
-        return pooled
+        return self.get_submodule(f"down{number}")(x)

@@ -18,10 +18,8 @@ from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan, draw_plan, grou
 from salsanext_cli.synthesis.street.traffic import Mover, moving
 from salsanext_cli.synthesis.surfaces import Material
 
-SPEED_M_PER_S = (4.0, 12.0)
-"""Slowest and fastest drive."""
-VIEW_M = 90.0
-"""Largest distance at which moving things are recorded."""
+SPEED_M_PER_S = (4.0, 12.0)  # Slowest and fastest drive
+VIEW_M = 90.0  # Largest distance at which moving things are recorded
 
 
 def build_street(
@@ -142,8 +140,7 @@ class _Track:
 
         def turned(vectors: Array) -> Array:
             before, after = vectors @ first[:3, :3].T, vectors @ last[:3, :3].T
-            between: Array = before * (1 - share) + after * share
-            return between
+            return before * (1 - share) + after * share
 
         starts = first[:3, 3] * (1 - share) + last[:3, 3] * share + turned(origins)
         mixed = turned(directions)

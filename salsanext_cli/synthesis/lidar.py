@@ -12,16 +12,11 @@ from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.presets import Numbers
 from salsanext_cli.synthesis.surfaces import OPTICS
 
-GRAZING_COSINE = 0.14
-"""Cosine of incidence below which surfaces look darker."""
-PATCH_FIRINGS = 11
-"""Length of the runs of firings in which mirrors lose pulses."""
-USUAL_ECHO = 0.35
-"""Brightness that `gamma` leaves as it is."""
-EDGE_SHARE = 0.45
-"""Share of the pulses at an edge that hit both surfaces."""
-PULSE_M = 1.2
-"""Distance between two surfaces up to which their echoes are one."""
+GRAZING_COSINE = 0.14  # Cosine of incidence below which surfaces look darker
+PATCH_FIRINGS = 11  # Length of the runs of firings in which mirrors lose pulses
+USUAL_ECHO = 0.35  # Brightness that `gamma` leaves as it is
+EDGE_SHARE = 0.45  # Share of the pulses at an edge that hit both surfaces
+PULSE_M = 1.2  # Distance between two surfaces up to which their echoes are one
 LOST_AT_EDGE_SHARE = 0.3
 """Share of the pulses on two surfaces farther apart that are lost."""
 LEAST_REFLECTED = 0.01
@@ -127,8 +122,7 @@ def _lost_to_gloss(reflected: Array, cosine: Array, gloss: Array, power: Array) 
     straight_on = STRAIGHT_ON_SHARE * cosine**STRAIGHT_ON_EXPONENT
     mirrored = gloss * (1 - straight_on) * (1 - diffuse)
     odds = mirrored / np.maximum(1 - mirrored, 1e-6) / power**POWER_EXPONENT
-    chance: Array = odds / (1 + odds)
-    return chance
+    return odds / (1 + odds)
 
 
 def _patchy(rng: Rng, count: int) -> Array:

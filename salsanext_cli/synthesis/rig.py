@@ -12,15 +12,13 @@ from salsanext_cli.synthesis.mesh import Array, Rng
 from salsanext_cli.synthesis.presets import HDL64, VEHICLE_OUTLINES_DEG, Numbers
 from salsanext_cli.synthesis.presets import RANDOM_SENSOR as BOUNDS
 
-ENCODER_STEP_DEG = 0.09
-"""Resolution of the azimuth."""
+ENCODER_STEP_DEG = 0.09  # Resolution of the azimuth
 REVOLUTION_S = 0.1
 PARALLAX_DEG = 1.2
 """Shift of the vehicle as seen by lasers to the left and right of the axis."""
 UPPER_BLOCK, LOWER_BLOCK = (2.4, -8.0, 32), (-8.6, -23.9, 32)
 """Elevation of the first and the last beam of a block in degrees, and their number."""
-AZIMUTH_STEP_DEG = 0.1667
-"""Angle between firings of a laser at 10 Hz."""
+AZIMUTH_STEP_DEG = 0.1667  # Angle between firings of a laser at 10 Hz
 HDL64_MOUNT_M = 1.73
 
 
@@ -40,8 +38,7 @@ class Beams:
         """Return the azimuth of each firing, (L, columns), radians, anticlockwise from ahead."""
         tick = np.radians(ENCODER_STEP_DEG)
         step = np.arange(self.columns) * (2 * np.pi / self.columns)
-        azimuth: Array = np.floor(step / tick) * tick + self.azimuth[:, None]
-        return azimuth
+        return np.floor(step / tick) * tick + self.azimuth[:, None]
 
     def rays(self) -> tuple[Array, Array, Array]:
         """Return origins and directions (L * columns, 3), sensor frame, and the time of each.
@@ -85,8 +82,7 @@ class Rig:
         )
 
 
-RigMaker = Callable[[Rng], Rig]
-"""Draws a sensor and its mounting."""
+RigMaker = Callable[[Rng], Rig]  # Draws a sensor and its mounting
 
 
 def hidden_by_vehicle(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:

@@ -31,8 +31,7 @@ from salsanext_cli.training.log import EpochWriter, Row, draw_curve, tensorboard
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
 from salsanext_cli.training.tuning.temperature import best_temperature
 
-SAVE_INTERVAL_S = 600.0
-"""Seconds between two checkpoints within an epoch."""
+SAVE_INTERVAL_S = 600.0  # Seconds between two checkpoints within an epoch
 MAX_VALIDATED_POINTS = 200_000
 """Bound of the points of a validation whose logits the temperature is fitted to."""
 

@@ -19,8 +19,7 @@ from torch import Tensor
 
 from salsanext_cli.compiled import parallel_for
 
-NODES = 12
-"""Nodes of the Gauss-Hermite quadrature of the logistic function."""
+NODES = 12  # Nodes of the Gauss-Hermite quadrature of the logistic function
 CHUNK_SIZE = 1 << 15
 """Numbers per step on a CPU: so few that torch does not divide them among threads, which would
 round some of them otherwise, and that what lies between stays in the cache."""
@@ -29,8 +28,7 @@ MAX_DEVIATIONS = 12.0
 farther out are numbers so small that computing with them takes many times as long."""
 Groups = Sequence[Sequence[int]]
 """Classes that are merged into each of fewer; none into some of them."""
-SMALLEST_DIVISOR = 1e-30
-"""Least divisor: what it divides is 0 where it acts."""
+SMALLEST_DIVISOR = 1e-30  # Least divisor: what it divides is 0 where it acts
 DAMPING = 0.15
 """Damping of a shift of second order, so that for large v it grows like √v, as the largest of
 several Gaussians does."""

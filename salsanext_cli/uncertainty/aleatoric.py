@@ -50,8 +50,7 @@ def input_variance(channels: Float, sensor: Sensor) -> Float:
     deviations[:4] *= range_noise
     deviations[4] = (channels[0] > 0) * np.float32(intensity_noise)
     deviations /= np.asarray(sensor.stds, np.float32).reshape(-1, 1, 1)
-    variance: Float = np.square(deviations)
-    return variance
+    return np.square(deviations)
 
 
 def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
@@ -60,8 +59,7 @@ def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
     copies = noisy_copies(image, network.sensor, seed)
     for _ in range(COPIES):
         statistics.add(*network.pixel_probabilities([next(copies)], temperature=1.0))
-    variance: Float = (statistics.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
-    return variance
+    return (statistics.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
 
 
 def aleatoric(network: Network, image: RangeImage) -> Float:
@@ -78,8 +76,7 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
             given = (torch.from_numpy(values).to(engine.device) for values in (mean, variance))
             moments = _moments(engine.module, *given)
         softmax = Gaussian(*moments).softmax(dim=1, groups=network.groups)
-        variances: Float = softmax.variance[0].cpu().numpy()
-        return variances
+        return softmax.variance[0].cpu().numpy()
 
 
 def _moments(module: SegmentationNetwork, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:

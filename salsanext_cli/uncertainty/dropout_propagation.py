@@ -22,8 +22,7 @@ from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian
 from salsanext_cli.uncertainty.estimate import Estimate, entropy
 
-SMALLEST_MEAN = 1e-12
-"""Least divisor, of a probability."""
+SMALLEST_MEAN = 1e-12  # Least divisor, of a probability
 
 
 class ChannelCorrelatedGaussian(Gaussian):

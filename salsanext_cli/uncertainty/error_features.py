@@ -20,8 +20,7 @@ ROWS, COLUMNS, STEP = 4, 8, 2
 """Pixels of the window on each side, of which every second row and column counts."""
 NEAR_M, NEAR_SHARE = 1.0, 0.05
 """Ranges that differ by less, or by this share, are of the same surface."""
-COST = 8
-"""Time that a window takes, in those of a point's projection."""
+COST = 8  # Time that a window takes, in those of a point's projection
 
 
 def label_support(image: RangeImage, probabilities: Float, labels: TrainIds, pixels: Int) -> Float:
@@ -116,8 +115,7 @@ FEATURES = (
     "log range",
     "height above the sensor",
 )
-NEAREST_M = 0.5
-"""Ranges are no less in logarithms."""
+NEAREST_M = 0.5  # Ranges are no less in logarithms
 
 
 def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) -> Float:
@@ -165,8 +163,7 @@ def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float
 
 
 def _log_range(metres: Float) -> Float:
-    log_range: Float = np.log(np.maximum(metres, NEAREST_M))
-    return log_range
+    return np.log(np.maximum(metres, NEAREST_M))
 
 
 def knows_error(network: Network) -> bool:

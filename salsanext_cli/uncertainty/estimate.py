@@ -60,5 +60,4 @@ def entropy(probabilities: Values) -> Values:
     # The logarithm of the smallest stands for that of 0, which counts 0 times.
     logarithms = np.log(np.maximum(probabilities, np.finfo(probabilities.dtype).tiny))
     # A softmax rounded up to above 1 would have a negative one.
-    nats: Values = np.maximum(-(probabilities * logarithms).sum(axis=0), 0)
-    return nats
+    return np.maximum(-(probabilities * logarithms).sum(axis=0), 0)

@@ -69,12 +69,10 @@ def pixel_features(network: Network, image: RangeImage) -> Float:
     """Return the features of every pixel of a scan, (D, H, W) float32, without dropout."""
     engine, given = network.engine, network.input(image.channels)
     if engine.library == "openvino":
-        of_one: Float = engine.graph("features", _decoded)(given)[0][0]
-        return of_one
+        return engine.graph("features", _decoded)(given)[0][0]
     with inference_mode(engine.device):
         decoded = _decoded(engine.torch_module, engine.tensor(given))
-        features: Float = decoded[0].float().cpu().numpy()
-        return features
+        return decoded[0].float().cpu().numpy()
 
 
 def _decoded(module: SegmentationNetwork, image: Tensor) -> Tensor:

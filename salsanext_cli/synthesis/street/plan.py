@@ -16,19 +16,14 @@ from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.presets import BRIGHTNESS, Numbers, weighted_choice
 from salsanext_cli.synthesis.surfaces import Material
 
-REACH_M = 62.0
-"""Extent of the world to either side of the centre line."""
+REACH_M = 62.0  # Extent of the world to either side of the centre line
 LEFT, RIGHT = 1, -1
-KERB_M = 0.02
-"""Half the depth of a kerb's face, which belongs to the pavement."""
-DROP_M = 0.6
-"""Length over which a kerb goes down beside a driveway."""
-RUN_OUT_M = 70.0
-"""Length of the street behind the first scan and beyond the last one."""
+KERB_M = 0.02  # Half the depth of a kerb's face, which belongs to the pavement
+DROP_M = 0.6  # Length over which a kerb goes down beside a driveway
+RUN_OUT_M = 70.0  # Length of the street behind the first scan and beyond the last one
 MULTILANE_HALF_WIDTH_M = 5.5
 """Half the width of a carriageway from which on it has more than a lane per direction."""
-GREEN = ("thicket", "scrub", "field", "green")
-"""Kinds of lot on an embankment."""
+GREEN = ("thicket", "scrub", "field", "green")  # Kinds of lot on an embankment
 PAVED = (Material.PAVING, Material.PAVING, Material.PAVING, Material.ASPHALT)
 """Materials of paved ground, each as likely as it is listed."""
 CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
@@ -150,8 +145,7 @@ class Plan:
 
     def yaw(self, s: npt.ArrayLike) -> Array:
         """Heading of the street at s, radians."""
-        heading: Array = np.interp(np.asarray(s, float), self.knots, self.heading)
-        return heading
+        return np.interp(np.asarray(s, float), self.knots, self.heading)
 
     def world(self, s: npt.ArrayLike, t: npt.ArrayLike) -> Array:
         """World coordinates (..., 3) of the ground at (s, t)."""
@@ -164,8 +158,7 @@ class Plan:
     def rolling(self, x: Array, y: Array) -> Array:
         """Height of the landscape under everything."""
         amplitude, kx, ky, phase = self.waves[(...,) + (None,) * np.ndim(x)]
-        height: Array = (amplitude * np.sin(kx * x + ky * y + phase)).sum(0)
-        return height
+        return (amplitude * np.sin(kx * x + ky * y + phase)).sum(0)
 
     def relief(self, s: Array, t: Array) -> Array:
         """Height of kerbs, camber and banks above the landscape."""
@@ -363,8 +356,7 @@ def ground(rng: Rng, plan: Plan) -> Mesh:
 def _lines(regular: Array, edges: Array, low: float, high: float) -> Array:
     lines: Array = np.unique(np.concatenate([regular, edges - KERB_M, edges + KERB_M]))
     lines = lines[(lines >= low) & (lines <= high)]
-    apart: Array = lines[np.concatenate([[True], np.diff(lines) > 0.01])]
-    return apart
+    return lines[np.concatenate([[True], np.diff(lines) > 0.01])]
 
 
 def _patches(rng: Rng, s: Array, t: Array, length: float) -> Array:

@@ -20,8 +20,7 @@ from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.recipe import Recipe
 
-LabelledScan = tuple[Scan, TrainIds]
-"""A scan and the train ids of its points, (N,) uint8."""
+LabelledScan = tuple[Scan, TrainIds]  # A scan and the train ids of its points, (N,) uint8
 
 SHIFT_LOW_M = (-5.0, -3.0, -1.0)
 SHIFT_HIGH_M = (5.0, 3.0, 0.0)
@@ -61,15 +60,13 @@ def rotate(points: Float, angle: float) -> Float:
     cosine, sine = np.cos(angle), np.sin(angle)
     turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], np.float32)
     with np.errstate(invalid="ignore"):
-        turned: Float = points @ turn
-    return turned
+        return points @ turn
 
 
 def shift(points: Float, offset: npt.NDArray[np.float64]) -> Float:
     """Move points (N, 3) by (3,) metres; those at the origin measure nothing and stay."""
     x, y, z = points.T != 0
-    moved: Float = points + (x | y | z)[:, None] * offset.astype(np.float32)
-    return moved
+    return points + (x | y | z)[:, None] * offset.astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,5 +169,4 @@ def choose_columns(
         if len(present):
             _, candidates = np.nonzero(truth == random.choice(present))
             start = random.choice(candidates) - random.integers(width)
-    columns: npt.NDArray[np.intp] = (start + np.arange(width)) % whole
-    return columns
+    return (start + np.arange(width)) % whole

@@ -27,8 +27,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.data.sources import Source, read_labelled
 
 Counts = npt.NDArray[np.int64]
-RARE_SHARE = 0.01
-"""Share of the scored training points below which a class is rare."""
+RARE_SHARE = 0.01  # Share of the scored training points below which a class is rare
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,8 +82,7 @@ def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSumma
 def class_shares(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
     """Return the share of every class in the scored points, (C,) float64; 0 for ignored ones."""
     used = np.where(scored, counts, 0).astype(np.float64)
-    shares: npt.NDArray[np.float64] = used / max(used.sum(), 1)
-    return shares
+    return used / max(used.sum(), 1)
 
 
 def class_weights(counts: Counts, scored: npt.NDArray[np.bool_], exponent: float = 0.5) -> Tensor:

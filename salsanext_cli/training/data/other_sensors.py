@@ -24,17 +24,13 @@ Rng = np.random.Generator
 LOG_GAIN, LOG_GAMMA, RANGE_POWER, OFFSET = 0.3, 0.3, 0.15, 0.05
 """Standard deviations of what intensities are changed by: log of gain and of exponent, power of the
 range, and offset."""
-RESPONSE_RANGE_M = 10.0
-"""Range at which a power of the range changes nothing."""
-LOWERED_M, RAISED_M = 0.55, 0.9
-"""Largest distances that a sensor is moved down and up."""
-TILT_DEG = 1.0
-"""Standard deviation of the angle that a sensor is tilted by."""
+RESPONSE_RANGE_M = 10.0  # Range at which a power of the range changes nothing
+LOWERED_M, RAISED_M = 0.55, 0.9  # Largest distances that a sensor is moved down and up
+TILT_DEG = 1.0  # Standard deviation of the angle that a sensor is tilted by
 EDGE_SHIFT_DEG, EDGE_SHIFT = 6.0, 0.25
 """Largest shift of an edge of the view, in degrees and as a share of the view, so that the edges
 never meet."""
-LEAST_ROWS, MOST_ROWS = 0.25, 0.75
-"""Bounds of the share of rows that are kept."""
+LEAST_ROWS, MOST_ROWS = 0.25, 0.75  # Bounds of the share of rows that are kept
 MAX_RUN = 4
 """Most pixels between two measured ones of a row of which the holes among them are counted."""
 EDGE_RATIO = 1.1
@@ -43,8 +39,7 @@ RANGE_EDGES_M = (5.0, 10.0, 20.0, 40.0)
 """Bounds of the bins of the range on the nearer side."""
 HOLE_SHARES = np.array([[0.064, 0.026, 0.026, 0.051, 0.067], [0.119, 0.114, 0.115, 0.149, 0.176]])
 """Share of holes on surfaces and at edges, by range."""
-CONTINUED = 0.42
-"""Share of holes whose neighbour to the right is a hole, too."""
+CONTINUED = 0.42  # Share of holes whose neighbour to the right is a hole, too
 MOST_HOLES = 2.0
 """Largest factor of the shares: that of the sensor with the most holes, OS2-32."""
 MOST_JITTER_M = 0.03
@@ -123,5 +118,4 @@ def jitter(points: Float, random: Rng) -> Float:
     """Return points (N, 3) with normal noise on x, y and z; those at the origin stay."""
     deviation = np.float32(random.uniform(0, MOST_JITTER_M))
     noise = deviation * random.standard_normal(points.shape, np.float32)
-    moved: Float = points + noise * (points != 0).any(axis=1, keepdims=True)
-    return moved
+    return points + noise * (points != 0).any(axis=1, keepdims=True)

@@ -18,8 +18,7 @@ from salsanext_cli.classes.label_space import (
 )
 from salsanext_cli.errors import UsageError
 
-ClassSets = tuple[tuple[int, ...], ...]
-"""Sets of train ids, each in rising order."""
+ClassSets = tuple[tuple[int, ...], ...]  # Sets of train ids, each in rising order
 
 
 def class_sets(spaces: Iterable[LabelSpace]) -> ClassSets:

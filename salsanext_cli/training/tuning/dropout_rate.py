@@ -20,10 +20,8 @@ from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan
 SMALLEST_VARIANCE = 1e-4
 """Lower bound of a variance, (1 % of probability)²: else a few points that are sure and wrong would
 weigh more than all others."""
-SAMPLES = 30
-"""Passes per scan and rate."""
-LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10
-"""Ends of the range of rates, and their number."""
+SAMPLES = 30  # Passes per scan and rate
+LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10  # Ends of the range of rates, and their number
 
 log = logging.getLogger(__name__)
 
