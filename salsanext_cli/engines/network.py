@@ -298,4 +298,4 @@ class Network:
         self, image: RangeImage, scores: Float, knn: KnnParameters = KnnParameters()
     ) -> TrainIds:
         """Return labels of the points, (N,) uint8: the largest score (C, H, W), refined by kNN."""
-        return knn_refine(image, scores.argmax(axis=0), len(scores), knn, self.device)
+        return knn_refine(image, scores.argmax(axis=0), len(scores), knn)

@@ -23,10 +23,8 @@ from salsanext_cli.records import Float, Int, RangeImage
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 Candidates = npt.NDArray[np.int64]
-BLOCK = 256
-"""Number of points per block, which fits the fastest cache."""
-LAST = np.int64(2**63 - 256)
-"""Candidate farther than all others, with label 0."""
+BLOCK = 256  # Number of points per block, which fits the fastest cache
+LAST = np.int64(2**63 - 256)  # Candidate farther than all others, with label 0
 
 
 def candidates(parameters: KnnParameters, width: int) -> tuple[Int, Float]:
@@ -56,7 +54,6 @@ def knn_refine(
     pixel_labels: npt.ArrayLike,
     class_count: int = 20,
     parameters: KnnParameters = KnnParameters(),
-    device: str = "cpu",
 ) -> TrainIds:
     """Give every point a label by a vote of its nearest neighbours in the range image.
 
@@ -70,8 +67,6 @@ def knn_refine(
         C, the number of classes including the unlabelled class 0.
     parameters : KnnParameters
         Neighbourhood; the published one by default.
-    device : str
-        "cpu" (compiled by numba) or a torch device; the labels are the same.
 
     Returns
     -------
@@ -89,13 +84,6 @@ def knn_refine(
     ranges = _framed(np.where(empty, np.float32(np.inf), image.channels[0]), half, np.inf)
     labels = _framed(np.where(empty, np.uint8(0), labels), half, 0)
     offsets, weights = candidates(parameters, width)
-    if device != "cpu":
-        from salsanext_cli.geometry import knn_torch
-
-        points, votes = (image.pixel_of_point, image.point_range), (parameters.k, parameters.cutoff)
-        return knn_torch.refine(
-            *points, ranges, labels, width, half, offsets, weights, *votes, device
-        )
     pixel_of_point = argument(image.pixel_of_point, np.int32)
     point_range = argument(image.point_range, np.float32)
     frame = half * (width + 2 * half) + half

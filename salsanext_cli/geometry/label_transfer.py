@@ -19,8 +19,7 @@ MAX_NEIGHBOURS = 16
 """Places that are looked at around a point, the nearest ones; no LiDAR resolves so many."""
 CLASS = np.uint32(0xFFFF)
 """Bits of a label that are the class; the others are the instance, 0 for none."""
-NO_INSTANCE = np.uint32(1 << 16)
-"""Above every instance."""
+NO_INSTANCE = np.uint32(1 << 16)  # Above every instance
 NOTHING = np.iinfo(np.int64).max
 """Lowest of no labels; the highest is -1, below it, while that of several is above."""
 
@@ -143,8 +142,7 @@ def _nearby(points: Float, others: Float) -> npt.NDArray[np.int64]:
     search = _search(others)
     search.hybrid_index(TOLERANCE_M)
     index, *_ = search.hybrid_search(_tensor(points), TOLERANCE_M, MAX_NEIGHBOURS)
-    neighbours: npt.NDArray[np.int64] = index.numpy()
-    return neighbours
+    return index.numpy()
 
 
 def _nearest(points: Float, others: Float) -> npt.NDArray[np.float64]:

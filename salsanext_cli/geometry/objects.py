@@ -17,14 +17,12 @@ from salsanext_cli.geometry.projection import pixels_from_points
 from salsanext_cli.records import Float, Int, RangeImage
 
 Objects = npt.NDArray[np.uint16]
-COLUMNS, ROWS = 6, 4
-"""Pixels to the right and below that may be neighbours."""
+COLUMNS, ROWS = 6, 4  # Pixels to the right and below that may be neighbours
 LARGEST_COSINE = np.float32(np.cos(np.radians(8.0)))
 """Of the angle between beam and line above which points are connected."""
 NEAR_M, FAR_M = np.float32(0.4), np.float32(1.5)
 """Distances below which points are connected at any angle, and above which at none."""
-MOST = np.iinfo(np.uint16).max
-"""Objects of a scan that have a number in 16 bits."""
+MOST = np.iinfo(np.uint16).max  # Objects of a scan that have a number in 16 bits
 SAME_M, MIN_POINTS = np.float32(1.0), 10
 """Largest difference in range to the pixel whose object a point joins; fewest points of one."""
 ANGLES_RAD = np.radians(np.arange(0.0, 90.0, 1.5))

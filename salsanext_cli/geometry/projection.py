@@ -30,12 +30,11 @@ from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
 PI = np.float32(math.pi)
 TAN_22_5 = math.sqrt(2) - 1
-MAX_POINTS = 4096
-"""Points of a scan in a sample."""
+MAX_POINTS = 4096  # Points of a scan in a sample
 Value = TypeVar("Value", bound=np.generic)
 
 
-def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
+def project(scan: Scan, sensor: Sensor) -> RangeImage:
     """Project a scan onto the sensor's range image (paper eq. 1).
 
     A point has no pixel (index -1, range 0) if a coordinate is NaN or infinite, if it lies at the
@@ -48,23 +47,12 @@ def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
         N points; any number, none included.
     sensor : Sensor
         Field of view, image size and what to do with points out of view.
-    device : str
-        "cpu" (compiled by numba) or a torch device; the result is the same, bit for bit.
-
-    Returns
-    -------
-    RangeImage
-        NumPy arrays, whatever the device.
     """
     scan = without_ego(scan, sensor)
     up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
     height, width, count = sensor.height, sensor.width, len(scan)
     fov_down, fov = np.float32(down), np.float32(up - down)
     drop, rows = sensor.out_of_view == "drop", rows_of(scan, sensor)
-    if device != "cpu":
-        from salsanext_cli.geometry import projection_torch
-
-        return projection_torch.project(scan, fov_down, fov, height, width, drop, rows, device)
     view = (fov_down, fov, np.float32(height), np.float32(width), drop)
     points = argument(scan.points, np.float32).reshape(-1)
     intensity = argument(scan.intensity, np.float32)
@@ -116,8 +104,7 @@ def rows_of(scan: Scan, sensor: Sensor) -> Int | None:
         known = measured & (scan.ring >= 0)
         medians = medians_of_rings(slopes[known], scan.ring[known])
         beam[known] = np.searchsorted(borders, -medians)[scan.ring[known]]
-    rows: Int = ((2 * beam + 1) * sensor.height // (2 * len(beams))).astype(np.int32)
-    return rows
+    return ((2 * beam + 1) * sensor.height // (2 * len(beams))).astype(np.int32)
 
 
 def medians_of_rings(values: npt.NDArray[np.float64], ring: Int) -> npt.NDArray[np.float64]:
@@ -236,8 +223,7 @@ def pixels_from_points(
     """Give every pixel its nearest point's value: (N, …) to (H, W, …); else `empty`."""
     # Index -1 finds the value that is appended.
     last = np.full((1, *of_points.shape[1:]), empty, of_points.dtype)
-    of_pixels: npt.NDArray[Value] = np.concatenate([of_points, last])[point_of_pixel]
-    return of_pixels
+    return np.concatenate([of_points, last])[point_of_pixel]
 
 
 def measured_ranges(
@@ -305,8 +291,7 @@ def ego_points(points: Float, sensor: Sensor) -> npt.NDArray[np.intp]:
     own = squares[near] < np.float32(nearest) ** 2
     if box.size:
         own |= ((points[near] >= box[0]) & (points[near] <= box[1])).all(axis=1)
-    of_vehicle: npt.NDArray[np.intp] = near[own]
-    return of_vehicle
+    return near[own]
 
 
 def upright_rotation(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -82,8 +82,7 @@ class LabelledImage:
     def of_points(self, of_pixels: Float) -> Float:
         """Give every point that counts its pixel's values: (C, H, W) to (M, C)."""
         pixels = self.image.pixel_of_point[self.points]
-        values: Float = of_pixels.reshape(len(of_pixels), -1)[:, pixels].T
-        return values
+        return of_pixels.reshape(len(of_pixels), -1)[:, pixels].T
 
 
 def labelled_scans(
@@ -106,7 +105,7 @@ def labelled_scans(
 def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:
     """Read a scan with its labels and project it."""
     scan, targets = read_labelled(file, space, network.sensor, class_sets([space]))
-    image = project(scan, network.sensor, network.device)
+    image = project(scan, network.sensor)
     is_scored = np.isin(targets, np.flatnonzero(space.scored))
     seen = image.pixel_of_point >= 0
     points = np.flatnonzero(is_scored & seen)
