@@ -27,8 +27,7 @@ from numba.core.serialize import dumps
 from salsanext_cli.errors import error_text
 from salsanext_cli.files.user_cache import cache_folder, read_checked, say_once, write_checked
 
-MAX_THREADS = 256
-"""Size of the pool, which starts only as many threads as are busy together."""
+MAX_THREADS = 256  # Size of the pool, which starts only as many threads as are busy together
 Function = TypeVar("Function", bound=Callable[..., Any])
 Item = TypeVar("Item")
 CACHE_ERRORS = (
@@ -145,11 +144,9 @@ def parallel_for(work: Callable[[Item], object], items: Sequence[Item]) -> None:
 
 
 def parallel_for_slices(work: Callable[[slice], object], count: int, cost: int = 1) -> None:
-    """Call `work` for slices that cover ``0 … count``, one for each thread of `parallel_for`.
-
-    The result must not depend on their number. Of items that `cost` more, fewer are enough for a
-    second thread.
-    """
+    """Call `work` for slices that cover ``0 … count``, one for each thread of `parallel_for`."""
+    # The result must not depend on their number. Of items that `cost` more, fewer are enough for a
+    # second thread.
     threads = max(1, min(thread_count(), count * cost // MIN_SLICE_ITEMS))
     borders = [count * part // threads for part in range(threads + 1)]
     parallel_for(work, [slice(start, stop) for start, stop in pairwise(borders)])

@@ -79,11 +79,9 @@ def choose_engine(name: str, device: str) -> str:
 
 @cache
 def openvino_core() -> "openvino.Core":
-    """Return OpenVINO for this process, until it ends.
-
-    The CPU plugin gives the thread that loads it a stack for signal handlers, and takes the memory
-    back when it is unloaded: the next signal would end the process.
-    """
+    """Return OpenVINO for this process, until it ends."""
+    # The CPU plugin gives the thread that loads it a stack for signal handlers, and takes the
+    # memory back when it is unloaded: the next signal would end the process.
     import openvino
 
     # Two threads that ask for this first would wait for each other for ever.

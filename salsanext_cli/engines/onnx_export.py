@@ -111,12 +111,10 @@ def difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -
 def quantised(
     model: "onnx.ModelProto", scans: Sequence[Any], image_of: Callable[[Any], Float]
 ) -> "onnx.ModelProto":
-    """Return a model from `exported` whose convolutions multiply bytes.
-
-    Float32 stay the first part of the network, which sees ranges of 0 to 80 metres to the
-    centimetre, and the logits. The ranges of feature maps are means over the scans of high and low
-    quantiles, not extremes; `image_of` returns the normalised image (1, 5, H, W) of a scan.
-    """
+    """Return a model from `exported` whose convolutions multiply bytes."""
+    # Float32 stay the first part of the network, which sees ranges of 0 to 80 metres to the
+    # centimetre, and the logits. The ranges of feature maps are means over the scans of high and
+    # low quantiles, not extremes; `image_of` returns the normalised image (1, 5, H, W) of a scan.
     nncf = import_nncf()
     from nncf.quantization.range_estimator import RangeEstimatorParametersSet
 

@@ -145,11 +145,9 @@ class NetworkSettings:
         log.log(NOTICE, "%s %s%s", name, computing, merged)
 
     def resolved(self, network: "Network") -> "NetworkSettings":
-        """Log what computes, and return the settings for workers: all the same, same weights.
-
-        What is "auto" here might be something else on their machines, and a training that goes on
-        may replace its best weights.
-        """
+        """Log what computes, and return the settings for workers: all the same, same weights."""
+        # What is "auto" here might be something else on their machines, and a training that goes on
+        # may replace its best weights.
         self.announce(network)
         return replace(
             self,

@@ -55,10 +55,7 @@ def project_for(network: Network, file: ScanFile, scan: Scan | None = None) -> P
 
 
 def project_scan(
-    file: ScanFile,
-    sensor: Sensor,
-    trained: Sensor | None = None,
-    scan: Scan | None = None,
+    file: ScanFile, sensor: Sensor, trained: Sensor | None = None, scan: Scan | None = None
 ) -> ProjectedScan:
     """Read, check and project a scan; `trained` is the sensor of weights that are to label it."""
     scan = read_scan(file.path, sensor) if scan is None else scan

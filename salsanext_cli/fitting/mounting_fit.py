@@ -14,8 +14,7 @@ from salsanext_cli.geometry.projection import few_points, in_sensor_frame, uprig
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 
-MAX_POINTS = 512
-"""Points that a plane is sought among, evenly taken from those near the sensor."""
+MAX_POINTS = 512  # Points that a plane is sought among, evenly taken from those near the sensor
 RANGES_M = (2.0, 25.0)
 """Nearest and farthest of them: nearer is the vehicle itself, farther the ground bends."""
 TRIPLES = 2048  # Triples of points that planes are put through
@@ -51,16 +50,13 @@ class Ground:
 
 
 def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | None:
-    """Return the plane that most points near the sensor lie on and few below, None without one.
-
-    Planes through random triples of points, the same for every scan; the best is fitted to its
-    points by least squares (Fischler & Bolles 1981). Points (N, 3) count by their range, since the
-    rings near the sensor have most of them.
-
-    `max_tilt_deg`: largest angle between normal and z. Without it the orientation is any, if the
-    sensor turns about an axis of the frame; one that looks one way cannot tell ground from walls,
-    so that the ground leans no more than that of a sensor that turns about z.
-    """
+    """Return the plane that most points near the sensor lie on and few below, None without one."""
+    # Planes through random triples of points, the same for every scan; the best is fitted to its
+    # points by least squares (Fischler & Bolles 1981). Points (N, 3) count by their range, since
+    # the rings near the sensor have most of them. `max_tilt_deg`: largest angle between normal and
+    # z. Without it the orientation is any, if the sensor turns about an axis of the frame; one that
+    # looks one way cannot tell ground from walls, so that the ground leans no more than that of a
+    # sensor that turns about z.
     ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
     near = np.flatnonzero((ranges > RANGES_M[0]) & (ranges < RANGES_M[1]))
     if len(near) < MIN_POINTS:
@@ -139,8 +135,7 @@ FINE_BINS, COARSE_BINS = 3, 51
 """Widths of the two averages of the histogram: within a tooth, and over several."""
 DISTANCES_M = (2.0, 60.0)
 """Nearest and farthest points: the farther, the less a place's error turns them."""
-FAR_M = 15.0
-"""Least distance of points that tell the height whatever the place in the plane is."""
+FAR_M = 15.0  # Least distance of points that tell the height whatever the place in the plane is
 ABOVE_M = (-1.0, 5.0)
 AHEAD_M = (-3.0, 3.0)
 ASIDE_M = (-1.5, 1.5)
@@ -229,14 +224,12 @@ DIGITS = 3
 
 
 def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor with the direction up and the origin of scans where they differ much.
-
-    Its own mounting, of other scans, is forgotten. The direction up changes where the ground of
-    most scans is tilted by more than `MAX_TILT_DEG`, the heading as little as that allows. The
-    origin changes where most scans show no ground at a height of `HEIGHTS_M`, as in the frame
-    of a vehicle: to the place that the beams come from, if that is seen; else to the usual height
-    if the ground passes through the origin, where no sensor can be.
-    """
+    """Return the sensor with the direction up and the origin of scans where they differ much."""
+    # Its own mounting, of other scans, is forgotten. The direction up changes where the ground of
+    # most scans is tilted by more than `MAX_TILT_DEG`, the heading as little as that allows. The
+    # origin changes where most scans show no ground at a height of `HEIGHTS_M`, as in the frame of
+    # a vehicle: to the place that the beams come from, if that is seen; else to the usual height if
+    # the ground passes through the origin, where no sensor can be.
     sensor = replace(sensor, up=UP, origin=ORIGIN)
     grounds = [ground for scan in scans if (ground := ground_of(scan))]
     tilted = [ground.up for ground in grounds if ground.tilt_deg > MAX_TILT_DEG]

@@ -155,10 +155,8 @@ def fit_scans(
 def fitted_view(
     scans: Scans | ScanSample, sensor: Sensor, earlier: Sensor | None = None, *, view: bool = True
 ) -> Sensor:
-    """Return the sensor as `fit_view` fits it to scans, evenly spaced, and say so.
-
-    Without `view`, only as `fit_ego` does. That of earlier results in the same folder stays.
-    """
+    """Return the sensor as `fit_view` fits it to scans, evenly spaced, and say so."""
+    # Without `view`, only as `fit_ego` does. That of earlier results in the same folder stays.
     sample = scans if isinstance(scans, ScanSample) else ScanSample(scans, sensor)
     sought = [name for name in EGO if getattr(sensor, name) is None]
     if not (view or sought):

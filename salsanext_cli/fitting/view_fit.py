@@ -24,8 +24,7 @@ STEP_DEG = 0.01
 SMOOTHINGS_DEG = (0.2, 0.1)
 """Half the widths of the Hann windows that smooth the histogram: dense beams need the
 second, which takes noise for beams elsewhere."""
-MIN_GAIN = 0.005
-"""Least gain of a narrower window, as a share of the points close to a beam."""
+MIN_GAIN = 0.005  # Least gain of a narrower window, as a share of the points close to a beam
 MAX_VALLEY = 0.5
 """Largest share of the lower of two maxima that the histogram falls to between two beams."""
 MIN_WEIGHT = 0.15  # Least weight of a beam, as a share of that of one beside it
@@ -38,13 +37,11 @@ Array = npt.NDArray[np.float64]
 
 
 def fit_beams(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
-    """Return the elevations of the beams in degrees from top to bottom, none if not discernible.
-
-    Where all scans know rings, they are the medians of these. Otherwise they are the maxima of the
-    histogram of elevations; points count by their range, since near ones are seen from beside the
-    origin. Scans whose motion was taken out, or whose beams start far from the origin as those of
-    an HDL-64, have no clear maxima.
-    """
+    """Return the elevations of the beams in degrees from top to bottom, none if not discernible."""
+    # Where all scans know rings, they are the medians of these. Otherwise they are the maxima of
+    # the histogram of elevations; points count by their range, since near ones are seen from beside
+    # the origin. Scans whose motion was taken out, or whose beams start far from the origin as
+    # those of an HDL-64, have no clear maxima.
     elevations, ranges, rings = [np.empty(0)], [np.empty(0)], [np.empty(0, np.int32)]
     for scan in scans:
         sines, distance, measured = _sines(scan, sensor)
@@ -132,8 +129,7 @@ MIN_RANGE_M = 1.0
 """Range below which only housing and mount were seen, of four vehicles; the street began at 1.3."""
 SHARE_OF_HEIGHT = 0.8
 """Largest minimum range, as a share of the height above the ground: a low sensor sees its floor."""
-LEAST_HEIGHT_M = 0.1
-"""Least height of a sensor above what can be the ground that it stands on."""
+LEAST_HEIGHT_M = 0.1  # Least height of a sensor above what can be the ground that it stands on
 FARTHEST_M = 3.0  # Farthest body of a vehicle that is sought
 MIN_SCANS = 5
 AZIMUTHS, ELEVATIONS = 120, 120  # Cells around, and from straight down to straight up
@@ -155,12 +151,10 @@ what begins more than `MIN_RANGE_M` from the axis of the sensor."""
 
 
 def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor with `min_range` and `ego_box` where they are None: to be found.
-
-    The minimum range is `MIN_RANGE_M`, less where the sensor is lower than usual above the ground.
-    The box is empty where the scans do not tell it: fewer than `MIN_SCANS` of one drive, or those
-    of a vehicle that stands.
-    """
+    """Return the sensor with `min_range` and `ego_box` where they are None: to be found."""
+    # The minimum range is `MIN_RANGE_M`, less where the sensor is lower than usual above the
+    # ground. The box is empty where the scans do not tell it: fewer than `MIN_SCANS` of one drive,
+    # or those of a vehicle that stands.
     least, box = sensor.min_range, sensor.ego_box
     if least is not None and box is not None:
         return sensor
@@ -220,8 +214,7 @@ def _in_cells(points: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float
     return cells, np.where(usable, ranges, np.inf)
 
 
-OUTLIERS = 0.001
-"""Share of the points above, and of those below, that no view needs to show."""
+OUTLIERS = 0.001  # Share of the points above, and of those below, that no view needs to show
 SHOWN = 0.85
 """Least share of the points that a fitted view shows; the whole view of a sensor that sees far up
 and down would make objects much lower in the image than those of training."""
@@ -235,13 +228,11 @@ MIN_POINTS = 1000
 
 
 def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor of weights with the view and mounting of scans where they differ much.
-
-    Points of housing and vehicle are left out, as `fit_ego` finds them. The mounting changes as
-    `fit_mounting` says, the view where more than `LARGEST_SHARE_OUTSIDE` of all points lie
-    outside. Size and normalisation of the range images stay. Of the labelled scans of three
-    sensors, this was never worse than the view of the weights.
-    """
+    """Return the sensor of weights with the view and mounting of scans where they differ much."""
+    # Points of housing and vehicle are left out, as `fit_ego` finds them. The mounting changes as
+    # `fit_mounting` says, the view where more than `LARGEST_SHARE_OUTSIDE` of all points lie
+    # outside. Size and normalisation of the range images stay. Of the labelled scans of three
+    # sensors, this was never worse than the view of the weights.
     sensor = fit_ego(scans, fit_mounting(scans, sensor))
     sines = np.concatenate([np.empty(0), *(_sines(scan, sensor)[0] for scan in scans)])
     if share_outside(sines, sensor) <= LARGEST_SHARE_OUTSIDE or len(sines) < MIN_POINTS:

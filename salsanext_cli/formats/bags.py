@@ -19,8 +19,7 @@ from salsanext_cli.formats.columns import Columns, rows_as_rings
 POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's names of the types of a field."""
-INDEX_ENTRY = struct.Struct("<QQ")
-"""Time and place of a message, in the index of an MCAP chunk."""
+INDEX_ENTRY = struct.Struct("<QQ")  # Time and place of a message, in the index of an MCAP chunk
 EXPECTED, REMEDY = "a ROS bag", "mend it by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
 
 

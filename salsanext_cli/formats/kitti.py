@@ -19,7 +19,7 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import ring_of, scan_of, unnamed_columns
+from salsanext_cli.formats.columns import USUAL_COLUMNS, ring_of, scan_of, unnamed_columns
 from salsanext_cli.records import Float, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
@@ -38,7 +38,7 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
     width = len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS)
     values, size = _read_floats(path, width)
     if count := evident_count(values, width):
-        raise _other_count(path, values, count, width)
+        raise _other_count(path, count, width)
     if size % (4 * width):
         remedy = "it is cut off or of another kind"
         raise FormatError(path, f"{size} bytes", _expected(width), remedy)
@@ -91,15 +91,11 @@ def _expected(width: int) -> str:
     return f"a multiple of {4 * width} ({width} float32 per point)"
 
 
-def _other_count(path: Path, values: Float, count: int, expected: int) -> FormatError:
-    """Return the error of a file of another number of columns, with the names to try."""
-    names = likely_names(values[: len(values) // count * count].reshape(-1, count))
-    if names is None:
-        found = f"holds records of {4 * count} bytes, not all float32"
-        return FormatError(path, found, f"{expected} float32 per point", ANEW)
-    remedy = f"name its columns, with --columns {','.join(names)} for example"
-    suffix = {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count)
-    if suffix and "intensity" in names[3:4]:
+def _other_count(path: Path, count: int, expected: int) -> FormatError:
+    """Return the error of a file of another number of columns, with names to try."""
+    names = ",".join((*USUAL_COLUMNS, *count * [UNUSED_COLUMN])[:count])
+    remedy = f"name its columns, with --columns {names} for example"
+    if suffix := {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count):
         remedy = f"give it the suffix {suffix}, or {remedy}"
     return FormatError(path, f"holds {count} columns", f"{expected} float32 per point", remedy)
 
@@ -248,8 +244,7 @@ COUNTS = range(3, 17)  # Numbers of columns that are told apart
 BLOCKS = 32  # Places of a file that are looked at, evenly spaced
 ROWS = 64  # Rows of each that are looked at for their order
 VALUES = 128  # Values of each that are looked at for their kinds
-STEP_DEG = 5.0
-"""Largest difference in azimuth between points that a scanner measured in turn."""
+STEP_DEG = 5.0  # Largest difference in azimuth between points that a scanner measured in turn
 IN_TURN = 0.6
 """Least share of such points that shows the rows to be points; in real scans it is 0.8 or more, in
 tables read with another number of columns 0.34 or less."""
@@ -279,29 +274,6 @@ def evident_count(values: Float, expected: int) -> int | None:
     in_turn = (n for n in COUNTS if _are_in_turn(values, n))
     count = next(in_turn, min(n for n in COUNTS if explained[n] >= SHARE_OF_LARGEST * most))
     return _padded_count(values, count) or count
-
-
-def likely_names(table: Float) -> tuple[str, ...] | None:
-    """Return names to try for the columns of a table (N, C), None if some are no float32."""
-    # The intensity is the first other column that varies and is never negative; of five columns,
-    # one of whole numbers beside it tells the beam.
-    rows = table[:: max(1, len(table) // (BLOCKS * VALUES))]
-    for column in rows.T:
-        values = column[np.isfinite(column) & (column != 0)]
-        if np.count_nonzero(are_possible(values)) < len(values) / 2:
-            return None
-    others = rows[:, 3:]
-    varies = (others != others[:1]).any(axis=0)
-    whole = varies & (others == np.rint(others)).all(axis=0)
-    positive = varies & ~(others < 0).any(axis=0)
-    names = [UNUSED_COLUMN] * others.shape[1]
-    if positive.any():
-        names[int(positive.argmax())] = "intensity"
-    if whole.tolist() == [True, False] and positive[1]:
-        names = ["ring", "intensity"]
-    elif names == ["intensity", UNUSED_COLUMN] and whole[1]:
-        names[1] = "ring"
-    return ("x", "y", "z", *names)
 
 
 def _places(count: int, length: int) -> npt.NDArray[np.intp]:

@@ -35,10 +35,8 @@ LABEL_NAMES = (
 OF_ASPRS = "classification"
 """Name of the scalar that holds classes of the ASPRS in LAS files, whoever made them."""
 PREFIX = "scalar_"  # Start of the names of scalars in what CloudCompare writes
-NO_VALUE = np.iinfo(np.int64).min
-"""Id of a point without a value, for which programs write NaN."""
-MAX_ID = 0xFFFFFFFF
-"""Largest number that a label file holds, the instance in its upper 16 bits."""
+NO_VALUE = np.iinfo(np.int64).min  # Id of a point without a value, for which programs write NaN
+MAX_ID = 0xFFFFFFFF  # Largest number that a label file holds, the instance in its upper 16 bits
 Ids = npt.NDArray[np.int64]
 CLASS_BITS = 0xFFFF
 EXPECTED_MAP = "a mapping of a tool's ids to names or raw ids of the label space, such as 3: car"

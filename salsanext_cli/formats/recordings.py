@@ -19,8 +19,7 @@ from salsanext_cli.formats.ouster import OusterRecording
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf")
 """Suffixes of recordings that are files, upper or lower case."""
-METADATA = "metadata.yaml"
-"""File that makes a folder with `.db3` or `.mcap` files a ROS 2 bag."""
+METADATA = "metadata.yaml"  # File that makes a folder with `.db3` or `.mcap` files a ROS 2 bag
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
 MAX_SHOWN = 500  # Characters of a list of topics in an error
 

@@ -191,11 +191,9 @@ def vote_of_block(
     cutoff: np.float32,
     voted: Int,
 ) -> None:
-    """Write the label of each point of a block by the vote of its neighbours.
-
-    A candidate is one integer, so that one comparison ranks it: from the highest bit the distance
-    (the bits of a float ≥ 0 are in its order), the place in the window, the label.
-    """
+    """Write the label of each point of a block by the vote of its neighbours."""
+    # A candidate is one integer, so that one comparison ranks it: from the highest bit the distance
+    # (the bits of a float ≥ 0 are in its order), the place in the window, the label.
     distance = np.empty(BLOCK, np.float32)
     distance_bits = distance.view(np.int32)
     label = np.empty(BLOCK, np.int32)

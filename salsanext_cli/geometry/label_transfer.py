@@ -56,11 +56,9 @@ class LabelTransfer:
 
 
 def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfer:
-    """Give each point (N, 3) the label of its copy in a cloud (M, 3), in any order.
-
-    Copies have the same coordinates; of a point without any, all places of the cloud within
-    `TOLERANCE_M` are. If copies have different labels, the point has none.
-    """
+    """Give each point (N, 3) the label of its copy in a cloud (M, 3), in any order."""
+    # Copies have the same coordinates; of a point without any, all places of the cloud within
+    # `TOLERANCE_M` are. If copies have different labels, the point has none.
     finite = np.isfinite(points).all(axis=1)
     of_cloud = np.isfinite(cloud).all(axis=1)
     cloud, labels = cloud[of_cloud], labels[of_cloud]
@@ -86,12 +84,10 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
 
 
 def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTransfer:
-    """Return the labels that several clouds give to the same points.
-
-    Labels of different classes leave a point without any, unless one of them is `unlabelled`; of
-    the same class with different instances it has instance 0. Where a point has a copy of the same
-    coordinates in some cloud, neighbours of it in a cloud that is not rounded are no copies.
-    """
+    """Return the labels that several clouds give to the same points."""
+    # Labels of different classes leave a point without any, unless one of them is `unlabelled`; of
+    # the same class with different instances it has instance 0. Where a point has a copy of the
+    # same coordinates in some cloud, neighbours of it in a cloud that is not rounded are no copies.
     if len(parts) == 1:
         return parts[0]
     exact = np.any([part.exact for part in parts], axis=0)

@@ -85,13 +85,11 @@ def project(scan: Scan, sensor: Sensor) -> RangeImage:
 
 
 def rows_of(scan: Scan, sensor: Sensor) -> Int | None:
-    """Return the row of each point, that of its beam; None where the sensor knows no beams.
-
-    Of B beams, number b from the top has row ``floor((b + ½) H / B)``. Points of one ring are of
-    the beam nearest to the median of their elevations; points without a ring are of the beam
-    nearest to their own. Returns (N,) int32 from 0 at the top, of an upright scan; points without
-    a measurement have any row.
-    """
+    """Return the row of each point, that of its beam; None where the sensor knows no beams."""
+    # Of B beams, number b from the top has row ``floor((b + ½) H / B)``. Points of one ring are of
+    # the beam nearest to the median of their elevations; points without a ring are of the beam
+    # nearest to their own. Returns (N,) int32 from 0 at the top, of an upright scan; points without
+    # a measurement have any row.
     if not sensor.beams:
         return None
     ranges, measured = measured_ranges(scan.points, float(LARGEST))
@@ -119,12 +117,10 @@ def medians_of_rings(values: npt.NDArray[np.float64], ring: Int) -> npt.NDArray[
 
 @compiled
 def arctan2(y: float, x: float) -> float:
-    """Return atan2(y, x) within 1e-11, in float64 arithmetic alone.
-
-    The library's function differs in the last bit between platforms and cannot be vectorised. Here
-    the ratio of the smaller to the larger coordinate is brought below tan 22.5° by turning 45°;
-    there, 13 terms of atan t = t − t³/3 + t⁵/5 − … suffice.
-    """
+    """Return atan2(y, x) within 1e-11, in float64 arithmetic alone."""
+    # The library's function differs in the last bit between platforms and cannot be vectorised.
+    # Here the ratio of the smaller to the larger coordinate is brought below tan 22.5° by turning
+    # 45°; there, 13 terms of atan t = t − t³/3 + t⁵/5 − … suffice.
     steep = abs(y) > abs(x)
     small = abs(x) if steep else abs(y)
     large = abs(y) if steep else abs(x)

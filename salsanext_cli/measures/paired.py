@@ -30,11 +30,9 @@ class Difference(NamedTuple):
 
 
 def paired_differences(sums: Counts, held: Mask) -> list[Difference]:
-    """Return the differences of accuracy, of the mean IoU of the held classes, and of each IoU.
-
-    `sums`: (S, 2, 3, C), `class_sums` of S scans by both runs. The scans of each resample are drawn
-    for both runs alike.
-    """
+    """Return the differences of accuracy, of the mean IoU of the held classes, and of each IoU."""
+    # `sums`: (S, 2, 3, C), `class_sums` of S scans by both runs. The scans of each resample are
+    # drawn for both runs alike.
     random, flat = np.random.default_rng(SEED), sums.reshape(len(sums), -1)
     totals = [flat.sum(axis=0)]
     for _ in range(RESAMPLES if len(sums) >= MIN_SCANS else 0):

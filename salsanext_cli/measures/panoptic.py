@@ -15,8 +15,7 @@ from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.measures.scores import EPSILON, Mask, Ratios
 
 MIN_SEGMENT_POINTS = 50
-SEGMENT_COUNTS = 5
-"""Sum of IoU, matches, false alarms, misses and true objects, of each class."""
+SEGMENT_COUNTS = 5  # Sum of IoU, matches, false alarms, misses and true objects, of each class
 COLUMNS = ("pq", "sq", "rq", "matches", "false_alarms", "misses")
 
 

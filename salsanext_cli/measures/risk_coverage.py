@@ -18,8 +18,7 @@ from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
 COVERAGE = np.arange(1, 101) / 100
 """Shares of the points, the least uncertain ones first, at which the risk is given."""
-PERCENT_KEPT = 80
-"""Share of the points, in percent, that a threshold keeps as nearly as it can."""
+PERCENT_KEPT = 80  # Share of the points, in percent, that a threshold keeps as nearly as it can
 FEW_DIGITS = (1, 2, 3, 4)
 """Significant digits of a threshold that is rounded, where that keeps the same points."""
 SERIES_FROM = 16
@@ -81,12 +80,10 @@ def average_precision(right: Counts, wrong: Counts) -> float:
 
 
 def aurc(right: Counts, wrong: Counts) -> float:
-    """Return the mean over k = 1…n of the risk of the k least uncertain points.
-
-    The risk is the share of them that is wrong. Among the m tied points of a bin, w of them wrong,
-    it is on average (E + (k − K) w/m) / k, with E wrong ones among the K points of the bins
-    before; the sum over k is closed in harmonic numbers.
-    """
+    """Return the mean over k = 1…n of the risk of the k least uncertain points."""
+    # The risk is the share of them that is wrong. Among the m tied points of a bin, w of them
+    # wrong, it is on average (E + (k − K) w/m) / k, with E wrong ones among the K points of the
+    # bins before; the sum over k is closed in harmonic numbers.
     tied = right + wrong
     held = tied > 0
     if not held.any():

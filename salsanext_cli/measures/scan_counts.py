@@ -40,8 +40,7 @@ from salsanext_cli.results.result_folder import read_kind
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
-SOFTMAX = "probabilities"
-"""Folder of the softmax, and key of the histograms of its confidence."""
+SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of its confidence
 OF_SOFTMAX = {"confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
 """Uncertainties that come from the probabilities."""
 EVALUATED_KINDS = (*OF_SOFTMAX, *UNCERTAINTY)

@@ -20,13 +20,7 @@ from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import first_few
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.label_scan import LabelledScan
-from salsanext_cli.fitting.scan_checks import (
-    MIN_POINTS,
-    UNCHECKED,
-    Finding,
-    ScanCheck,
-    ScanTraits,
-)
+from salsanext_cli.fitting.scan_checks import MIN_POINTS, UNCHECKED, Finding, ScanCheck, ScanTraits
 from salsanext_cli.geometry.network_input import INTENSITY_FACTOR
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.results.layout import ScanFile
@@ -221,12 +215,10 @@ def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:
 def mixed_sensors(
     traits: Mapping[ScanFile, ScanTraits], *, selectable: bool = True
 ) -> dict[ScanFile, Finding]:
-    """Return the scans of other sensors than most, with the reason.
-
-    Scans differ if a gap of `DENSITY_FACTOR` divides them when all are sorted by one trait; a gap
-    of the other factors for all points and for the intensity. `selectable` says whether the
-    command takes any SCANS.
-    """
+    """Return the scans of other sensors than most, with the reason."""
+    # Scans differ if a gap of `DENSITY_FACTOR` divides them when all are sorted by one trait; a gap
+    # of the other factors for all points and for the intensity. `selectable` says whether the
+    # command takes any SCANS.
     files = sorted(traits)
     if len(files) < 2:
         return {}

@@ -110,11 +110,9 @@ class Scores:
 
 
 def ring_rows(rings: Mapping[str, Scores]) -> list[tuple[str, Scores, float, list[str]]]:
-    """Return name, scores, mean IoU of the same classes, and absent classes of each ring.
-
-    The same ones are those that the truth holds in every ring with points; absent ones are in other
-    rings only.
-    """
+    """Return name, scores, mean IoU of the same classes, and absent classes of each ring."""
+    # The same ones are those that the truth holds in every ring with points; absent ones are in
+    # other rings only.
     held = {name: {c.name for c in ring.classes if c.points} for name, ring in rings.items()}
     every = set[str]().union(*held.values())
     same = every.intersection(*filter(None, held.values()))

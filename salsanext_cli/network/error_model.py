@@ -13,8 +13,7 @@ import numpy as np
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.records import Float
 
-BLOCK = 256
-"""Rows computed together: with 16 values in a layer, they stay in the first cache."""
+BLOCK = 256  # Rows computed together: with 16 values in a layer, they stay in the first cache
 
 
 def last_values(rows: Float, layers: Sequence[tuple[Float, Float]]) -> Float:

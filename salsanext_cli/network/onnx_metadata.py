@@ -7,12 +7,10 @@ from pathlib import Path
 from salsanext_cli.errors import FormatError, WeightsError
 from salsanext_cli.files.reading import present, reading
 
-OPSET = 17
-"""The latest that TensorRT 8.6 reads; OpenVINO and ONNX Runtime read later ones too."""
+OPSET = 17  # The latest that TensorRT 8.6 reads; OpenVINO and ONNX Runtime read later ones too
 MAX_FIELDS = 1000  # Most fields of a message; an exporter writes a dozen
 VARINT, BYTES = 0, 2  # Kinds of values that are read
-GRAPH, OPSET_IMPORT, METADATA = 7, 8, 14
-"""Numbers of fields of ModelProto in ONNX's onnx.proto."""
+GRAPH, OPSET_IMPORT, METADATA = 7, 8, 14  # Numbers of fields of ModelProto in ONNX's onnx.proto
 KEY, VALUE = 1, 2
 """Numbers of the fields of an entry of METADATA; of OPSET_IMPORT, domain and version."""
 

@@ -65,12 +65,10 @@ class Frame:
 def record(
     seed: int, sequence: int, scans: int, spacing: float, make_rig: RigMaker = hdl64_rig
 ) -> Iterator[Frame]:
-    """Yield the frames of one sequence, `spacing` metres apart.
-
-    The street comes from the seed, the sequence, which also chooses its style, and the length of
-    the drive; the noise of a frame from (seed, sequence, frame). The street is the same through
-    any sensor.
-    """
+    """Yield the frames of one sequence, `spacing` metres apart."""
+    # The street comes from the seed, the sequence, which also chooses its style, and the length of
+    # the drive; the noise of a frame from (seed, sequence, frame). The street is the same through
+    # any sensor.
     rng = np.random.default_rng([seed, sequence])
     speed = float(rng.uniform(*SPEED_M_PER_S))
     style = STYLES[sequence % len(STYLES)]

@@ -17,8 +17,7 @@ PATCH_FIRINGS = 11  # Length of the runs of firings in which mirrors lose pulses
 USUAL_ECHO = 0.35  # Brightness that `gamma` leaves as it is
 EDGE_SHARE = 0.45  # Share of the pulses at an edge that hit both surfaces
 PULSE_M = 1.2  # Distance between two surfaces up to which their echoes are one
-LOST_AT_EDGE_SHARE = 0.3
-"""Share of the pulses on two surfaces farther apart that are lost."""
+LOST_AT_EDGE_SHARE = 0.3  # Share of the pulses on two surfaces farther apart that are lost
 LEAST_REFLECTED = 0.01
 """Brightness that even a black surface has where it is decided whether a pulse returns."""
 DETECTION_STEEPNESS = 2.2
@@ -27,8 +26,7 @@ DIFFUSE_BRIGHTNESS, DIFFUSE_SHARE, MOST_DIFFUSE = 0.3, 0.75, 0.9
 """A glossy surface so bright reflects that share diffusely, others in proportion up to the most."""
 STRAIGHT_ON_SHARE, STRAIGHT_ON_EXPONENT = 0.6, 16
 """Share of what a mirror hit straight on sends back, and exponent of the cosine of incidence."""
-POWER_EXPONENT = 3
-"""Exponent with which strong lasers lose fewer pulses on glossy surfaces."""
+POWER_EXPONENT = 3  # Exponent with which strong lasers lose fewer pulses on glossy surfaces
 INTENSITY_NOISE = 0.02
 """Standard deviation of the reported brightness, which is as much too low."""
 MOST_INTENSITY = 0.99

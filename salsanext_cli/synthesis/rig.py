@@ -14,8 +14,7 @@ from salsanext_cli.synthesis.presets import RANDOM_SENSOR as BOUNDS
 
 ENCODER_STEP_DEG = 0.09  # Resolution of the azimuth
 REVOLUTION_S = 0.1
-PARALLAX_DEG = 1.2
-"""Shift of the vehicle as seen by lasers to the left and right of the axis."""
+PARALLAX_DEG = 1.2  # Shift of the vehicle as seen by lasers to the left and right of the axis
 UPPER_BLOCK, LOWER_BLOCK = (2.4, -8.0, 32), (-8.6, -23.9, 32)
 """Elevation of the first and the last beam of a block in degrees, and their number."""
 AZIMUTH_STEP_DEG = 0.1667  # Angle between firings of a laser at 10 Hz
@@ -41,12 +40,10 @@ class Beams:
         return np.floor(step / tick) * tick + self.azimuth[:, None]
 
     def rays(self) -> tuple[Array, Array, Array]:
-        """Return origins and directions (L * columns, 3), sensor frame, and the time of each.
-
-        In the order of KITTI's files: laser by laser from the top, each once around from
-        straight ahead to the left. The time (L * columns,) is in seconds; the sensor turns
-        clockwise from behind and looks ahead at time 0.
-        """
+        """Return origins and directions (L * columns, 3), sensor frame, and the time of each."""
+        # In the order of KITTI's files: laser by laser from the top, each once around from straight
+        # ahead to the left. The time (L * columns,) is in seconds; the sensor turns clockwise from
+        # behind and looks ahead at time 0.
         azimuth = self.azimuths()
         elevation = np.broadcast_to(self.elevation[:, None], azimuth.shape)
         horizontal = np.cos(elevation)

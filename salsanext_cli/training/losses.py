@@ -41,12 +41,11 @@ def weighted_cross_entropy(
 
 @torch.no_grad()
 def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
-    """Return the gradient of the Lovász extension of the Jaccard loss, (K, P), by pixel.
-
-    Of errors (K, P) for each of K classes, and whether pixels are of the class, (K, P), at least
-    one. With the pixels sorted by falling error, pixel i weighs by how much the Jaccard loss grows
-    when it joins the mispredicted set {1 … i-1} (Berman et al. 2018, eq. 9 and algorithm 1).
-    """
+    """Return the gradient of the Lovász extension of the Jaccard loss, (K, P), by pixel."""
+    # Of errors (K, P) for each of K classes, and whether pixels are of the class, (K, P), at least
+    # one. With the pixels sorted by falling error, pixel i weighs by how much the Jaccard loss
+    # grows when it joins the mispredicted set {1 … i-1} (Berman et al. 2018, eq. 9 and algorithm
+    # 1).
     order = errors.argsort(dim=1, descending=True)
     belongs = foreground.gather(1, order)
     hits = belongs.cumsum(1)
@@ -88,11 +87,7 @@ class SegmentationLoss(nn.Module):
     weights: Tensor
 
     def __init__(
-        self,
-        weights: Tensor,
-        lovasz: float = 1.0,
-        smoothing: float = 0.0,
-        sets: ClassSets = (),
+        self, weights: Tensor, lovasz: float = 1.0, smoothing: float = 0.0, sets: ClassSets = ()
     ) -> None:
         super().__init__()
         of_sets = [_least_positive(weights[list(several)]) for several in sets]

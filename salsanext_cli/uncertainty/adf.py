@@ -181,11 +181,9 @@ def _margins(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _consistent(mean: Tensor, variance: Tensor) -> Tensor:
-    """Raise the variance of the likeliest class to what the sum of the others demands.
-
-    The classes sum to 1, so that one cannot vary by more than all others together. Where it seems
-    to, a sum of the others that is taken as log-normal has hidden it from the class they rival.
-    """
+    """Raise the variance of the likeliest class to what the sum of the others demands."""
+    # The classes sum to 1, so that one cannot vary by more than all others together. Where it seems
+    # to, a sum of the others that is taken as log-normal has hidden it from the class they rival.
     deviation = variance.sqrt()
     largest, class_of_largest = deviation.max(dim=0, keepdim=True)
     lacking = (2 * largest - deviation.sum(dim=0, keepdim=True)).clamp(min=0)

@@ -60,11 +60,10 @@ def mean_in_windows(
 
 
 def region_means(image: RangeImage, classes: TrainIds, values: Float) -> Float:
-    """Return the mean (H, W) of a value over the region that each pixel belongs to.
-
-    A region is of occupied pixels of one class, each beside the next, in eight directions, or the
-    next but one in its row or column. Regions go on around the image. Empty pixels keep their own.
-    """
+    """Return the mean (H, W) of a value over the region that each pixel belongs to."""
+    # A region is of occupied pixels of one class, each beside the next, in eight directions, or the
+    # next but one in its row or column. Regions go on around the image. Empty pixels keep their
+    # own.
     means = np.empty(values.shape, np.float32)
     given = argument(classes, np.uint8), argument(values, np.float32)
     mean_of_regions(argument(image.channels[0] > 0, np.bool_), *given, means)

@@ -16,8 +16,7 @@ CAR_ROOM_M = 5.2  # Distance from the kerb to the house that a car in the drivew
 SOLID_M = 1.5
 """Largest height of a wall or boards around a lot; higher walls are rarely labelled fence."""
 Span = tuple[float, float]
-Maker = Callable[[float], Mesh]
-"""Returns a piece of something long from its length in metres."""
+Maker = Callable[[float], Mesh]  # Returns a piece of something long from its length in metres
 
 
 def furnish(builder: Builder, side: Side, lot: Lot) -> None:

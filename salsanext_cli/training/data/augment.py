@@ -155,11 +155,10 @@ def choose_columns(
     on_class: float,
     random: np.random.Generator,
 ) -> npt.NDArray[np.intp]:
-    """Choose the columns, (width,), of a window that may go round the circle.
-
-    With probability `on_class` it holds a pixel of a class drawn evenly from those present in truth
-    (H, W) that are scored, (C,) bool; else it is anywhere. A width of 0, or more than W, takes all.
-    """
+    """Choose the columns, (width,), of a window that may go round the circle."""
+    # With probability `on_class` it holds a pixel of a class drawn evenly from those present in
+    # truth (H, W) that are scored, (C,) bool; else it is anywhere. A width of 0, or more than W,
+    # takes all.
     whole = truth.shape[1]
     if width == 0 or width >= whole:
         return np.arange(whole)

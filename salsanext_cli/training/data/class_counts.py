@@ -105,11 +105,9 @@ def class_counts(
     jobs: int = 1,
     also: float = 0.0,
 ) -> ClassCounts:
-    """Return the points per class of all training data, reading and checking all scans.
-
-    The JSON file keeps the result until a file changes: a whole SemanticKITTI is 55 GB. Points
-    count as often as they are drawn: further sources get the share `also` of the samples.
-    """
+    """Return the points per class of all training data, reading and checking all scans."""
+    # The JSON file keeps the result until a file changes: a whole SemanticKITTI is 55 GB. Points
+    # count as often as they are drawn: further sources get the share `also` of the samples.
     first, *further = sources
     space, training = first.space, first.files
     digest = data_digest([*sources, validation], validated, also if further else 0.0)

@@ -38,8 +38,7 @@ from salsanext_cli.training.recipe import Recipe
 ORDER, SAMPLE = 0, 1
 """Purposes of generators, of orders and of samples: parts of their seeds beside `DROPOUT`."""
 
-SampleKey = tuple[int, int]
-"""Position of a sample in the whole training, index of its scan."""
+SampleKey = tuple[int, int]  # Position of a sample in the whole training, index of its scan
 Sample = tuple[Float, TrainIds, int]
 """Normalised image (5, H, W), targets (H, W), index of the scan."""
 Batch = tuple[Tensor, Tensor, Tensor]

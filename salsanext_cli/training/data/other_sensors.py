@@ -33,15 +33,12 @@ never meet."""
 LEAST_ROWS, MOST_ROWS = 0.25, 0.75  # Bounds of the share of rows that are kept
 MAX_RUN = 4
 """Most pixels between two measured ones of a row of which the holes among them are counted."""
-EDGE_RATIO = 1.1
-"""Ratio of the ranges on both sides above which there is an edge between them."""
-RANGE_EDGES_M = (5.0, 10.0, 20.0, 40.0)
-"""Bounds of the bins of the range on the nearer side."""
+EDGE_RATIO = 1.1  # Ratio of the ranges on both sides above which there is an edge between them
+RANGE_EDGES_M = (5.0, 10.0, 20.0, 40.0)  # Bounds of the bins of the range on the nearer side
 HOLE_SHARES = np.array([[0.064, 0.026, 0.026, 0.051, 0.067], [0.119, 0.114, 0.115, 0.149, 0.176]])
 """Share of holes on surfaces and at edges, by range."""
 CONTINUED = 0.42  # Share of holes whose neighbour to the right is a hole, too
-MOST_HOLES = 2.0
-"""Largest factor of the shares: that of the sensor with the most holes, OS2-32."""
+MOST_HOLES = 2.0  # Largest factor of the shares: that of the sensor with the most holes, OS2-32
 MOST_JITTER_M = 0.03
 """Largest standard deviation of positions: of ranges it is what makers state as typical."""
 

@@ -9,13 +9,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import (
-    RAW_ID_COUNT,
-    UNKNOWN,
-    LabelSpace,
-    RawIds,
-    TrainIds,
-)
+from salsanext_cli.classes.label_space import RAW_ID_COUNT, UNKNOWN, LabelSpace, RawIds, TrainIds
 from salsanext_cli.errors import UsageError
 
 ClassSets = tuple[tuple[int, ...], ...]  # Sets of train ids, each in rising order

@@ -40,11 +40,9 @@ def rates_between(lowest: float, highest: float, steps: int) -> list[float]:
 
 
 def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) -> float:
-    """Return Σ ½ log s + (y − p)² / 2s over points and classes; lower is better.
-
-    It is the negative log-likelihood, but for a constant, of the one-hot truth y (M,) under
-    Gaussians of mean p (M, C), the mean softmax of the passes, and total variance s (M, C).
-    """
+    """Return Σ ½ log s + (y − p)² / 2s over points and classes; lower is better."""
+    # It is the negative log-likelihood, but for a constant, of the one-hot truth y (M,) under
+    # Gaussians of mean p (M, C), the mean softmax of the passes, and total variance s (M, C).
     s = np.maximum(variance.astype(np.float64), SMALLEST_VARIANCE)
     error = probabilities.astype(np.float64)
     error[np.arange(len(truth)), truth] -= 1

@@ -29,8 +29,7 @@ from salsanext_cli.uncertainty.monte_carlo import scan_seed
 MAX_POINTS = 1_000_000  # Bound of the number of points of all scans, 37 MB
 MAX_POINTS_OF_SCAN = 20_000  # Points of one scan are much alike: more of them tell little
 FOLDS = 5
-SEED = 0
-"""Seed of the choice of points, of the first weights and of the order of the points."""
+SEED = 0  # Seed of the choice of points, of the first weights and of the order of the points
 HIDDEN = 16  # Values of each of the two hidden layers
 EPOCHS, BATCH = 8, 2048  # Passes over the points, and points per step
 LEAST_STEPS = 400  # Few points are passed over more often
