@@ -14,6 +14,9 @@ import numpy.typing as npt
 
 Float = npt.NDArray[np.float32]
 Int = npt.NDArray[np.int32]
+Double = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
 
 CHANNELS = ("range", "x", "y", "z", "intensity")
 """Channels of a range image, in the published order."""

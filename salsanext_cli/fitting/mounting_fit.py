@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.geometry.projection import few_points, in_sensor_frame, upright_rotation
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Double, Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 
 MAX_POINTS = 512  # Points that a plane is sought among, evenly taken from those near the sensor
@@ -39,7 +38,7 @@ class Ground:
 
     # (3,) float64: unit normal, from the ground to the sensor; where the origin is on it, along the
     # nearest axis
-    up: npt.NDArray[np.float64]
+    up: Double
     height: float  # Distance of the origin from it, in metres; just below 0 if it is on it
     share: float  # Of the near points that lie on it, 0…1
 
@@ -104,7 +103,7 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
 
 
 @cache
-def _triples() -> npt.NDArray[np.float64]:
+def _triples() -> Double:
     """Return places of the points of each triple, (3, `TRIPLES`), as shares of their number."""
     return np.random.default_rng(0).random((3, TRIPLES))
 
@@ -127,8 +126,6 @@ def _axis_of_rotation(directions: Float) -> int | None:
     flattest, other = np.argsort(mean)[:2]
     return int(flattest) if mean[flattest] < FLAT * mean[other] else None
 
-
-Double = npt.NDArray[np.float64]
 
 BIN_DEG = 0.02
 FINE_BINS, COARSE_BINS = 3, 51

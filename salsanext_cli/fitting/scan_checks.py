@@ -35,7 +35,7 @@ from salsanext_cli.geometry.projection import (
     in_sensor_frame,
     measured_ranges,
 )
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Double, Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 
 NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)
@@ -223,7 +223,7 @@ def check_scan(
     return ScanCheck(tuple(findings), traits, ego_share)
 
 
-def _require_metres(path: Path, count: int, ranges: npt.NDArray[np.float64]) -> None:
+def _require_metres(path: Path, count: int, ranges: Double) -> None:
     if count >= MIN_POINTS and not len(ranges):
         found = f"none of its {count} points is a measurement"
         raise FormatError(path, found, "finite coordinates around the sensor")
@@ -245,9 +245,7 @@ def _sines(points: Float) -> Float:
     return (points[:, 2] / np.maximum(ranges, np.finfo(np.float32).tiny)).clip(-1, 1)
 
 
-def _of_units(
-    ranges: npt.NDArray[np.float64], measured: float, sensor: Sensor
-) -> Iterator[Finding]:
+def _of_units(ranges: Double, measured: float, sensor: Sensor) -> Iterator[Finding]:
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
         found = f"a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.fitting.mounting_fit import fit_mounting, ground_of
 from salsanext_cli.fitting.scan_checks import LARGEST_SHARE_OUTSIDE, share_outside
@@ -15,7 +14,7 @@ from salsanext_cli.geometry.projection import (
     medians_of_rings,
     without_ego,
 )
-from salsanext_cli.records import LARGEST, Float, Scan
+from salsanext_cli.records import LARGEST, Double, Float, Indices, Int, Mask, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, MAX_BEAMS, ORIGIN, UP, Sensor
 
 MIN_RANGE_OF_BEAMS_M = 1.0
@@ -32,8 +31,6 @@ MIN_SHARE = 0.75
 """Least share of the points within a quarter of the distance to the next beam; evenly spread
 elevations have a half."""
 DIGITS = 2
-
-Array = npt.NDArray[np.float64]
 
 
 def fit_beams(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
@@ -58,14 +55,14 @@ def fit_beams(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
     return beams if 2 <= len(beams) <= MAX_BEAMS else ()
 
 
-def _sines(scan: Scan, sensor: Sensor) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+def _sines(scan: Scan, sensor: Sensor) -> tuple[Double, Double, Mask]:
     """Return sines of elevation and ranges (M,) of the measured points, and which these are."""
     points = without_ego(scan, sensor).points
     ranges, measured = measured_ranges(points, float(LARGEST))
     return points[measured, 2] / ranges[measured], ranges[measured], measured
 
 
-def _of_rings(elevation: Array, ring: npt.NDArray[np.int32]) -> Array:
+def _of_rings(elevation: Double, ring: Int) -> Double:
     """Return the medians of rings, rising; none if they seem to hold something else."""
     elevation, ring = elevation[ring >= 0], ring[ring >= 0]
     medians = medians_of_rings(elevation, ring)
@@ -76,7 +73,7 @@ def _of_rings(elevation: Array, ring: npt.NDArray[np.int32]) -> Array:
     return beams if np.median(away) < (beams[-1] - beams[0]) / len(beams) else np.empty(0)
 
 
-def _of_histogram(elevation: Array, weight: Array) -> Array:
+def _of_histogram(elevation: Double, weight: Double) -> Double:
     """Return the maxima of the histogram, rising; none if the elevations lie between them too."""
     bins = round(180 / STEP_DEG)
     histogram = np.histogram(elevation, bins, (-90, 90), weights=weight)[0]
@@ -91,7 +88,7 @@ def _of_histogram(elevation: Array, weight: Array) -> Array:
     return beams
 
 
-def _of_maxima(beams: Array, elevation: Array, weight: Array) -> tuple[float, Array]:
+def _of_maxima(beams: Double, elevation: Double, weight: Double) -> tuple[float, Double]:
     """Return beams (B,) but for weak ones, after the share of the points that are close to one."""
     while len(beams) >= 2:
         nearest = np.searchsorted((beams[1:] + beams[:-1]) / 2, elevation)
@@ -107,7 +104,7 @@ def _of_maxima(beams: Array, elevation: Array, weight: Array) -> tuple[float, Ar
     return 0.0, beams
 
 
-def _maxima(values: Array) -> npt.NDArray[np.intp]:
+def _maxima(values: Double) -> Indices:
     """Return the places of maxima between which the values fall to `MAX_VALLEY` of the lower."""
     rises = (values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:])
     places: list[int] = []
@@ -202,7 +199,7 @@ def _ego_box(scans: Sequence[Scan], height: float) -> tuple[float, ...]:
     return tuple(np.concatenate([lowest, highest]).astype(np.float64).round(DIGITS).tolist())
 
 
-def _in_cells(points: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+def _in_cells(points: Float) -> tuple[Indices, Double]:
     """Return the cell and the range of each point (N, 3); infinite below `MIN_RANGE_M`."""
     ranges, measured = measured_ranges(points)
     usable = measured & (ranges >= MIN_RANGE_M)
@@ -244,7 +241,7 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     return replace(sensor, name=FITTED_NAME, fov_up=round(upper, 2), fov_down=round(lower, 2))
 
 
-def _view(elevations: npt.NDArray[np.float64], extent: float) -> tuple[float, float]:
+def _view(elevations: Double, extent: float) -> tuple[float, float]:
     """Return lower and upper edge in degrees of a view of elevations (N,) that rise."""
     # Of all points, if it then is about as large as that of training; else as large, or larger
     # until it shows `SHOWN` of the points.

@@ -20,7 +20,7 @@ from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import USUAL_COLUMNS, ring_of, scan_of, unnamed_columns
-from salsanext_cli.records import Float, Scan, normalised_intensity
+from salsanext_cli.records import Double, Float, Indices, Mask, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
 COLUMNS = 4  # x, y, z in metres, remission
@@ -232,7 +232,7 @@ def _sample(rows: Float) -> Float:
     return rows[:: len(rows) // SAMPLE | 1]
 
 
-def are_possible(values: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+def are_possible(values: npt.NDArray[np.floating]) -> Mask:
     """Mark the magnitudes that a measurement may have; 0 and NaN are none."""
     # A NaN may signal.
     with np.errstate(invalid="ignore"):
@@ -276,7 +276,7 @@ def evident_count(values: Float, expected: int) -> int | None:
     return _padded_count(values, count) or count
 
 
-def _places(count: int, length: int) -> npt.NDArray[np.intp]:
+def _places(count: int, length: int) -> Indices:
     """Return evenly spaced blocks of the indices of so many items, (BLOCKS, length or less)."""
     length = min(length, count)
     starts = np.linspace(0, count - length, BLOCKS).astype(np.intp)
@@ -308,7 +308,7 @@ def _padded_count(values: Float, columns: int) -> int | None:
     return None
 
 
-def _properties(values: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+def _properties(values: Float) -> tuple[Indices, Double]:
     """Return the places (K,) of a sample of values, and their properties (5, K)."""
     places = np.unique(_places(len(values), VALUES))
     with np.errstate(invalid="ignore"):
@@ -321,9 +321,7 @@ def _properties(values: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.flo
     return places, np.stack([*kinds, magnitude]).astype(np.float64)
 
 
-def _explained(
-    places: npt.NDArray[np.intp], properties: npt.NDArray[np.float64], columns: int
-) -> float:
+def _explained(places: Indices, properties: Double, columns: int) -> float:
     """Return the mean share of the properties' variance that lies between columns (adjusted R²)."""
     index, count = places % columns, len(places)
     sizes = np.maximum(np.bincount(index, minlength=columns), 1)

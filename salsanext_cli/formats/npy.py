@@ -13,7 +13,7 @@ from numpy.lib import format as npy
 
 from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.records import Float
+from salsanext_cli.records import Float, Mask
 
 MAX_HEADER_BYTES = 1024  # Largest header; that of an array with a few dimensions has 128
 ROUNDING = 0.01
@@ -96,9 +96,7 @@ def read_uncertainty(path: Path, count: int | None, highest: float = math.inf) -
     return values
 
 
-def _require_all(
-    sound: npt.NDArray[np.bool_], path: Path, found: str, expected: str, remedy: str
-) -> None:
+def _require_all(sound: Mask, path: Path, found: str, expected: str, remedy: str) -> None:
     if not sound.all():
         count = len(sound) - int(sound.sum())
         raise FormatError(path, f"{found} at {count} of {len(sound)} points", expected, remedy)

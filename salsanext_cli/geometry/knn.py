@@ -19,7 +19,7 @@ from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.errors import LabelError, UsageError
 from salsanext_cli.options import KnnParameters
-from salsanext_cli.records import Float, Int, RangeImage
+from salsanext_cli.records import Float, Int, Mask, RangeImage
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 Candidates = npt.NDArray[np.int64]
@@ -128,7 +128,7 @@ def _checked_labels(image: RangeImage, labels: npt.NDArray[np.generic], count: i
 
 
 @compiled
-def mark_mixed(labels: TrainIds, first: int, offsets: Int, mixed: npt.NDArray[np.bool_]) -> None:
+def mark_mixed(labels: TrainIds, first: int, offsets: Int, mixed: Mask) -> None:
     """Write whether a pixel's window holds a label above 0 other than the pixel's own."""
     size = len(mixed)
     for i in range(size):
@@ -146,7 +146,7 @@ def refine_points(
     point_range: Float,
     ranges: Float,
     labels: TrainIds,
-    mixed: npt.NDArray[np.bool_],
+    mixed: Mask,
     width: int,
     half: int,
     offsets: Int,

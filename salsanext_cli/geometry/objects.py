@@ -14,7 +14,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.compiled import argument, compiled
 from salsanext_cli.geometry.projection import pixels_from_points
-from salsanext_cli.records import Float, Int, RangeImage
+from salsanext_cli.records import Float, Int, Mask, RangeImage
 
 Objects = npt.NDArray[np.uint16]
 COLUMNS, ROWS = 6, 4  # Pixels to the right and below that may be neighbours
@@ -33,7 +33,7 @@ NEAREST_M, MAX_FITTED = np.float32(0.05), 128
 """Distance below which points are equally close to a side; points of an object that are fitted."""
 
 
-def find_objects(image: RangeImage, labels: TrainIds, things: npt.NDArray[np.bool_]) -> Objects:
+def find_objects(image: RangeImage, labels: TrainIds, things: Mask) -> Objects:
     """Return the number of each point's object, (N,) uint16 from 1, of `things` (C,); else 0."""
     wanted = (np.arange(len(things), dtype=np.uint8) * things)[labels]
     seen = pixels_from_points(wanted, image.point_of_pixel)

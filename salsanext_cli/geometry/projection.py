@@ -24,7 +24,17 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
-from salsanext_cli.records import CHANNELS, LARGEST, Float, Int, RangeImage, Scan
+from salsanext_cli.records import (
+    CHANNELS,
+    LARGEST,
+    Double,
+    Float,
+    Indices,
+    Int,
+    Mask,
+    RangeImage,
+    Scan,
+)
 from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
@@ -105,7 +115,7 @@ def rows_of(scan: Scan, sensor: Sensor) -> Int | None:
     return ((2 * beam + 1) * sensor.height // (2 * len(beams))).astype(np.int32)
 
 
-def medians_of_rings(values: npt.NDArray[np.float64], ring: Int) -> npt.NDArray[np.float64]:
+def medians_of_rings(values: Double, ring: Int) -> Double:
     """Return the median of the values (N,) of each ring, by number; NaN where it has none."""
     order = np.argsort(ring, kind="stable")
     numbers, starts = np.unique(ring[order], return_index=True)
@@ -222,9 +232,7 @@ def pixels_from_points(
     return np.concatenate([of_points, last])[point_of_pixel]
 
 
-def measured_ranges(
-    points: Float, farthest: float = sys.float_info.max
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+def measured_ranges(points: Float, farthest: float = sys.float_info.max) -> tuple[Double, Mask]:
     """Return ranges (N,) float64 in metres, and which are measurements, finite and above 0."""
     with np.errstate(invalid="ignore"):  # of a signalling NaN
         x, y, z = np.square(points.T, dtype=np.float64)
@@ -241,13 +249,13 @@ def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
     return Scan(scan.points[places], scan.intensity[places])
 
 
-def drawn(length: int, count: int) -> npt.NDArray[np.intp]:
+def drawn(length: int, count: int) -> Indices:
     """Return (count,) places in an array, rising, drawn alike; all if there are no more."""
     return np.arange(length) if length <= count else (_uniform(count) * length).astype(np.intp)
 
 
 @cache
-def _uniform(count: int) -> npt.NDArray[np.float64]:
+def _uniform(count: int) -> Double:
     return np.sort(np.random.default_rng(0).random(count))
 
 
@@ -276,7 +284,7 @@ def without_ego(scan: Scan, sensor: Sensor) -> Scan:
     return replace(scan, points=points)
 
 
-def ego_points(points: Float, sensor: Sensor) -> npt.NDArray[np.intp]:
+def ego_points(points: Float, sensor: Sensor) -> Indices:
     """Return the indices of points (N, 3), in the sensor's frame, in `min_range` or `ego_box`."""
     nearest, box = sensor.min_range or 0.0, np.array(sensor.ego_box or ()).reshape(2, -1)
     reach = max(nearest, float(np.linalg.norm(np.abs(box).max(axis=0, initial=0))))
@@ -290,7 +298,7 @@ def ego_points(points: Float, sensor: Sensor) -> npt.NDArray[np.intp]:
     return near[own]
 
 
-def upright_rotation(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def upright_rotation(up: Double) -> Double:
     """Return the rotation (3, 3) that turns a direction (3,) to z and the direction ahead to x."""
     # Ahead is the level part of x; of z in frames of cameras, with y down, and with x up or down.
     up = up / np.linalg.norm(up)

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.measures.scores import Counts, Mask, Ratios
-from salsanext_cli.records import Float
+from salsanext_cli.records import Float, Indices
 
 SMALLEST_PROBABILITY = 2.0**-24
 """Least probability of the true class: the smallest float16 above 0.
@@ -40,7 +40,7 @@ FIRST_KEY = int(np.float32(2.0**LOWEST).view(np.int32)) >> BFLOAT16_SHIFT
 class SoftmaxErrors:
     """Errors of the softmax of points, each (N,); NaN for points that have none."""
 
-    predicted: npt.NDArray[np.intp]  # The most probable class
+    predicted: Indices  # The most probable class
     wrong: Mask  # Whether the true class is another
     confidence: npt.NDArray[np.float16]  # The largest probability
     nll: Ratios  # Negative log-likelihood of the true class in nats, 0…16.6
@@ -150,7 +150,7 @@ def _histogram(
     known: Mask,
     wrong: Mask,
     group: npt.NDArray[Any],
-    bins: npt.NDArray[np.intp],
+    bins: Indices,
     **values: Ratios,
 ) -> Histogram:
     """Count the known points of a scan, all arrays (N,)."""
@@ -162,7 +162,7 @@ def _histogram(
     return Histogram(counts, scan_sums, int(len(cell) > 0), len(known) - len(cell))
 
 
-def bin_of(uncertainty: npt.NDArray[Any]) -> npt.NDArray[np.intp]:
+def bin_of(uncertainty: npt.NDArray[Any]) -> Indices:
     """Return the bin of each uncertainty, from float32, same shape; NaN has none."""
     # The bit patterns of positive floats are in the order of the floats.
     key = uncertainty.astype(np.float32).view(np.int32) >> BFLOAT16_SHIFT

@@ -34,7 +34,7 @@ from salsanext_cli.measures.histograms import (
 from salsanext_cli.measures.panoptic import SEGMENT_COUNTS, count_segments
 from salsanext_cli.measures.scores import Confusion, Mask, Ratios, scores
 from salsanext_cli.network.card import is_among
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Float, Indices, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.result_folder import read_kind
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
@@ -262,7 +262,7 @@ def _labels(
     return read_labels(scan.label_path, len(cloud)), read_labels(predictions, len(cloud))
 
 
-def ring_of_point(points: Float) -> npt.NDArray[np.intp]:
+def ring_of_point(points: Float) -> Indices:
     """Return the index into `RING_NAMES` of points (N, 3) in metres; -1 without a measurement."""
     ranges, measured = measured_ranges(points)
     return np.where(measured, np.digitize(np.nan_to_num(ranges), RING_STARTS_M) - 1, -1)

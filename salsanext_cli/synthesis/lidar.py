@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.files.optional_packages import import_open3d
+from salsanext_cli.records import Mask
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.presets import Numbers
 from salsanext_cli.synthesis.surfaces import OPTICS
@@ -104,7 +105,7 @@ def measure(
     return np.where(returned, measured, np.nan), intensity, labels
 
 
-def _edges(rng: Rng, reach: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _edges(rng: Rng, reach: Array) -> tuple[Array, Mask]:
     """Return distances (R,) of pulses as wide as the step to the next one, and which are lost."""
     step = np.diff(reach, append=reach[-1:])
     chance, share = rng.random((2, len(reach)))

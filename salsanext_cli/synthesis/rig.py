@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from salsanext_cli.records import Mask
 from salsanext_cli.synthesis.lidar import Lasers
 from salsanext_cli.synthesis.mesh import Array, Rng
 from salsanext_cli.synthesis.presets import HDL64, VEHICLE_OUTLINES_DEG, Numbers
@@ -63,7 +63,7 @@ class Rig:
 
     beams: Beams  # Its lasers
     response: Numbers  # What it makes of the pulses that return
-    unblocked: npt.NDArray[np.bool_]  # (L * columns,) bool: rays that the vehicle does not block
+    unblocked: Mask  # (L * columns,) bool: rays that the vehicle does not block
     mount: float  # Height above the road, metres
     tilt: Array  # (2,): pitch and roll of the mounting, radians
 
@@ -82,7 +82,7 @@ class Rig:
 RigMaker = Callable[[Rng], Rig]  # Draws a sensor and its mounting
 
 
-def hidden_by_vehicle(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
+def hidden_by_vehicle(beams: Beams, rng: Rng) -> Mask:
     """Return the rays that the recording vehicle blocks, (L * columns,); mounting varies a bit."""
     azimuth = np.degrees(beams.azimuths()) + PARALLAX_DEG * np.sign(beams.aside)[:, None]
     elevation = np.degrees(beams.elevation)[:, None]
@@ -167,7 +167,7 @@ def _random_response(rng: Rng) -> Numbers:
     return Numbers(**response, steps=int(rng.choice(BOUNDS.intensity_steps)))
 
 
-def _random_shadow(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
+def _random_shadow(beams: Beams, rng: Rng) -> Mask:
     """Draw which rays the vehicle blocks: none, those of a car's outline, or those of a roof."""
     kind = rng.choice(BOUNDS.shadows)
     if kind == "none":
@@ -178,5 +178,5 @@ def _random_shadow(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
     wave = np.cos(2 * azimuth) * rng.uniform(*BOUNDS.roof_ahead_and_behind)
     wave = wave + np.cos(azimuth) * rng.uniform(*BOUNDS.roof_ahead)
     edge = -rng.uniform(*BOUNDS.roof_edge) + wave
-    hidden: npt.NDArray[np.bool_] = np.degrees(beams.elevation)[:, None] < edge
+    hidden: Mask = np.degrees(beams.elevation)[:, None] < edge
     return hidden.reshape(-1)

@@ -6,14 +6,13 @@ for any sensor.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.records import Float, Int, RangeImage
+from salsanext_cli.records import Float, Int, Mask, RangeImage
 from salsanext_cli.uncertainty.estimate import entropy
 
 ROWS, COLUMNS, STEP = 4, 8, 2
@@ -71,9 +70,7 @@ def region_means(image: RangeImage, classes: TrainIds, values: Float) -> Float:
 
 
 @compiled
-def mean_of_regions(
-    occupied: npt.NDArray[np.bool_], classes: TrainIds, values: Float, means: Float
-) -> None:
+def mean_of_regions(occupied: Mask, classes: TrainIds, values: Float, means: Float) -> None:
     """Write what `region_means` returns: a union-find over the pixels, the lowest is the root."""
     height, width = occupied.shape
     parent = np.arange(height * width)

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from salsanext_cli.records import Float
+from salsanext_cli.records import Double, Float
 
-Double = npt.NDArray[np.float64]
 Values = TypeVar("Values", Float, Double)
 
 

@@ -4,7 +4,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
 
 from salsanext_cli.engines.network import Network
@@ -14,7 +13,7 @@ from salsanext_cli.fitting.label_scan import LabelledScan, labelled, project_for
 from salsanext_cli.fitting.scan_checks import ScanCheck
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.options import KnnParameters
-from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.records import Double, Float, RangeImage
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import sample
@@ -26,7 +25,7 @@ class ScanDescription:
 
     file: ScanFile
     # (D,) float64: of the layer before the logits, without dropout; 32 in SalsaNext
-    features: npt.NDArray[np.float64]
+    features: Double
     uncertainty: float  # Mutual information of label and weights, nats
     check: ScanCheck  # Reasons to doubt the scan
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.records import Mask
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.presets import BRIGHTNESS, Numbers, weighted_choice
@@ -93,7 +94,7 @@ class Side:
             height = np.minimum(height, self.kerb * np.clip(away / DROP_M, 0, 1))
         return height
 
-    def on_side_street(self, s: Array, beyond: Array) -> npt.NDArray[np.bool_]:
+    def on_side_street(self, s: Array, beyond: Array) -> Mask:
         """Say whether a place `beyond` the kerb is on a side street or its rounded corners."""
         on_street = np.zeros(np.broadcast_shapes(np.shape(s), np.shape(beyond)), bool)
         for crossing in self.crossings:
@@ -182,11 +183,11 @@ class Plan:
             label = np.where(beyond > -KERB_M / 2, side.label(s, beyond), label)
         return label
 
-    def _painted(self, s: Array, t: Array) -> npt.NDArray[np.bool_]:
+    def _painted(self, s: Array, t: Array) -> Mask:
         """Say where the carriageway is painted: dashes, edge lines, zebra and stop lines."""
         dashed = (np.abs(t) < 0.08) & (np.mod(s, 9.0) < 3.0)
         edge = (np.abs(np.abs(t) - (self.half - 0.3)) < 0.06) & (self.style.lane[1] > 4)
-        painted: npt.NDArray[np.bool_] = dashed | edge
+        painted: Mask = dashed | edge
         for crossing in self.crossings:
             away = np.abs(s - crossing.s) - crossing.half
             painted &= away > 1

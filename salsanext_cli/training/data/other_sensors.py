@@ -12,10 +12,9 @@ Dark surfaces have more holes in some of these sensors and fewer in others: inte
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.geometry.projection import measured_ranges
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Float, Indices, Scan
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.data.augment import shift
 
@@ -86,7 +85,7 @@ def fewer_beams(channels: Float, random: Rng) -> Float:
     return thinned
 
 
-def hole_cells(ranges: Float) -> npt.NDArray[np.intp]:
+def hole_cells(ranges: Float) -> Indices:
     """Return the cell of `HOLE_SHARES` of each pixel of ranges (H, W), -1 beyond `MAX_RUN`."""
     # By the next measured pixels to the left and right, whether or not itself is measured.
     sides, steps = np.zeros((2, *ranges.shape), np.float32), np.full((2, *ranges.shape), MAX_RUN)

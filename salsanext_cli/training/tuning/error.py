@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 from torch import nn
@@ -19,7 +18,7 @@ from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
 from salsanext_cli.measures.risk_coverage import kept_points, ranking_scores
 from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.records import Float
+from salsanext_cli.records import Float, Mask
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
@@ -37,7 +36,6 @@ LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4
 HEIGHT = FEATURES.index("height above the sensor")
 LEAST_SPREAD = 1e-3  # Features that hardly differ are not blown up
 
-Mask = npt.NDArray[np.bool_]
 
 log = logging.getLogger(__name__)
 

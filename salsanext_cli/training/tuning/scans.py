@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.network import Network
@@ -18,7 +17,7 @@ from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.records import Float, Indices, RangeImage
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import select_scans, space_of
 from salsanext_cli.training.data.class_counts import require_labels
@@ -75,7 +74,7 @@ class LabelledImage:
     """Range image of a whole scan, and its M points that have a pixel and one class that counts."""
 
     image: RangeImage
-    points: npt.NDArray[np.intp]  # (M,): their indices in the scan
+    points: Indices  # (M,): their indices in the scan
     truth: TrainIds  # (M,) uint8
     several: float  # Share of the labelled points with a pixel whose label is of several classes
 
