@@ -17,23 +17,23 @@ from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 def predict(path: Path, out: Path, network: sn.Network) -> None:
     """Label the points of one scan, file to file, by the steps of `salsanext predict`."""
-    place, space = network.device, network.space
-    image = sn.project(sn.read_scan(path), network.sensor, place)
+    space = network.space
+    image = sn.project(sn.read_scan(path), network.sensor)
     pixel_labels = network.probabilities(image).argmax(axis=0).astype(np.uint8)
-    labels = sn.knn_refine(image, pixel_labels, space.class_count, device=place)
+    labels = sn.knn_refine(image, pixel_labels, space.class_count)
     sn.write_labels(out, space.to_raw(labels))
 
 
 def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]:
     """Compute the input of a part for one scan, and return the function that is timed."""
-    place, sensor = task["device"], sn.Sensor.from_dict(task["sensor"])
-    settings = (task["weights"], place, sensor, task["precision"], task["engine"])
+    sensor = sn.Sensor.from_dict(task["sensor"])
+    settings = (task["weights"], task["device"], sensor, task["precision"], task["engine"])
     network = sn.load_network(*settings)
     scan, count = sn.read_scan(path), network.space.class_count
-    image, file = sn.project(scan, sensor, place), ScanFile("", path.stem, path)
+    image, file = sn.project(scan, sensor), ScanFile("", path.stem, path)
     work: dict[str, Callable[[], Any]] = {
         "hardware": lambda: describe(network.device, network.engine.precision),
-        "projection": lambda: sn.project(scan, sensor, place),
+        "projection": lambda: sn.project(scan, sensor),
         "network": lambda: network.probabilities(image),
         "predict": lambda: predict(path, path.with_suffix(".label"), network),
         # With the paper's aleatoric uncertainty, as the baseline.
@@ -45,7 +45,7 @@ def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]
         return work[part]
     pixel_labels = network.probabilities(image).argmax(axis=0).astype(np.uint8)
     if part == "knn":
-        return lambda: sn.knn_refine(image, pixel_labels, count, device=place)
-    labels = sn.knn_refine(image, pixel_labels, count, device=place)
+        return lambda: sn.knn_refine(image, pixel_labels, count)
+    labels = sn.knn_refine(image, pixel_labels, count)
     before = points_from_pixels(pixel_labels, image.pixel_of_point, 0)
     return lambda: Confusion(count).update(labels, before)

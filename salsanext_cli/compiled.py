@@ -27,8 +27,7 @@ from numba.core.serialize import dumps
 from salsanext_cli.errors import error_text
 from salsanext_cli.files.user_cache import cache_folder, read_checked, say_once, write_checked
 
-MAX_THREADS = 256
-"""Size of the pool, which starts only as many threads as are busy together."""
+MAX_THREADS = 256  # Size of the pool, which starts only as many threads as are busy together
 Function = TypeVar("Function", bound=Callable[..., Any])
 Item = TypeVar("Item")
 CACHE_ERRORS = (
@@ -41,8 +40,7 @@ CACHE_ERRORS = (
     ValueError,
 )
 """Raised where no folder can be written, and by code of another version of llvmlite."""
-MIN_SLICE_ITEMS = 16384
-"""Number below which a second thread costs more than it saves."""
+MIN_SLICE_ITEMS = 16384  # Number below which a second thread costs more than it saves
 
 
 @lru_cache(maxsize=1)
@@ -52,10 +50,7 @@ def _pool(_process: int) -> ThreadPoolExecutor:
 
 
 def compiled(function: Function) -> Function:
-    """Compile on first call, strictly in IEEE arithmetic, and cache where a cache can be written.
-
-    That is the folder NUMBA_CACHE_DIR, by default the user's cache folder; else beside the source.
-    """
+    """Compile on first call, in strict IEEE arithmetic, and cache where a cache can be written."""
     kernel: Any = numba.njit(nogil=True, error_model="numpy")(function)
     settings = vars(numba.config)
     before = settings["CACHE_DIR"]
@@ -78,10 +73,8 @@ class KernelCache(FunctionCache):
     """
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled kernel of a signature; None if there is none that can be used.
-
-        Compiled code needs numba's memory only; who compiles loads the compiler's libraries itself.
-        """
+        """Return the compiled kernel of a signature; None if there is none that can be used."""
+        # Compiled code needs numba's memory only; who compiles loads the libraries for it.
         rtsys.initialize(target_context)
         codegen = target_context.codegen()
         try:
@@ -125,19 +118,13 @@ def thread_count() -> int:
 
 
 def argument(array: npt.NDArray[Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-    """Return the array as kernels take it, copied only if it must be.
-
-    Numba compiles anew for arrays that are read-only, unaligned or not contiguous.
-    """
+    """Return the array as kernels take it, copied only if it must be."""
+    # Numba compiles anew for arrays that are read-only, unaligned or not contiguous.
     return np.require(array, dtype, ["C_CONTIGUOUS", "ALIGNED", "WRITEABLE"])
 
 
 def parallel_for(work: Callable[[Item], object], items: Sequence[Item]) -> None:
-    """Call a function of each item, on several threads; no two calls may write to the same place.
-
-    There are up to ``NUMBA_NUM_THREADS`` of them, this one among them: all cores, unless that
-    variable is set, as joblib does for its workers.
-    """
+    """Call a function of each item, on up to `thread_count` threads that write to other places."""
     waiting = iter(items)
 
     # `next` of an iterator over a sequence is one step of the interpreter: no lock is needed.
@@ -157,11 +144,9 @@ def parallel_for(work: Callable[[Item], object], items: Sequence[Item]) -> None:
 
 
 def parallel_for_slices(work: Callable[[slice], object], count: int, cost: int = 1) -> None:
-    """Call `work` for slices that cover ``0 … count``, one for each thread of `parallel_for`.
-
-    The result must not depend on their number. Of items that `cost` more, fewer are enough for a
-    second thread.
-    """
+    """Call `work` for slices that cover ``0 … count``, one for each thread of `parallel_for`."""
+    # The result must not depend on their number. Of items that `cost` more, fewer are enough for a
+    # second thread.
     threads = max(1, min(thread_count(), count * cost // MIN_SLICE_ITEMS))
     borders = [count * part // threads for part in range(threads + 1)]
     parallel_for(work, [slice(start, stop) for start, stop in pairwise(borders)])

@@ -10,12 +10,9 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, ClassVar
 
-NOTICE = 25
-"""Log level of messages for every user that are not warnings."""
-MAX_NAMES_SHOWN = 3
-"""Files or scans that a message names."""
-SHOWN_CHARACTERS = 100
-"""Longest text of a wrong value in an error."""
+NOTICE = 25  # Log level of messages for every user that are not warnings
+MAX_NAMES_SHOWN = 3  # Files or scans that a message names
+SHOWN_CHARACTERS = 100  # Longest text of a wrong value in an error
 UNDECODED = {code: f"\\x{code & 0xFF:02x}" for code in range(0xDC80, 0xDD00)}
 """Bytes of names that are no text, as Python decodes them."""
 CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}

@@ -20,10 +20,8 @@ if TYPE_CHECKING:
 
 WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 INTACT = "everything finished so far is intact"
-ARRIVED: list[int] = []
-"""The signal that has arrived during the work, if one has."""
-WAIT_S = 3.0
-"""Time that a signal waits for an import, or for a context to be entered or left."""
+ARRIVED: list[int] = []  # The signal that has arrived during the work, if one has
+WAIT_S = 3.0  # Time that a signal waits for an import, or for a context to be entered or left
 RETRY_S = 0.02
 REPEATED_S = 1.0
 """Time in which a second signal is the first: `timeout` sends it to a process and to its group."""

@@ -15,10 +15,8 @@ from salsanext_cli.errors import UsageError
 
 Group = TypeVar("Group")
 
-MAX_REACH = 1000
-"""Largest reach of `FusionReach`, in scans, each of some megabytes."""
-LARGEST_WINDOW_PX = 63
-"""Largest side of the window of `KnnParameters`, in pixels."""
+MAX_REACH = 1000  # Largest reach of `FusionReach`, in scans, each of some megabytes
+LARGEST_WINDOW_PX = 63  # Largest side of the window of `KnnParameters`, in pixels
 
 
 @dataclass_transform(frozen_default=True)

@@ -14,6 +14,9 @@ import numpy.typing as npt
 
 Float = npt.NDArray[np.float32]
 Int = npt.NDArray[np.int32]
+Double = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
 
 CHANNELS = ("range", "x", "y", "z", "intensity")
 """Channels of a range image, in the published order."""
@@ -61,10 +64,7 @@ class Scan:
 
 
 def normalised_intensity(values: npt.NDArray[Any], scale: float) -> Float:
-    """Return intensities (N,) of a file as float32, nominally 0…1.
-
-    Bytes are divided by 255 whatever the scale, since their type tells their range.
-    """
+    """Return intensities (N,) of a file as float32, nominally 0…1; bytes are divided by 255."""
     divisor = 255.0 if values.dtype == np.uint8 else scale
     # A signalling NaN is a point without an intensity.
     with np.errstate(over="ignore", invalid="ignore"):

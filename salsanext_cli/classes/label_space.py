@@ -27,10 +27,8 @@ RawIds = npt.NDArray[np.uint32]
 
 BUILT_IN = ("semantic-kitti", "coarse")
 RAW_ID_COUNT = 1 << 16
-UNKNOWN = 255
-"""Mark of raw ids without a train id."""
-SHOWN_IDS = 20
-"""Number of ids in an error, and of digits of each."""
+UNKNOWN = 255  # Mark of raw ids without a train id
+SHOWN_IDS = 20  # Number of ids in an error, and of digits of each
 ALTERNATIVES = "learning_alternatives"
 KEYS = (
     *("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split"),
@@ -144,8 +142,7 @@ class LabelSpace:
     def to_raw(self, train: npt.NDArray[Any]) -> RawIds:
         """Map train ids to the raw ids that stand for them, uint32."""
         table = np.array([self.learning_map_inv[i] for i in range(self.class_count)], np.uint32)
-        raw: RawIds = table[train]
-        return raw
+        return table[train]
 
     def split(self, name: str) -> tuple[str, ...]:
         """Return the sequence names of a split; an unknown split raises `UsageError`."""

@@ -32,11 +32,9 @@ class ClassMerging:
 
     @classmethod
     def between(cls, own: LabelSpace, merged: LabelSpace) -> ClassMerging:
-        """Merge the classes of a label space into those of another one.
-
-        An ignored class stands for what has no class of its own, some of which the other may have:
-        it goes where the other puts the raw id that stands for it.
-        """
+        """Merge the classes of a label space into those of another one."""
+        # An ignored class stands for what has no class of its own, some of which the other may
+        # have: it goes where the other puts the raw id that stands for it.
         if problem := contradiction(own, merged):
             expected = f"the classes of {own.name}, merged"
             raise UsageError(f"label space {merged.name}", problem, expected)

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
 PRECISIONS = ("auto", "float32", "bfloat16", "float16")
 ENGINES = ("auto", "openvino", "torch")
-MAX_BATCH_PIXELS = 16 * 64 * 2048
-"""Pixels that a GPU computes side by side."""
+MAX_BATCH_PIXELS = 16 * 64 * 2048  # Pixels that a GPU computes side by side
 GPU_FILES = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-ctrl", "/dev/kfd", "/dev/dxg")
 """Devices of Linux without one of which torch finds no GPU."""
 CPUINFO = Path("/proc/cpuinfo")
@@ -80,11 +79,9 @@ def choose_engine(name: str, device: str) -> str:
 
 @cache
 def openvino_core() -> "openvino.Core":
-    """Return OpenVINO for this process, until it ends.
-
-    The CPU plugin gives the thread that loads it a stack for signal handlers, and takes the memory
-    back when it is unloaded: the next signal would end the process.
-    """
+    """Return OpenVINO for this process, until it ends."""
+    # The CPU plugin gives the thread that loads it a stack for signal handlers, and takes the
+    # memory back when it is unloaded: the next signal would end the process.
     import openvino
 
     # Two threads that ask for this first would wait for each other for ever.
@@ -111,11 +108,7 @@ def _openvino_fails() -> str:
 
 
 def choose_precision(name: str, device: str) -> str:
-    """Return the number type of a name on a device.
-
-    ``"auto"`` is float16 on a GPU with tensor cores, bfloat16 on a CPU that multiplies it, and
-    float32 elsewhere.
-    """
+    """Return the number type of a name on a device; ``"auto"`` is the fastest that it has."""
     if name not in PRECISIONS:
         raise UsageError("--precision", name, ", ".join(PRECISIONS))
     if device == "cpu":

@@ -29,10 +29,8 @@ if TYPE_CHECKING:
     from torch import Tensor, nn
 
 HINTS = {"float32": "f32", "bfloat16": "bf16"}
-LOGITS = "logits"
-"""Name of the last convolution, in every architecture."""
-OF_LOGITS = re.compile(rf"[./]{LOGITS}/")
-"""Part of the names of its layers."""
+LOGITS = "logits"  # Name of the last convolution, in every architecture
+OF_LOGITS = re.compile(rf"[./]{LOGITS}/")  # Part of the names of its layers
 ERFC = (
     *(0.17087277, -0.82215223, 1.48851587, -1.13520398, 0.27886807),
     *(-0.18628806, 0.09678418, 0.37409196, 1.00002368, -1.26551223),
@@ -137,10 +135,7 @@ def _erfc(node: Any) -> Any:
 
 
 def partly_float32(core: "openvino.Core", model: "openvino.Model") -> "openvino.Model":
-    """Mark what stays float32 in bfloat16: layers of the range image, logits, what follows them.
-
-    Python's interface cannot set the mark; OpenVINO's file format has it.
-    """
+    """Mark layers of the range image, logits and what follows as float32, in OpenVINO's XML."""
     import openvino
 
     try:

@@ -105,7 +105,7 @@ def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":
     module, _ = read_weights(file)
     if fingerprint(file) != sha256:
         raise replaced(file)
-    return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+    return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def replaced(file: Path) -> WeightsError:
@@ -115,11 +115,7 @@ def replaced(file: Path) -> WeightsError:
 
 
 def with_dropout(network: Network, rate: float) -> Network:
-    """Return the network with another dropout rate, from 0 to below 1.
-
-    Both share their weights, and graphs, which take the factors of dropout as inputs. One that was
-    trained without dropout gets it where the paper has it.
-    """
+    """Return the network with another dropout rate; both share weights and graphs."""
     import torch
 
     from salsanext_cli.network.registry import build
@@ -190,10 +186,7 @@ def _load_onnx(
 def read_onnx(
     content: bytes, source: object, card: WeightsCard, size: tuple[int, int]
 ) -> "openvino.Model":
-    """Read an ONNX model of normalised range images (1, 5, H, W) to logits (1, C, H, W).
-
-    `source` is the name of the file, for errors; a model of dynamic width takes that of the size.
-    """
+    """Read an ONNX model of range images (1, 5, H, W) to logits; `source` names it in errors."""
     import openvino
 
     shape = [1, len(CHANNELS), *size]

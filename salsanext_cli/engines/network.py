@@ -124,10 +124,7 @@ class Engine:
     def compiled(
         self, name: str, make: "Callable[[], openvino.Model]", precision: str, streams: int = 1
     ) -> Graph:
-        """Return a model that is compiled once; each thread has its own, which computes one thing.
-
-        `make` and the others are as `compiled_graph` takes them.
-        """
+        """Return a model that is compiled once for each thread, as `compiled_graph` does."""
         settings = (precision, thread_count(), streams)
         key = (name, settings, threading.get_ident())
         if key not in self.graphs:
@@ -180,10 +177,7 @@ class Engine:
         most: int,
         name: str,
     ) -> list[Result]:
-        """Return the results of a function of batches, halved where memory runs out.
-
-        `most`: items at once, as long as there is room; `name`: of the items, in the plural.
-        """
+        """Return results of a function of batches of `most` items, halved where memory runs out."""
         results: list[Result] = []
         while len(results) < len(items):
             size = min(most, self.batch_sizes.get(name, most))
@@ -291,10 +285,7 @@ class Network:
     def pixel_probabilities(
         self, channels: Sequence[Float], temperature: float | None = None
     ) -> list[Float]:
-        """Return the softmax (C, H, W) of range images (5, H, W); it may not be finite.
-
-        Errors are those of `Engine.outputs`; the temperature is the card's by default.
-        """
+        """Return the softmax (C, H, W) of range images (5, H, W), as `Engine.outputs` does."""
         inputs = [self.input(each) for each in channels]
         softmax = self.engine.outputs(inputs, temperature or self.card.temperature)
         return [self.merged(each) for each in softmax]
@@ -307,4 +298,4 @@ class Network:
         self, image: RangeImage, scores: Float, knn: KnnParameters = KnnParameters()
     ) -> TrainIds:
         """Return labels of the points, (N,) uint8: the largest score (C, H, W), refined by kNN."""
-        return knn_refine(image, scores.argmax(axis=0), len(scores), knn, self.device)
+        return knn_refine(image, scores.argmax(axis=0), len(scores), knn)

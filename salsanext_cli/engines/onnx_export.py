@@ -26,17 +26,12 @@ if TYPE_CHECKING:
     import onnx
 
 INPUT, OUTPUT = "image", "logits"
-TOLERANCE = 1e-3
-"""Largest difference from torch, relative to the largest logit."""
-SHIFT = 128
-"""From signed to unsigned bytes."""
+TOLERANCE = 1e-3  # Largest difference from torch, relative to the largest logit
+SHIFT = 128  # From signed to unsigned bytes
 
 
 class _Traced(nn.Module):
-    """A network for images of one height, with what is padded and cropped as constants.
-
-    Where there is nothing to pad, it takes every width that the network's stride divides.
-    """
+    """A network for images of one height, and for every width where nothing is to be padded."""
 
     def __init__(self, module: SegmentationNetwork, height: int, width: int) -> None:
         super().__init__()
@@ -59,10 +54,7 @@ class _Traced(nn.Module):
 def exported(
     module: SegmentationNetwork, card: WeightsCard, *, dynamic_width: bool = False
 ) -> "onnx.ModelProto":
-    """Return a network in evaluation mode, on the CPU, as an ONNX model with its card.
-
-    `dynamic_width`: the model takes every width that the network's stride divides.
-    """
+    """Return a network as an ONNX model, for one width or for every multiple of its stride."""
     package = import_extra("onnx", "onnx")
     height, width = card.sensor.height, card.sensor.width
     if dynamic_width:
@@ -98,10 +90,7 @@ def run(content: bytes, images: list[Float]) -> list[Float]:
 
 
 def difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -> float:
-    """Return the largest difference of the model's logits from torch's, relative to the largest.
-
-    Of a random and of an empty image.
-    """
+    """Return the largest difference from torch's logits, relative to the largest, of two images."""
     size = (1, len(CHANNELS), card.sensor.height, card.sensor.width)
     images = [
         np.random.default_rng(0).standard_normal(size, np.float32),
@@ -122,12 +111,10 @@ def difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -
 def quantised(
     model: "onnx.ModelProto", scans: Sequence[Any], image_of: Callable[[Any], Float]
 ) -> "onnx.ModelProto":
-    """Return a model from `exported` whose convolutions multiply bytes.
-
-    Float32 stay the first part of the network, which sees ranges of 0 to 80 metres to the
-    centimetre, and the logits. The ranges of feature maps are means over the scans of high and low
-    quantiles, not extremes; `image_of` returns the normalised image (1, 5, H, W) of a scan.
-    """
+    """Return a model from `exported` whose convolutions multiply bytes."""
+    # Float32 stay the first part of the network, which sees ranges of 0 to 80 metres to the
+    # centimetre, and the logits. The ranges of feature maps are means over the scans of high and
+    # low quantiles, not extremes; `image_of` returns the normalised image (1, 5, H, W) of a scan.
     nncf = import_nncf()
     from nncf.quantization.range_estimator import RangeEstimatorParametersSet
 
@@ -164,10 +151,8 @@ def _part(name: str) -> str:
 
 
 def _make_unsigned(model: "onnx.ModelProto") -> None:
-    """Let feature maps be unsigned bytes: the same values.
-
-    OpenVINO 2026.4 computes convolutions of concatenated signed ones wrongly on x86.
-    """
+    """Let feature maps be unsigned bytes of the same values."""
+    # OpenVINO 2026.4 computes convolutions of concatenated signed ones wrongly on x86.
     from onnx import numpy_helper
 
     nodes = [node for node in model.graph.node if node.op_type == "QuantizeLinear"]

@@ -96,10 +96,8 @@ class NetworkSettings:
         return read_card(self.path).sensor
 
     def named_sensor(self) -> "Sensor | None":
-        """Return the sensor that was asked for, None if none was: the rest is that of the weights.
-
-        A built-in sensor tells noise and scale of intensity only.
-        """
+        """Return the sensor that was asked for, None if none was."""
+        # A built-in sensor tells noise and scale of intensity only.
         from salsanext_cli.sensors.sensor import OF_DEVICE, presets, sensor
 
         named = self.sensor or AUTO
@@ -147,11 +145,9 @@ class NetworkSettings:
         log.log(NOTICE, "%s %s%s", name, computing, merged)
 
     def resolved(self, network: "Network") -> "NetworkSettings":
-        """Log what computes, and return the settings for workers: all the same, same weights.
-
-        What is "auto" here might be something else on their machines, and a training that goes on
-        may replace its best weights.
-        """
+        """Log what computes, and return the settings for workers: all the same, same weights."""
+        # What is "auto" here might be something else on their machines, and a training that goes on
+        # may replace its best weights.
         self.announce(network)
         return replace(
             self,

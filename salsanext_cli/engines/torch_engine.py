@@ -61,4 +61,4 @@ def in_precision(module: SegmentationNetwork, dtype: torch.dtype) -> Segmentatio
     for layer in short.modules():
         if not isinstance(layer, Float32Convolution) and not [*layer.children()]:
             layer.to(dtype)
-    return short.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+    return short.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

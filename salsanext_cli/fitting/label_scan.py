@@ -40,10 +40,7 @@ class LabelledScan(ProjectedScan):
 def label_scan(
     file: ScanFile, network: Network, knn: KnnParameters = KnnParameters()
 ) -> Generator[RangeImage | None, Float | None, LabelledScan]:
-    """Label a scan in steps: yields its range image, and again when its softmax is computed.
-
-    A softmax (C, H, W) that is sent in for the range image is taken as it is.
-    """
+    """Label a scan: yields its range image, for which a softmax may be sent, and None after it."""
     projected = project_for(network, file)
     softmax = yield projected.image
     if softmax is None:
@@ -54,20 +51,16 @@ def label_scan(
 
 def project_for(network: Network, file: ScanFile, scan: Scan | None = None) -> ProjectedScan:
     """Read, check and project a scan that a network is to label; `scan`: if it was read."""
-    return project_scan(file, network.sensor, network.device, network.card.sensor, scan)
+    return project_scan(file, network.sensor, network.card.sensor, scan)
 
 
 def project_scan(
-    file: ScanFile,
-    sensor: Sensor,
-    device: str = "cpu",
-    trained: Sensor | None = None,
-    scan: Scan | None = None,
+    file: ScanFile, sensor: Sensor, trained: Sensor | None = None, scan: Scan | None = None
 ) -> ProjectedScan:
     """Read, check and project a scan; `trained` is the sensor of weights that are to label it."""
     scan = read_scan(file.path, sensor) if scan is None else scan
     check = check_scan(file.path, scan, sensor, trained)
-    return ProjectedScan(file, scan, project(scan, sensor, device), check)
+    return ProjectedScan(file, scan, project(scan, sensor), check)
 
 
 def labelled(

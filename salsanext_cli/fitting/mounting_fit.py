@@ -8,25 +8,19 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.geometry.projection import few_points, in_sensor_frame, upright_rotation
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Double, Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 
-MAX_POINTS = 512
-"""Points that a plane is sought among, evenly taken from those near the sensor."""
+MAX_POINTS = 512  # Points that a plane is sought among, evenly taken from those near the sensor
 RANGES_M = (2.0, 25.0)
 """Nearest and farthest of them: nearer is the vehicle itself, farther the ground bends."""
-TRIPLES = 2048
-"""Triples of points that planes are put through."""
-PLANES = 256
-"""Planes that are tried, of those that may be the ground."""
-MIN_AREA_M2 = np.float32(1e-3)
-"""Twice the least area of the triangle of a triple."""
+TRIPLES = 2048  # Triples of points that planes are put through
+PLANES = 256  # Planes that are tried, of those that may be the ground
+MIN_AREA_M2 = np.float32(1e-3)  # Twice the least area of the triangle of a triple
 TOLERANCE_M = 0.15
-MIN_SHARE = 0.1
-"""Least share of the points on a plane that is called the ground."""
+MIN_SHARE = 0.1  # Least share of the points on a plane that is called the ground
 MIN_POINTS = 100
 MIN_HEIGHT_M = 0.4
 """Least height of a sensor; lower, the origin of the points is not the sensor's place."""
@@ -35,8 +29,7 @@ MIN_COSINE = 0.8
 FLAT = 0.75
 """Share of the next larger one that the mean of a coordinate of directions may have, if the sensor
 turns about that axis."""
-AXES, UPWARDS = range(3), 2
-"""Indices of x, y, z, and of z."""
+AXES, UPWARDS = range(3), 2  # Indices of x, y, z, and of z
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +38,7 @@ class Ground:
 
     # (3,) float64: unit normal, from the ground to the sensor; where the origin is on it, along the
     # nearest axis
-    up: npt.NDArray[np.float64]
+    up: Double
     height: float  # Distance of the origin from it, in metres; just below 0 if it is on it
     share: float  # Of the near points that lie on it, 0…1
 
@@ -56,16 +49,13 @@ class Ground:
 
 
 def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | None:
-    """Return the plane that most points near the sensor lie on and few below, None without one.
-
-    Planes through random triples of points, the same for every scan; the best is fitted to its
-    points by least squares (Fischler & Bolles 1981). Points (N, 3) count by their range, since the
-    rings near the sensor have most of them.
-
-    `max_tilt_deg`: largest angle between normal and z. Without it the orientation is any, if the
-    sensor turns about an axis of the frame; one that looks one way cannot tell ground from walls,
-    so that the ground leans no more than that of a sensor that turns about z.
-    """
+    """Return the plane that most points near the sensor lie on and few below, None without one."""
+    # Planes through random triples of points, the same for every scan; the best is fitted to its
+    # points by least squares (Fischler & Bolles 1981). Points (N, 3) count by their range, since
+    # the rings near the sensor have most of them. `max_tilt_deg`: largest angle between normal and
+    # z. Without it the orientation is any, if the sensor turns about an axis of the frame; one that
+    # looks one way cannot tell ground from walls, so that the ground leans no more than that of a
+    # sensor that turns about z.
     ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
     near = np.flatnonzero((ranges > RANGES_M[0]) & (ranges < RANGES_M[1]))
     if len(near) < MIN_POINTS:
@@ -113,16 +103,14 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
 
 
 @cache
-def _triples() -> npt.NDArray[np.float64]:
+def _triples() -> Double:
     """Return places of the points of each triple, (3, `TRIPLES`), as shares of their number."""
     return np.random.default_rng(0).random((3, TRIPLES))
 
 
 def _heights(points: Float, normals: Float, offsets: Float) -> Float:
-    """Return the heights of points (N, 3) above planes (P, 3) and (P,), (P, N).
-
-    A matrix product would leave threads behind that take the processors from the network.
-    """
+    """Return the heights of points (N, 3) above planes (P, 3) and (P,), (P, N)."""
+    # A matrix product would leave threads behind that take the processors from the network.
     x, y, z = np.ascontiguousarray(points.T)
     of_x, of_y, of_z = normals.T[:, :, None]
     heights: Float = of_x * x
@@ -139,15 +127,12 @@ def _axis_of_rotation(directions: Float) -> int | None:
     return int(flattest) if mean[flattest] < FLAT * mean[other] else None
 
 
-Double = npt.NDArray[np.float64]
-
 BIN_DEG = 0.02
 FINE_BINS, COARSE_BINS = 3, 51
 """Widths of the two averages of the histogram: within a tooth, and over several."""
 DISTANCES_M = (2.0, 60.0)
 """Nearest and farthest points: the farther, the less a place's error turns them."""
-FAR_M = 15.0
-"""Least distance of points that tell the height whatever the place in the plane is."""
+FAR_M = 15.0  # Least distance of points that tell the height whatever the place in the plane is
 ABOVE_M = (-1.0, 5.0)
 AHEAD_M = (-3.0, 3.0)
 ASIDE_M = (-1.5, 1.5)
@@ -161,11 +146,7 @@ MIN_POINTS_OF_ORIGIN = 1000
 
 
 def find_origin(points: Float) -> tuple[float, float, float] | None:
-    """Return the place that points (N, 3) are seen from, within centimetres, None without a comb.
-
-    They are upright, of one scan or of several, without those of the ground, which has one
-    elevation as seen from a place on it.
-    """
+    """Return the place that upright points (N, 3) but the ground are seen from, or None."""
     doubles: Double = points.astype(np.float64)
     distances = np.hypot(doubles[:, 0], doubles[:, 1])
     near, far = (
@@ -199,15 +180,11 @@ def _grid(*axes: Sequence[float] | Double) -> Double:
 
 
 def _sharpest(points: Double, places: Double) -> Double:
-    sharpest: Double = max(places, key=lambda place: sharpness(points, place))
-    return sharpest
+    return max(places, key=lambda place: sharpness(points, place))
 
 
 def sharpness(points: Double, place: Double) -> float:
-    """Return how sharp the comb of elevations seen from a place is; about 1 where there is none.
-
-    It is the mean height of the histogram over that of its neighbourhood.
-    """
+    """Return the mean height of the comb of elevations over that around; about 1 without a comb."""
     x, y, z = (points - place).T
     elevations = np.degrees(np.arctan2(z, np.hypot(x, y)))
     bins = ((elevations + 90) / BIN_DEG).astype(np.intp)
@@ -224,8 +201,7 @@ def _averaged(histogram: Double, width: int) -> Double:
 MAX_TILT_DEG = 8.0
 """Largest angle between the ground's normal and z of a sensor that stands upright; real ones had up
 to 5°. A vehicle stands on its street, however steep that is."""
-UPSIDE_DOWN_DEG = 155.0
-"""Least angle of a ground above the sensor."""
+UPSIDE_DOWN_DEG = 155.0  # Least angle of a ground above the sensor
 SUPPORT = 1.5
 """Factor by which a tilted ground must have more points than the best one that is not."""
 SUPPORT_OF_CEILING = 4.0
@@ -245,14 +221,12 @@ DIGITS = 3
 
 
 def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor with the direction up and the origin of scans where they differ much.
-
-    Its own mounting, of other scans, is forgotten. The direction up changes where the ground of
-    most scans is tilted by more than `MAX_TILT_DEG`, the heading as little as that allows. The
-    origin changes where most scans show no ground at a height of `HEIGHTS_M`, as in the frame
-    of a vehicle: to the place that the beams come from, if that is seen; else to the usual height
-    if the ground passes through the origin, where no sensor can be.
-    """
+    """Return the sensor with the direction up and the origin of scans where they differ much."""
+    # Its own mounting, of other scans, is forgotten. The direction up changes where the ground of
+    # most scans is tilted by more than `MAX_TILT_DEG`, the heading as little as that allows. The
+    # origin changes where most scans show no ground at a height of `HEIGHTS_M`, as in the frame of
+    # a vehicle: to the place that the beams come from, if that is seen; else to the usual height if
+    # the ground passes through the origin, where no sensor can be.
     sensor = replace(sensor, up=UP, origin=ORIGIN)
     grounds = [ground for scan in scans if (ground := ground_of(scan))]
     tilted = [ground.up for ground in grounds if ground.tilt_deg > MAX_TILT_DEG]
@@ -288,11 +262,7 @@ def _place(
 
 
 def ground_of(scan: Scan) -> Ground | None:
-    """Find the ground in a scan, from some of its points.
-
-    A tilted one must be likelier than the best level one, and at the height of a sensor on a
-    vehicle, or pass through the origin; much likelier if it could be the ceiling of a room.
-    """
+    """Find the ground in a scan; if tilted, it must be likelier than the best level one."""
     points = _finite(few_points(scan))
     ground = find_ground(points)
     if ground is None or ground.tilt_deg <= MAX_TILT_DEG:

@@ -35,16 +35,14 @@ from salsanext_cli.geometry.projection import (
     in_sensor_frame,
     measured_ranges,
 )
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Double, Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 
 NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)
 """Elevations between which points are counted. Below them every beam meets the ground, wherever the
 sensor is; above, it may meet the sky."""
-VIEW = (0.01, 0.99)
-"""Quantiles of the elevation that describe a view."""
-MIN_POINTS = 100
-"""Fewest points of which a check says something."""
+VIEW = (0.01, 0.99)  # Quantiles of the elevation that describe a view
+MIN_POINTS = 100  # Fewest points of which a check says something
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +110,7 @@ MEDIAN_RANGES_M = (0.3, 250.0)
 """Least and largest median range of a scan in metres; real scans had 4 to 32."""
 USUAL_RANGES_M = (60.0, 300.0)
 """Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
-MAX_VIEW_DEG = 120.0
-"""Largest usual field of view; that of sensors was 90° or less."""
+MAX_VIEW_DEG = 120.0  # Largest usual field of view; that of sensors was 90° or less
 MIN_MEASURED = 0.4
 """Least usual share of the points with a measurement; organised clouds had 0.55 or more."""
 MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
@@ -139,10 +136,7 @@ def upper_intensity(intensity: Float) -> float:
 def intensity_findings(
     bright: float, reason: str, sensor: Sensor, trained: Sensor, fitting: bool
 ) -> Iterator[Finding]:
-    """Compare an upper intensity with that of scans matched with, of training, or with 0 to 1.
-
-    `reason` says why the values are no intensity, if so.
-    """
+    """Compare an upper intensity with what is expected; `reason` says why it is none, if so."""
     matched = sensor.intensity_quantiles
     if reason:
         found = reason if matched else f"{reason}; the network takes it as it is"
@@ -229,7 +223,7 @@ def check_scan(
     return ScanCheck(tuple(findings), traits, ego_share)
 
 
-def _require_metres(path: Path, count: int, ranges: npt.NDArray[np.float64]) -> None:
+def _require_metres(path: Path, count: int, ranges: Double) -> None:
     if count >= MIN_POINTS and not len(ranges):
         found = f"none of its {count} points is a measurement"
         raise FormatError(path, found, "finite coordinates around the sensor")
@@ -248,13 +242,10 @@ def _require_metres(path: Path, count: int, ranges: npt.NDArray[np.float64]) -> 
 def _sines(points: Float) -> Float:
     """Return the sines of elevation of points (N, 3), (N,)."""
     ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
-    sines: Float = (points[:, 2] / np.maximum(ranges, np.finfo(np.float32).tiny)).clip(-1, 1)
-    return sines
+    return (points[:, 2] / np.maximum(ranges, np.finfo(np.float32).tiny)).clip(-1, 1)
 
 
-def _of_units(
-    ranges: npt.NDArray[np.float64], measured: float, sensor: Sensor
-) -> Iterator[Finding]:
+def _of_units(ranges: Double, measured: float, sensor: Sensor) -> Iterator[Finding]:
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
         found = f"a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"

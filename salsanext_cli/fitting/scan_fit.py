@@ -35,15 +35,13 @@ log = logging.getLogger(__name__)
 Scans = Sequence[ScanFile | Scan]
 Result = TypeVar("Result")
 
-MAX_SCANS = 16
-"""Scans that a fit reads, evenly spaced among all of a source."""
+MAX_SCANS = 16  # Scans that a fit reads, evenly spaced among all of a source
 FITTED = ("name", "fov_up", "fov_down", "up", "origin")
 """Fields of a sensor that a fit of the view changes."""
 VIEW_TOLERANCES = {"fov_up": 5.0, "fov_down": 5.0, "up": 0.1, "origin": 0.5}
 """Differences in degrees, of a unit vector, and in metres, that fits to scans of one sensor have;
 those to halves of drives of nuScenes and to single scans differed by up to 5 degrees."""
-EGO = ("min_range", "ego_box")
-"""Fields that it finds unless they are told."""
+EGO = ("min_range", "ego_box")  # Fields that it finds unless they are told
 INTENSITIES = ("auto", "match", "raw", "none")
 
 
@@ -131,11 +129,7 @@ def _usable(function: Callable[[Any], Result], items: Iterable[Any]) -> list[Res
 def fit_scans(
     settings: NetworkSettings, network: Network, sample: ScanSample, earlier: Sensor | None = None
 ) -> Network:
-    """Return the network for the scans: view, intensity and gaps between the rows of their sensor.
-
-    `network`: what the settings load; `earlier`: sensor of earlier results in the same folder; what
-    was fitted then stays.
-    """
+    """Return the network, as loaded, for the scans; what was fitted for `earlier` results stays."""
     method, trained = _method(settings, network), network.card.sensor
     if sample.image_of is None:
         view = fitted_view(sample, network.sensor, earlier, view=settings.fits_view)
@@ -166,10 +160,8 @@ def fit_scans(
 def fitted_view(
     scans: Scans | ScanSample, sensor: Sensor, earlier: Sensor | None = None, *, view: bool = True
 ) -> Sensor:
-    """Return the sensor as `fit_view` fits it to scans, evenly spaced, and say so.
-
-    Without `view`, only as `fit_ego` does. That of earlier results in the same folder stays.
-    """
+    """Return the sensor as `fit_view` fits it to scans, evenly spaced, and say so."""
+    # Without `view`, only as `fit_ego` does. That of earlier results in the same folder stays.
     sample = scans if isinstance(scans, ScanSample) else ScanSample(scans, sensor)
     sought = [name for name in EGO if getattr(sensor, name) is None]
     if not (view or sought):
@@ -204,10 +196,7 @@ def _method(settings: NetworkSettings, network: Network) -> str:
 
 
 def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, Any]:
-    """Return what was asked for that labels depend on, besides weights and scans, by option.
-
-    `network`: what the settings load, before any fit.
-    """
+    """Return by option what labels depend on besides weights and scans, before any fit."""
     view = (settings.named_sensor() or network.card.sensor).view() | {"fit": settings.fits_view}
     asked = {
         "--min-range": view.pop("min_range", None),
@@ -243,11 +232,7 @@ def network_of_run(
     overwrite: bool = False,
     image_of: Callable[[ScanFile], Float] | None = None,
 ) -> Network:
-    """Return a network fitted to the scans of a run.
-
-    `files` and `image_of` are as `ScanSample` takes them. What earlier results in the output folder
-    were made with stays, unless they are to be replaced.
-    """
+    """Return a network fitted to a run's scans, as earlier results in its folder were made."""
     earlier = None if overwrite else StageRecords(out).settings_with(network.engine.sha256)
     sensor = Sensor.from_dict(earlier.table("sensor"), earlier.path) if earlier else None
     sample = ScanSample(files, network.sensor, image_of)

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.fitting.mounting_fit import fit_mounting, ground_of
 from salsanext_cli.fitting.scan_checks import LARGEST_SHARE_OUTSIDE, share_outside
@@ -15,7 +14,7 @@ from salsanext_cli.geometry.projection import (
     medians_of_rings,
     without_ego,
 )
-from salsanext_cli.records import LARGEST, Float, Scan
+from salsanext_cli.records import LARGEST, Double, Float, Indices, Int, Mask, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, MAX_BEAMS, ORIGIN, UP, Sensor
 
 MIN_RANGE_OF_BEAMS_M = 1.0
@@ -24,28 +23,22 @@ STEP_DEG = 0.01
 SMOOTHINGS_DEG = (0.2, 0.1)
 """Half the widths of the Hann windows that smooth the histogram: dense beams need the
 second, which takes noise for beams elsewhere."""
-MIN_GAIN = 0.005
-"""Least gain of a narrower window, as a share of the points close to a beam."""
+MIN_GAIN = 0.005  # Least gain of a narrower window, as a share of the points close to a beam
 MAX_VALLEY = 0.5
 """Largest share of the lower of two maxima that the histogram falls to between two beams."""
-MIN_WEIGHT = 0.15
-"""Least weight of a beam, as a share of that of one beside it."""
+MIN_WEIGHT = 0.15  # Least weight of a beam, as a share of that of one beside it
 MIN_SHARE = 0.75
 """Least share of the points within a quarter of the distance to the next beam; evenly spread
 elevations have a half."""
 DIGITS = 2
 
-Array = npt.NDArray[np.float64]
-
 
 def fit_beams(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
-    """Return the elevations of the beams in degrees from top to bottom, none if not discernible.
-
-    Where all scans know rings, they are the medians of these. Otherwise they are the maxima of the
-    histogram of elevations; points count by their range, since near ones are seen from beside the
-    origin. Scans whose motion was taken out, or whose beams start far from the origin as those of
-    an HDL-64, have no clear maxima.
-    """
+    """Return the elevations of the beams in degrees from top to bottom, none if not discernible."""
+    # Where all scans know rings, they are the medians of these. Otherwise they are the maxima of
+    # the histogram of elevations; points count by their range, since near ones are seen from beside
+    # the origin. Scans whose motion was taken out, or whose beams start far from the origin as
+    # those of an HDL-64, have no clear maxima.
     elevations, ranges, rings = [np.empty(0)], [np.empty(0)], [np.empty(0, np.int32)]
     for scan in scans:
         sines, distance, measured = _sines(scan, sensor)
@@ -62,21 +55,15 @@ def fit_beams(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
     return beams if 2 <= len(beams) <= MAX_BEAMS else ()
 
 
-def _sines(scan: Scan, sensor: Sensor) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Return sine of elevation and range (M,) of points with a measurement; which these are, (N,).
-
-    Points of housing and vehicle are none.
-    """
+def _sines(scan: Scan, sensor: Sensor) -> tuple[Double, Double, Mask]:
+    """Return sines of elevation and ranges (M,) of the measured points, and which these are."""
     points = without_ego(scan, sensor).points
     ranges, measured = measured_ranges(points, float(LARGEST))
     return points[measured, 2] / ranges[measured], ranges[measured], measured
 
 
-def _of_rings(elevation: Array, ring: npt.NDArray[np.int32]) -> Array:
-    """Return the medians of rings, rising; none if the points of a ring differ too much.
-
-    Columns of that name, or rows of organised clouds, may hold something else.
-    """
+def _of_rings(elevation: Double, ring: Int) -> Double:
+    """Return the medians of rings, rising; none if they seem to hold something else."""
     elevation, ring = elevation[ring >= 0], ring[ring >= 0]
     medians = medians_of_rings(elevation, ring)
     beams = np.sort(medians[np.isfinite(medians)])
@@ -86,7 +73,7 @@ def _of_rings(elevation: Array, ring: npt.NDArray[np.int32]) -> Array:
     return beams if np.median(away) < (beams[-1] - beams[0]) / len(beams) else np.empty(0)
 
 
-def _of_histogram(elevation: Array, weight: Array) -> Array:
+def _of_histogram(elevation: Double, weight: Double) -> Double:
     """Return the maxima of the histogram, rising; none if the elevations lie between them too."""
     bins = round(180 / STEP_DEG)
     histogram = np.histogram(elevation, bins, (-90, 90), weights=weight)[0]
@@ -101,7 +88,7 @@ def _of_histogram(elevation: Array, weight: Array) -> Array:
     return beams
 
 
-def _of_maxima(beams: Array, elevation: Array, weight: Array) -> tuple[float, Array]:
+def _of_maxima(beams: Double, elevation: Double, weight: Double) -> tuple[float, Double]:
     """Return beams (B,) but for weak ones, after the share of the points that are close to one."""
     while len(beams) >= 2:
         nearest = np.searchsorted((beams[1:] + beams[:-1]) / 2, elevation)
@@ -117,7 +104,7 @@ def _of_maxima(beams: Array, elevation: Array, weight: Array) -> tuple[float, Ar
     return 0.0, beams
 
 
-def _maxima(values: Array) -> npt.NDArray[np.intp]:
+def _maxima(values: Double) -> Indices:
     """Return the places of maxima between which the values fall to `MAX_VALLEY` of the lower."""
     rises = (values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:])
     places: list[int] = []
@@ -139,13 +126,10 @@ MIN_RANGE_M = 1.0
 """Range below which only housing and mount were seen, of four vehicles; the street began at 1.3."""
 SHARE_OF_HEIGHT = 0.8
 """Largest minimum range, as a share of the height above the ground: a low sensor sees its floor."""
-LEAST_HEIGHT_M = 0.1
-"""Least height of a sensor above what can be the ground that it stands on."""
-FARTHEST_M = 3.0
-"""Farthest body of a vehicle that is sought."""
+LEAST_HEIGHT_M = 0.1  # Least height of a sensor above what can be the ground that it stands on
+FARTHEST_M = 3.0  # Farthest body of a vehicle that is sought
 MIN_SCANS = 5
-AZIMUTHS, ELEVATIONS = 120, 120
-"""Cells around, and from straight down to straight up."""
+AZIMUTHS, ELEVATIONS = 120, 120  # Cells around, and from straight down to straight up
 MIN_CELLS = 5
 """Fewest cells of a body; of SemanticKITTI's car, which is not seen, was one by chance."""
 CENTRES = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS - 0.5) * np.pi
@@ -156,8 +140,7 @@ SEEN, STAYS = 0.9, 0.8
 range stays."""
 MOVING = 0.15
 """Largest share of the farther cells above the ground whose range stays, if the vehicle moves."""
-ABOVE_GROUND_M = 0.4
-"""Height above the ground of what is not the ground."""
+ABOVE_GROUND_M = 0.4  # Height above the ground of what is not the ground
 MARGIN_M = 0.05
 WIDEST_M = 2.6
 """Largest of the lesser of length and width of a vehicle; wider is something beside it, and so is
@@ -165,12 +148,10 @@ what begins more than `MIN_RANGE_M` from the axis of the sensor."""
 
 
 def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor with `min_range` and `ego_box` where they are None: to be found.
-
-    The minimum range is `MIN_RANGE_M`, less where the sensor is lower than usual above the ground.
-    The box is empty where the scans do not tell it: fewer than `MIN_SCANS` of one drive, or those
-    of a vehicle that stands.
-    """
+    """Return the sensor with `min_range` and `ego_box` where they are None: to be found."""
+    # The minimum range is `MIN_RANGE_M`, less where the sensor is lower than usual above the
+    # ground. The box is empty where the scans do not tell it: fewer than `MIN_SCANS` of one drive,
+    # or those of a vehicle that stands.
     least, box = sensor.min_range, sensor.ego_box
     if least is not None and box is not None:
         return sensor
@@ -218,7 +199,7 @@ def _ego_box(scans: Sequence[Scan], height: float) -> tuple[float, ...]:
     return tuple(np.concatenate([lowest, highest]).astype(np.float64).round(DIGITS).tolist())
 
 
-def _in_cells(points: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+def _in_cells(points: Float) -> tuple[Indices, Double]:
     """Return the cell and the range of each point (N, 3); infinite below `MIN_RANGE_M`."""
     ranges, measured = measured_ranges(points)
     usable = measured & (ranges >= MIN_RANGE_M)
@@ -230,15 +211,13 @@ def _in_cells(points: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float
     return cells, np.where(usable, ranges, np.inf)
 
 
-OUTLIERS = 0.001
-"""Share of the points above, and of those below, that no view needs to show."""
+OUTLIERS = 0.001  # Share of the points above, and of those below, that no view needs to show
 SHOWN = 0.85
 """Least share of the points that a fitted view shows; the whole view of a sensor that sees far up
 and down would make objects much lower in the image than those of training."""
 MOST_ENLARGED = 1.2
 """Largest extent of a view of all points that is taken as it is, as a multiple of training's."""
-PLACES = 400
-"""Places of a view of given extent that are tried."""
+PLACES = 400  # Places of a view of given extent that are tried
 NEARLY = 0.999
 """Share of the most points in a view at which another is as good; of these, the middle one."""
 MIN_VIEW_DEG = 1.0
@@ -246,13 +225,11 @@ MIN_POINTS = 1000
 
 
 def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor of weights with the view and mounting of scans where they differ much.
-
-    Points of housing and vehicle are left out, as `fit_ego` finds them. The mounting changes as
-    `fit_mounting` says, the view where more than `LARGEST_SHARE_OUTSIDE` of all points lie
-    outside. Size and normalisation of the range images stay. Of the labelled scans of three
-    sensors, this was never worse than the view of the weights.
-    """
+    """Return the sensor of weights with the view and mounting of scans where they differ much."""
+    # Points of housing and vehicle are left out, as `fit_ego` finds them. The mounting changes as
+    # `fit_mounting` says, the view where more than `LARGEST_SHARE_OUTSIDE` of all points lie
+    # outside. Size and normalisation of the range images stay. Of the labelled scans of three
+    # sensors, this was never worse than the view of the weights.
     sensor = fit_ego(scans, fit_mounting(scans, sensor))
     sines = np.concatenate([np.empty(0), *(_sines(scan, sensor)[0] for scan in scans)])
     if share_outside(sines, sensor) <= LARGEST_SHARE_OUTSIDE or len(sines) < MIN_POINTS:
@@ -264,12 +241,10 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     return replace(sensor, name=FITTED_NAME, fov_up=round(upper, 2), fov_down=round(lower, 2))
 
 
-def _view(elevations: npt.NDArray[np.float64], extent: float) -> tuple[float, float]:
-    """Return the edges, lower first, of a view of elevations (N,) that rise, in degrees.
-
-    It shows all points if it then is about as large as that of training; otherwise it is as large
-    as that, or larger until it shows `SHOWN` of the points.
-    """
+def _view(elevations: Double, extent: float) -> tuple[float, float]:
+    """Return lower and upper edge in degrees of a view of elevations (N,) that rise."""
+    # Of all points, if it then is about as large as that of training; else as large, or larger
+    # until it shows `SHOWN` of the points.
     lowest, highest = map(float, np.quantile(elevations, (OUTLIERS, 1 - OUTLIERS)))
     if highest - lowest <= MOST_ENLARGED * extent:
         return lowest, highest

@@ -21,8 +21,7 @@ CLOUD_SUFFIXES = (
 """Suffixes of files that are scans wherever they lie; longer ones first: they decide the stem."""
 TABLE_SUFFIXES = (".npy", ".npz", ".csv", ".txt", ".asc", ".pts")
 """Suffixes of files that often are something else, in the order in which a folder is searched."""
-SCAN_SUFFIXES = (*CLOUD_SUFFIXES, *TABLE_SUFFIXES)
-"""Suffixes of scans, upper or lower case."""
+SCAN_SUFFIXES = (*CLOUD_SUFFIXES, *TABLE_SUFFIXES)  # Suffixes of scans, upper or lower case
 
 
 def scan_suffix(name: str) -> str:

@@ -19,17 +19,13 @@ from salsanext_cli.formats.columns import Columns, rows_as_rings
 POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's names of the types of a field."""
-INDEX_ENTRY = struct.Struct("<QQ")
-"""Time and place of a message, in the index of an MCAP chunk."""
+INDEX_ENTRY = struct.Struct("<QQ")  # Time and place of a message, in the index of an MCAP chunk
 EXPECTED, REMEDY = "a ROS bag", "mend it by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`"
 
 
 def columns_of(message: Any, path: Path) -> Columns:
-    """Return the values (N,) of each field of one value per point, as views into the message.
-
-    Of two fields of one name, the first counts. Rows may be padded, points too; those of an
-    organised cloud follow row by row, which is their ring, unless a field says otherwise.
-    """
+    """Return the values (N,) of each field of one value per point, as views into the message."""
+    # Of two fields of one name, the first counts. Rows and points may be padded.
     height, width, step = message.height, message.width, message.point_step
     row_step = message.row_step if height > 1 else width * step
     order = ">" if message.is_bigendian else "<"

@@ -12,13 +12,11 @@ from salsanext_cli.errors import FormatError, counted, shortened
 from salsanext_cli.records import Float, Int, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import MAX_BEAMS, UNUSED_COLUMN
 
-Columns = Mapping[str, npt.NDArray[Any]]
-"""Values by name, each (N,)."""
+Columns = Mapping[str, npt.NDArray[Any]]  # Values by name, each (N,)
 
 INTENSITY_NAMES = ("intensity", "scalar_intensity", "reflectivity", "reflectance", "remission", "i")
 """Names of the intensity, in lower case; the first one found counts."""
-RING = "ring"
-"""Name of the number of the beam."""
+RING = "ring"  # Name of the number of the beam
 MAX_RING = 4095
 MAX_SHOWN_CHARACTERS = 300
 USUAL_COLUMNS = ("x", "y", "z", "intensity")

@@ -19,20 +19,17 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import ring_of, scan_of, unnamed_columns
-from salsanext_cli.records import Float, Scan, normalised_intensity
+from salsanext_cli.formats.columns import USUAL_COLUMNS, ring_of, scan_of, unnamed_columns
+from salsanext_cli.records import Double, Float, Indices, Mask, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
-COLUMNS = 4
-"""x, y, z in metres, remission."""
-COLUMNS_WITH_RING = 5
-"""x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes."""
+COLUMNS = 4  # x, y, z in metres, remission
+COLUMNS_WITH_RING = 5  # x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes
 GZIP_SUFFIX = ".gz"
 MAX_DECOMPRESSED_BYTES = 1 << 28
 """Sixteen million points; a file of some hundred kilobytes could fill the memory otherwise."""
 ANEW = "write it anew as float32 x, y, z, intensity"
-MAX_CLASS = 0xFFFF
-"""Largest label of four bytes without an instance."""
+MAX_CLASS = 0xFFFF  # Largest label of four bytes without an instance
 
 
 def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
@@ -41,7 +38,7 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
     width = len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS)
     values, size = _read_floats(path, width)
     if count := evident_count(values, width):
-        raise _other_count(path, values, count, width)
+        raise _other_count(path, count, width)
     if size % (4 * width):
         remedy = "it is cut off or of another kind"
         raise FormatError(path, f"{size} bytes", _expected(width), remedy)
@@ -94,15 +91,11 @@ def _expected(width: int) -> str:
     return f"a multiple of {4 * width} ({width} float32 per point)"
 
 
-def _other_count(path: Path, values: Float, count: int, expected: int) -> FormatError:
-    """Return the error of a file of another number of columns, with the names to try."""
-    names = likely_names(values[: len(values) // count * count].reshape(-1, count))
-    if names is None:
-        found = f"holds records of {4 * count} bytes, not all float32"
-        return FormatError(path, found, f"{expected} float32 per point", ANEW)
-    remedy = f"name its columns, with --columns {','.join(names)} for example"
-    suffix = {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count)
-    if suffix and "intensity" in names[3:4]:
+def _other_count(path: Path, count: int, expected: int) -> FormatError:
+    """Return the error of a file of another number of columns, with names to try."""
+    names = ",".join((*USUAL_COLUMNS, *count * [UNUSED_COLUMN])[:count])
+    remedy = f"name its columns, with --columns {names} for example"
+    if suffix := {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count):
         remedy = f"give it the suffix {suffix}, or {remedy}"
     return FormatError(path, f"holds {count} columns", f"{expected} float32 per point", remedy)
 
@@ -185,8 +178,7 @@ MAGIC = {
 }
 """Suffixes of other formats by the bytes that their files begin with."""
 TEXT_SUFFIX = ".csv"
-TEXT_BYTES = 4096
-"""Size of the start of a file that shows whether it is text."""
+TEXT_BYTES = 4096  # Size of the start of a file that shows whether it is text
 MIN_TEXT_BYTES = 256
 """Size from which on float32 values hold some of the bytes that do not occur in text."""
 MIN_ASCII_BYTES = 16
@@ -200,8 +192,7 @@ LEAST_POSSIBLE_SHARE = 0.5
 LEAST_POSSIBLE_SHARE_OF_LOW = 0.42
 """The same of every second float32, of which a scanner of one plane has half, z, equal to 0."""
 LEAST_POSSIBLE_SHARE_OF_FLOAT64 = 0.9
-SAMPLE = 4096
-"""Rows that are looked at, evenly spaced."""
+SAMPLE = 4096  # Rows that are looked at, evenly spaced
 
 
 def other_suffix(start: bytes) -> str | None:
@@ -213,12 +204,9 @@ def other_suffix(start: bytes) -> str | None:
 
 
 def are_float64(values: Float) -> bool:
-    """Say whether float32 values (M,) of a file are the halves of float64 ones.
-
-    Then most are possible as float64 and most of their low halves are not as float32: those of
-    rounded decimals are random, those that were float32 before have one of eight values, of which
-    six are impossible.
-    """
+    """Say whether float32 values (M,) of a file are the halves of float64 ones."""
+    # Then most are possible as float64, and most of the low halves are not as float32: of rounded
+    # decimals they are random; of former float32 they have eight values, six of them impossible.
     if len(values) % 2:
         return False
     halves = np.ascontiguousarray(_sample(values.reshape(-1, 2)))
@@ -244,25 +232,19 @@ def _sample(rows: Float) -> Float:
     return rows[:: len(rows) // SAMPLE | 1]
 
 
-def are_possible(values: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+def are_possible(values: npt.NDArray[np.floating]) -> Mask:
     """Mark the magnitudes that a measurement may have; 0 and NaN are none."""
     # A NaN may signal.
     with np.errstate(invalid="ignore"):
         magnitudes = np.abs(values)
-        possible: npt.NDArray[np.bool_] = (magnitudes > LEAST) & (magnitudes < MOST)
-    return possible
+        return (magnitudes > LEAST) & (magnitudes < MOST)
 
 
-COUNTS = range(3, 17)
-"""Numbers of columns that are told apart."""
-BLOCKS = 32
-"""Places of a file that are looked at, evenly spaced."""
-ROWS = 64
-"""Rows of each that are looked at for their order."""
-VALUES = 128
-"""Values of each that are looked at for their kinds."""
-STEP_DEG = 5.0
-"""Largest difference in azimuth between points that a scanner measured in turn."""
+COUNTS = range(3, 17)  # Numbers of columns that are told apart
+BLOCKS = 32  # Places of a file that are looked at, evenly spaced
+ROWS = 64  # Rows of each that are looked at for their order
+VALUES = 128  # Values of each that are looked at for their kinds
+STEP_DEG = 5.0  # Largest difference in azimuth between points that a scanner measured in turn
 IN_TURN = 0.6
 """Least share of such points that shows the rows to be points; in real scans it is 0.8 or more, in
 tables read with another number of columns 0.34 or less."""
@@ -271,17 +253,12 @@ SHARE_OF_LARGEST = 0.6
 scans the right one has 0.97 or more, in tables of others 4 has 0.4 or less."""
 LEAST_EXPLAINED, LEAST_EXPLAINED_BY_CHANCE = 0.05, 40
 """Explained variance below which nothing is said; the second is by the number of values."""
-LEAST_VARIANCE = 0.005
-"""Variance of a property below which it is not looked at."""
-RANGE_LOG10 = 3.0
-"""Magnitudes count up to a factor of a thousand."""
+LEAST_VARIANCE = 0.005  # Variance of a property below which it is not looked at
+RANGE_LOG10 = 3.0  # Magnitudes count up to a factor of a thousand
 
 
 def evident_count(values: Float, expected: int) -> int | None:
-    """Return another number of columns than expected that a table evidently has, else None.
-
-    A part of the last row may be missing from its values (M,), row by row.
-    """
+    """Return another number of columns than expected that values (M,) evidently have, else None."""
     if len(values) < LEAST_EXPLAINED_BY_CHANCE:
         return None
     if _are_in_turn(values, expected):
@@ -299,32 +276,7 @@ def evident_count(values: Float, expected: int) -> int | None:
     return _padded_count(values, count) or count
 
 
-def likely_names(table: Float) -> tuple[str, ...] | None:
-    """Return names to try for the columns of a table (N, C) float32, None if some are no float32.
-
-    The intensity is the first column after the coordinates that varies and is never negative. Of
-    five columns, one of whole numbers beside it tells the beam.
-    """
-    rows = table[:: max(1, len(table) // (BLOCKS * VALUES))]
-    for column in rows.T:
-        values = column[np.isfinite(column) & (column != 0)]
-        if np.count_nonzero(are_possible(values)) < len(values) / 2:
-            return None
-    others = rows[:, 3:]
-    varies = (others != others[:1]).any(axis=0)
-    whole = varies & (others == np.rint(others)).all(axis=0)
-    positive = varies & ~(others < 0).any(axis=0)
-    names = [UNUSED_COLUMN] * others.shape[1]
-    if positive.any():
-        names[int(positive.argmax())] = "intensity"
-    if whole.tolist() == [True, False] and positive[1]:
-        names = ["ring", "intensity"]
-    elif names == ["intensity", UNUSED_COLUMN] and whole[1]:
-        names[1] = "ring"
-    return ("x", "y", "z", *names)
-
-
-def _places(count: int, length: int) -> npt.NDArray[np.intp]:
+def _places(count: int, length: int) -> Indices:
     """Return evenly spaced blocks of the indices of so many items, (BLOCKS, length or less)."""
     length = min(length, count)
     starts = np.linspace(0, count - length, BLOCKS).astype(np.intp)
@@ -332,10 +284,7 @@ def _places(count: int, length: int) -> npt.NDArray[np.intp]:
 
 
 def _are_in_turn(values: Float, columns: int) -> bool:
-    """Say whether rows of so many values are points in the order of a scanner's turn.
-
-    Rows without a measurement are left out.
-    """
+    """Say whether rows of so many values are points measured in the order of a scanner's turn."""
     rows = values[: len(values) // columns * columns].reshape(-1, columns)
     # A NaN may signal.
     with np.errstate(invalid="ignore"):
@@ -359,7 +308,7 @@ def _padded_count(values: Float, columns: int) -> int | None:
     return None
 
 
-def _properties(values: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.float64]]:
+def _properties(values: Float) -> tuple[Indices, Double]:
     """Return the places (K,) of a sample of values, and their properties (5, K)."""
     places = np.unique(_places(len(values), VALUES))
     with np.errstate(invalid="ignore"):
@@ -372,9 +321,7 @@ def _properties(values: Float) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.flo
     return places, np.stack([*kinds, magnitude]).astype(np.float64)
 
 
-def _explained(
-    places: npt.NDArray[np.intp], properties: npt.NDArray[np.float64], columns: int
-) -> float:
+def _explained(places: Indices, properties: Double, columns: int) -> float:
     """Return the mean share of the properties' variance that lies between columns (adjusted R²)."""
     index, count = places % columns, len(places)
     sizes = np.maximum(np.bincount(index, minlength=columns), 1)

@@ -34,12 +34,9 @@ LABEL_NAMES = (
 """Names of scalars that hold labels, in lower case, without the prefix."""
 OF_ASPRS = "classification"
 """Name of the scalar that holds classes of the ASPRS in LAS files, whoever made them."""
-PREFIX = "scalar_"
-"""Start of the names of scalars in what CloudCompare writes."""
-NO_VALUE = np.iinfo(np.int64).min
-"""Id of a point without a value, for which programs write NaN."""
-MAX_ID = 0xFFFFFFFF
-"""Largest number that a label file holds, the instance in its upper 16 bits."""
+PREFIX = "scalar_"  # Start of the names of scalars in what CloudCompare writes
+NO_VALUE = np.iinfo(np.int64).min  # Id of a point without a value, for which programs write NaN
+MAX_ID = 0xFFFFFFFF  # Largest number that a label file holds, the instance in its upper 16 bits
 Ids = npt.NDArray[np.int64]
 CLASS_BITS = 0xFFFF
 EXPECTED_MAP = "a mapping of a tool's ids to names or raw ids of the label space, such as 3: car"
@@ -55,10 +52,7 @@ class LabelledCloud:
 
 
 def read_labelled_cloud(path: Path, scalar: str | None = None) -> LabelledCloud:
-    """Read coordinates and labels of a PLY, PCD, LAS or LAZ file.
-
-    Without a `scalar`, the labels are the only one of the `LABEL_NAMES`.
-    """
+    """Read coordinates and labels, by default those of `LABEL_NAMES`, of a PLY, PCD, LAS or LAZ."""
     columns = READERS[path.suffix.lower()](path)
     columns = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
     points = coordinates(columns, path)
@@ -151,8 +145,7 @@ class LabelIds:
         found, index = np.unique(_classes(ids), return_inverse=True)
         of_class = [self.raw_of.get(i, self.unlabelled) for i in found.tolist()]
         instances = np.where(ids > 0, ids, 0) & ~CLASS_BITS
-        raw: RawIds = (np.array(of_class, np.int64)[index] | instances).astype(np.uint32)
-        return raw
+        return (np.array(of_class, np.int64)[index] | instances).astype(np.uint32)
 
     def described(self) -> str:
         """Return all known ids and their names in one line."""

@@ -20,8 +20,7 @@ from salsanext_cli.records import Scan
 
 PLACES = struct.Struct("<96xII")
 """Offset of the points, and number of the records of variable length before them, in a header."""
-RECORD_BYTES = 54
-"""Least size of a record of variable length."""
+RECORD_BYTES = 54  # Least size of a record of variable length
 COMPRESSED_SUFFIX = ".laz"
 MAX_POINTS_PER_BYTE = 16
 """Largest number of points for a byte of compressed data; of a LiDAR's each takes some bytes."""
@@ -29,8 +28,7 @@ INTENSITY_RANGE = 65535
 EXACT_INTENSITY = "scalar_intensity"
 """Extra dimension with the intensity as a float, which the standard one rounds to 16 bits."""
 ORIGIN_OF_DATE, DATE_BYTES = 90, 4
-FORMAT, VERSION = 7, "1.4"
-"""Point format with colours and 256 classes."""
+FORMAT, VERSION = 7, "1.4"  # Point format with colours and 256 classes
 COLOURS = ("red", "green", "blue")
 
 
@@ -164,8 +162,7 @@ CLASS_OF_NAME = {
     "lane-marking": 11,
 }
 """Classes that the ASPRS has, by name of the label."""
-LAST_STANDARD_CLASS = 22
-"""Last class that the ASPRS defines."""
+LAST_STANDARD_CLASS = 22  # Last class that the ASPRS defines
 FIRST_OWN_CLASS = 64
 """First class that the ASPRS leaves to the user: a raw id without another has this plus the id."""
 LAST_OWN_CLASS = 255
@@ -185,5 +182,4 @@ def classification(raw: RawIds, space: LabelSpace) -> npt.NDArray[np.uint8]:
     """Return the class of each point, (N,) uint8, for raw ids (N,) without instances."""
     ids, index = np.unique(raw, return_inverse=True)
     classes = [asprs_class(int(raw_id), space) for raw_id in ids]
-    of_points: npt.NDArray[np.uint8] = np.array(classes, np.uint8)[index]
-    return of_points
+    return np.array(classes, np.uint8)[index]

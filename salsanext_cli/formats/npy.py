@@ -13,10 +13,9 @@ from numpy.lib import format as npy
 
 from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.records import Float
+from salsanext_cli.records import Float, Mask
 
-MAX_HEADER_BYTES = 1024
-"""Largest header; that of an array with a few dimensions has 128."""
+MAX_HEADER_BYTES = 1024  # Largest header; that of an array with a few dimensions has 128
 ROUNDING = 0.01
 """Largest deviation of a sum over the classes from 1; that by float16 is a tenth of it."""
 
@@ -86,10 +85,7 @@ def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[
 
 
 def read_uncertainty(path: Path, count: int | None, highest: float = math.inf) -> Float:
-    """Read one kind of uncertainty of a scan's points, (count,) float32; NaN where there is none.
-
-    The `highest` possible value of a probability is 1.
-    """
+    """Read one kind of uncertainty, 0 to `highest`, (count,) float32; NaN where there is none."""
     values: Float = read_array(path, np.float32, (count,))
     bounded = math.isfinite(highest)
     found = f"below 0 or above {highest:g}" if bounded else "negative or infinite"
@@ -100,9 +96,7 @@ def read_uncertainty(path: Path, count: int | None, highest: float = math.inf) -
     return values
 
 
-def _require_all(
-    sound: npt.NDArray[np.bool_], path: Path, found: str, expected: str, remedy: str
-) -> None:
+def _require_all(sound: Mask, path: Path, found: str, expected: str, remedy: str) -> None:
     if not sound.all():
         count = len(sound) - int(sound.sum())
         raise FormatError(path, f"{found} at {count} of {len(sound)} points", expected, remedy)

@@ -15,12 +15,9 @@ from salsanext_cli.formats.columns import Columns, unnamed_columns
 from salsanext_cli.formats.npy import load_array
 
 EXPECTED = "a table (N, columns), or columns x, y, z, of numbers"
-TABLE_NAMES = ("points", "xyz")
-"""Names of the table in an archive of several."""
-USUAL_WIDTHS = range(3, 17)
-"""Lengths of the last axis of an array of points."""
-MAX_RATIO = 100
-"""Largest size of an archive's content, as a multiple of its own."""
+TABLE_NAMES = ("points", "xyz")  # Names of the table in an archive of several
+USUAL_WIDTHS = range(3, 17)  # Lengths of the last axis of an array of points
+MAX_RATIO = 100  # Largest size of an archive's content, as a multiple of its own
 
 
 def npy_columns(path: Path, names: tuple[str, ...]) -> Columns:

@@ -27,8 +27,7 @@ TYPES = {
 """numpy's type of each TYPE and SIZE."""
 PADDING = "_"
 MAX_HEADER_BYTES = 1 << 16
-LARGEST_RATIO = 264 / 3
-"""Largest compression ratio of LZF: three bytes stand for up to 264."""
+LARGEST_RATIO = 264 / 3  # Largest compression ratio of LZF: three bytes stand for up to 264
 
 
 class Header(NamedTuple):

@@ -43,10 +43,7 @@ def read_ply(path: Path, content: bytes) -> Any:
 
 
 def _require_room(content: bytes) -> None:
-    """Raise `ValueError` if the elements of a PLY file cannot all be in its content.
-
-    plyfile allocates whatever a header promises. Each element takes a byte or more, or else time.
-    """
+    """Refuse a PLY file that promises more than it holds: plyfile would allocate it."""
     end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
     if end < 0:
         raise ValueError("no PLY header")

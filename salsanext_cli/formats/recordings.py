@@ -19,11 +19,9 @@ from salsanext_cli.formats.ouster import OusterRecording
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf")
 """Suffixes of recordings that are files, upper or lower case."""
-METADATA = "metadata.yaml"
-"""File that makes a folder with `.db3` or `.mcap` files a ROS 2 bag."""
+METADATA = "metadata.yaml"  # File that makes a folder with `.db3` or `.mcap` files a ROS 2 bag
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
-MAX_SHOWN = 500
-"""Characters of a list of topics in an error."""
+MAX_SHOWN = 500  # Characters of a list of topics in an error
 
 
 def is_recording(path: Path) -> bool:
@@ -106,10 +104,7 @@ def recorded_columns(path: Path) -> Columns:
 
 
 def _opened(path: Path) -> tuple[Path, Recording, dict[str, str]]:
-    """Return the path of the recording of a path, the recording, and its topics by their folders.
-
-    It is kept open until another one is asked for.
-    """
+    """Return path and recording that a path is of, kept open, and its topics by their folders."""
     folder = recording_of(path)
     if folder is None:
         raise FormatError(path, "no such recording", "a recording or a scan in one")

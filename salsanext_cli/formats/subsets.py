@@ -19,8 +19,8 @@ from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats import kitti, las, numpy_scans, pcd, ply, scan_suffix, text
 from salsanext_cli.formats.bags import EXPECTED, POINT_CLOUD2, REMEDY, Bag, columns_of
+from salsanext_cli.records import Mask
 
-Mask = npt.NDArray[np.bool_]
 NUMBERS = re.compile(rb"(?m)^(\s*(?:WIDTH|POINTS|element\s+vertex)\s+)\d+")
 NUMBER_ALONE = re.compile(rb"(?m)^(\s*)\d+(?=\s*$)")
 ROWS_OF_PCD = re.compile(rb"(?m)^(\s*HEIGHT\s+)\d+")

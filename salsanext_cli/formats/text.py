@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.reading import reading
 from salsanext_cli.formats.columns import INTENSITY_NAMES, Columns, columns_of_width
 from salsanext_cli.formats.kitti import CONTROL, TEXT_BYTES
+from salsanext_cli.records import Double
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 COMMENT_MARKS = ("#", "//")
@@ -61,10 +61,7 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
 
 
 def layout_of(content: bytes, has_names: bool) -> Layout:
-    """Find the first point; the line before it without any number is a header.
-
-    A number alone is that of the points, and lines after it may be any text.
-    """
+    """Find the first point, after a header or a number alone and what text follows that."""
     at, names, count = 0, tuple[str, ...](), None
     while at < min(len(content), MAX_HEADER_BYTES):
         end = content.find(b"\n", at) + 1 or len(content)
@@ -103,7 +100,7 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _numbers(content: bytes, layout: Layout, used: tuple[int, ...]) -> npt.NDArray[np.float64]:
+def _numbers(content: bytes, layout: Layout, used: tuple[int, ...]) -> Double:
     """Return some columns of the table, (N, len(used)) float64."""
     body = content[layout.start :]
     if not body.strip():

@@ -19,14 +19,12 @@ from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.errors import LabelError, UsageError
 from salsanext_cli.options import KnnParameters
-from salsanext_cli.records import Float, Int, RangeImage
+from salsanext_cli.records import Float, Int, Mask, RangeImage
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 Candidates = npt.NDArray[np.int64]
-BLOCK = 256
-"""Number of points per block, which fits the fastest cache."""
-LAST = np.int64(2**63 - 256)
-"""Candidate farther than all others, with label 0."""
+BLOCK = 256  # Number of points per block, which fits the fastest cache
+LAST = np.int64(2**63 - 256)  # Candidate farther than all others, with label 0
 
 
 def candidates(parameters: KnnParameters, width: int) -> tuple[Int, Float]:
@@ -56,7 +54,6 @@ def knn_refine(
     pixel_labels: npt.ArrayLike,
     class_count: int = 20,
     parameters: KnnParameters = KnnParameters(),
-    device: str = "cpu",
 ) -> TrainIds:
     """Give every point a label by a vote of its nearest neighbours in the range image.
 
@@ -70,8 +67,6 @@ def knn_refine(
         C, the number of classes including the unlabelled class 0.
     parameters : KnnParameters
         Neighbourhood; the published one by default.
-    device : str
-        "cpu" (compiled by numba) or a torch device; the labels are the same.
 
     Returns
     -------
@@ -89,13 +84,6 @@ def knn_refine(
     ranges = _framed(np.where(empty, np.float32(np.inf), image.channels[0]), half, np.inf)
     labels = _framed(np.where(empty, np.uint8(0), labels), half, 0)
     offsets, weights = candidates(parameters, width)
-    if device != "cpu":
-        from salsanext_cli.geometry import knn_torch
-
-        points, votes = (image.pixel_of_point, image.point_range), (parameters.k, parameters.cutoff)
-        return knn_torch.refine(
-            *points, ranges, labels, width, half, offsets, weights, *votes, device
-        )
     pixel_of_point = argument(image.pixel_of_point, np.int32)
     point_range = argument(image.point_range, np.float32)
     frame = half * (width + 2 * half) + half
@@ -116,10 +104,7 @@ def knn_refine(
 
 
 def _framed(image: npt.NDArray[Scalar], half: int, beyond: float) -> npt.NDArray[Scalar]:
-    """Return the flattened image in a frame of `half` pixels, periodic in azimuth.
-
-    With it no step has to test for the border.
-    """
+    """Return the flat image in a frame of `half` pixels, periodic in azimuth, for steps beyond."""
     wide = np.pad(image, ((0, 0), (half, half)), mode="wrap")
     return np.pad(wide, ((half, half), (0, 0)), constant_values=beyond).reshape(-1)
 
@@ -143,7 +128,7 @@ def _checked_labels(image: RangeImage, labels: npt.NDArray[np.generic], count: i
 
 
 @compiled
-def mark_mixed(labels: TrainIds, first: int, offsets: Int, mixed: npt.NDArray[np.bool_]) -> None:
+def mark_mixed(labels: TrainIds, first: int, offsets: Int, mixed: Mask) -> None:
     """Write whether a pixel's window holds a label above 0 other than the pixel's own."""
     size = len(mixed)
     for i in range(size):
@@ -161,7 +146,7 @@ def refine_points(
     point_range: Float,
     ranges: Float,
     labels: TrainIds,
-    mixed: npt.NDArray[np.bool_],
+    mixed: Mask,
     width: int,
     half: int,
     offsets: Int,
@@ -206,11 +191,9 @@ def vote_of_block(
     cutoff: np.float32,
     voted: Int,
 ) -> None:
-    """Write the label of each point of a block by the vote of its neighbours.
-
-    A candidate is one integer, so that one comparison ranks it: from the highest bit the distance
-    (the bits of a float ≥ 0 are in its order), the place in the window, the label.
-    """
+    """Write the label of each point of a block by the vote of its neighbours."""
+    # A candidate is one integer, so that one comparison ranks it: from the highest bit the distance
+    # (the bits of a float ≥ 0 are in its order), the place in the window, the label.
     distance = np.empty(BLOCK, np.float32)
     distance_bits = distance.view(np.int32)
     label = np.empty(BLOCK, np.int32)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.files.optional_packages import import_open3d
-from salsanext_cli.records import Float
+from salsanext_cli.records import Double, Float, Indices, Mask
 
 TOLERANCE_M = 1e-3
 """Largest distance between a point and its copy; millimetres rounded per axis differ by 0.87."""
@@ -19,13 +19,11 @@ MAX_NEIGHBOURS = 16
 """Places that are looked at around a point, the nearest ones; no LiDAR resolves so many."""
 CLASS = np.uint32(0xFFFF)
 """Bits of a label that are the class; the others are the instance, 0 for none."""
-NO_INSTANCE = np.uint32(1 << 16)
-"""Above every instance."""
+NO_INSTANCE = np.uint32(1 << 16)  # Above every instance
 NOTHING = np.iinfo(np.int64).max
 """Lowest of no labels; the highest is -1, below it, while that of several is above."""
 
 Labels = npt.NDArray[np.uint32]
-Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +31,12 @@ class LabelTransfer:
     """Labels of points, taken from a labelled cloud."""
 
     labels: Labels  # (N,) uint32: 0 where `known` is not set
-    known: Bools  # (N,) bool: points that have a label of the cloud
-    ambiguous: Bools  # (N,) bool: points at which the cloud has several labels
-    exact: Bools  # (N,) bool: points of which a copy has the same coordinates
+    known: Mask  # (N,) bool: points that have a label of the cloud
+    ambiguous: Mask  # (N,) bool: points at which the cloud has several labels
+    exact: Mask  # (N,) bool: points of which a copy has the same coordinates
     # (U,) float64: distance of each point of the cloud that is a copy of none to the nearest point,
     # metres; infinite without any
-    unmatched: npt.NDArray[np.float64]
+    unmatched: Double
     cloud_points: int  # Number of points of the cloud with finite coordinates
 
     @property
@@ -47,7 +45,7 @@ class LabelTransfer:
         return int(self.exact.sum()) < int((~self.missing & ~self.exact).sum())
 
     @property
-    def missing(self) -> Bools:
+    def missing(self) -> Mask:
         """Points that the cloud lacks, (N,) bool."""
         return ~(self.known | self.ambiguous)
 
@@ -57,11 +55,9 @@ class LabelTransfer:
 
 
 def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfer:
-    """Give each point (N, 3) the label of its copy in a cloud (M, 3), in any order.
-
-    Copies have the same coordinates; of a point without any, all places of the cloud within
-    `TOLERANCE_M` are. If copies have different labels, the point has none.
-    """
+    """Give each point (N, 3) the label of its copy in a cloud (M, 3), in any order."""
+    # Copies have the same coordinates; of a point without any, all places of the cloud within
+    # `TOLERANCE_M` are. If copies have different labels, the point has none.
     finite = np.isfinite(points).all(axis=1)
     of_cloud = np.isfinite(cloud).all(axis=1)
     cloud, labels = cloud[of_cloud], labels[of_cloud]
@@ -87,12 +83,10 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
 
 
 def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTransfer:
-    """Return the labels that several clouds give to the same points.
-
-    Labels of different classes leave a point without any, unless one of them is `unlabelled`; of
-    the same class with different instances it has instance 0. Where a point has a copy of the same
-    coordinates in some cloud, neighbours of it in a cloud that is not rounded are no copies.
-    """
+    """Return the labels that several clouds give to the same points."""
+    # Labels of different classes leave a point without any, unless one of them is `unlabelled`; of
+    # the same class with different instances it has instance 0. Where a point has a copy of the
+    # same coordinates in some cloud, neighbours of it in a cloud that is not rounded are no copies.
     if len(parts) == 1:
         return parts[0]
     exact = np.any([part.exact for part in parts], axis=0)
@@ -117,7 +111,7 @@ def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTr
     return LabelTransfer(labels, known & ~ambiguous, ambiguous, exact, unmatched, clouds)
 
 
-def _places(points: Float) -> npt.NDArray[np.intp]:
+def _places(points: Float) -> Indices:
     """Return a number (K,) for each point, equal for equal coordinates."""
     order = np.lexsort(points.T)
     differs = (points[order[1:]] != points[order[:-1]]).any(axis=1)
@@ -127,7 +121,7 @@ def _places(points: Float) -> npt.NDArray[np.intp]:
 
 
 def _extremes(
-    places: npt.NDArray[np.intp], labels: Labels, count: int
+    places: Indices, labels: Labels, count: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return the lowest and the highest label at each of so many places."""
     lowest, highest = np.full(count, NOTHING), np.full(count, -1, np.int64)
@@ -143,17 +137,16 @@ def _nearby(points: Float, others: Float) -> npt.NDArray[np.int64]:
     search = _search(others)
     search.hybrid_index(TOLERANCE_M)
     index, *_ = search.hybrid_search(_tensor(points), TOLERANCE_M, MAX_NEIGHBOURS)
-    neighbours: npt.NDArray[np.int64] = index.numpy()
-    return neighbours
+    return index.numpy()
 
 
-def _nearest(points: Float, others: Float) -> npt.NDArray[np.float64]:
+def _nearest(points: Float, others: Float) -> Double:
     """Return the distance (K,) of each point to the nearest of others, metres."""
     if not (len(points) and len(others)):
         return np.full(len(points), np.inf)
     search = _search(others)
     search.knn_index()
-    squared: npt.NDArray[np.float64] = search.knn_search(_tensor(points), 1)[1].numpy()[:, 0]
+    squared: Double = search.knn_search(_tensor(points), 1)[1].numpy()[:, 0]
     return np.sqrt(squared)
 
 

@@ -15,20 +15,15 @@ from salsanext_cli.geometry.projection import drawn, measured_ranges
 from salsanext_cli.records import LARGEST, Float
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
 
-QUANTILE_DIGITS = 6
-"""Significant digits of a quantile."""
-BRIGHT = 0.95
-"""Quantile of the upper intensities, which tell the scale."""
-INTENSITY_FACTOR = 4.0
-"""Largest factor between the upper intensities of scans of one scale."""
+QUANTILE_DIGITS = 6  # Significant digits of a quantile
+BRIGHT = 0.95  # Quantile of the upper intensities, which tell the scale
+INTENSITY_FACTOR = 4.0  # Largest factor between the upper intensities of scans of one scale
 NO_INTENSITY = (0.0,) * INTENSITY_LEVELS
 """Quantiles that stand for scans without intensity: everything is mapped to the mean."""
-MIN_PIXELS = 1000
-"""Fewest pixels of a scan whose quantiles count, unless all scans have fewer."""
+MIN_PIXELS = 1000  # Fewest pixels of a scan whose quantiles count, unless all scans have fewer
 SAMPLE = 1024
 """Points of a scan that are looked at; few, so that neighbours in the sample are no neighbours."""
-MIN_POINTS = 100
-"""Fewest points with an intensity of which something is said."""
+MIN_POINTS = 100  # Fewest points with an intensity of which something is said
 LARGEST_UNUSABLE = 0.05
 """Largest share of points without a usable intensity; real scans had none."""
 LARGEST_EQUAL = 0.95
@@ -37,21 +32,15 @@ LARGEST_DEPENDENCE = 0.9
 """Largest `dependence` of an intensity on range, elevation, azimuth or order of the points: real
 ones had 0.51 or less, narrow sectors of a street 0.88; columns of ranges, rings and times had 0.95
 or more."""
-MAX_GAP = 6
-"""Most rows of a gap; larger ones are sky, or beams that returned nothing."""
-FILLED_ROWS = 2
-"""Rows within which a gap is filled: one more or less is worse on most scans."""
+MAX_GAP = 6  # Most rows of a gap; larger ones are sky, or beams that returned nothing
+FILLED_ROWS = 2  # Rows within which a gap is filled: one more or less is worse on most scans
 MORE_GAPS = 0.08
 """Difference to the gaps of training above which filling them makes labels better."""
 GAP_DIGITS = 4
 
 
 def network_input(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
-    """Return channels (5, H, W) of a sensor as weights that were trained on another take them.
-
-    Gaps and intensity become those of training where both sensors know theirs. Returns (1, 5, H, W)
-    float32.
-    """
+    """Return channels (5, H, W) as weights of another sensor take them, (1, 5, H, W) float32."""
     own, of_training = sensor.intensity_quantiles, trained.intensity_quantiles
     if own and of_training:
         channels = match_intensity(channels, own, of_training)
@@ -81,12 +70,10 @@ def noise_of(sensor: Sensor) -> tuple[float, float]:
 
 
 def match_intensity(channels: Float, source: Sequence[float], target: Sequence[float]) -> Float:
-    """Return a range image (5, H, W) with the quantiles of its intensity mapped to others.
-
-    Linearly between; a value at which several quantiles lie becomes the mean of theirs, so that
-    `NO_INTENSITY` makes everything the mean of the target. That is what becomes of an image
-    `without_intensity`, whatever the source. Empty pixels stay 0.
-    """
+    """Return a range image (5, H, W) with the quantiles of its intensity mapped to others."""
+    # Linearly between; a value at which several quantiles lie becomes the mean of theirs, so that
+    # `NO_INTENSITY` makes everything the mean of the target. That is what becomes of an image
+    # `without_intensity`, whatever the source. Empty pixels stay 0.
     occupied = np.flatnonzero(channels[0] > 0)
     if without_intensity(*_pixels(channels, occupied[drawn(len(occupied), SAMPLE)])):
         source = NO_INTENSITY
@@ -106,13 +93,11 @@ def on_other_scale(intensity: Float, source: Sequence[float], target: Sequence[f
 
 
 def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
-    """Return the quantiles of intensity, the mean of those of each range image.
-
-    Images of another scale than most, without intensity, and of fewer than `MIN_PIXELS` pixels
-    do not count beside others, so that a few odd scans leave the result as it is. Returns
-    `INTENSITY_LEVELS` floats that rise, `NO_INTENSITY` if no image has an intensity, nothing if
-    none has a pixel.
-    """
+    """Return the quantiles of intensity, the mean of those of each range image."""
+    # Images of another scale than most, without intensity, and of fewer than `MIN_PIXELS` pixels do
+    # not count beside others, so that a few odd scans leave the result as it is. Returns
+    # `INTENSITY_LEVELS` floats that rise, `NO_INTENSITY` if no image has an intensity, nothing if
+    # none has a pixel.
     seen = [_pixels(channels, np.flatnonzero(channels[0] > 0)) for channels in images]
     if not any(len(values) for _, values in seen):
         return ()
@@ -143,10 +128,7 @@ def bright_intensity(sensor: Sensor) -> float:
 
 
 def without_intensity(points: Float, intensity: Float) -> str:
-    """Say why the intensities (N,) of a scan tell nothing about its surfaces; nothing if they do.
-
-    `points` (N, 3), metres, are in the frame of the sensor, in the order of the file.
-    """
+    """Say why intensities (N,) of points (N, 3) in the order of a file are none, or nothing."""
     places = drawn(len(points), SAMPLE)
     points, intensity = points[places], intensity[places]
     ranges, measured = measured_ranges(points)
@@ -187,22 +169,17 @@ def _ranks(values: Float) -> npt.NDArray[np.int64]:
 
 
 def dependence(ranks: npt.NDArray[np.int64], on: npt.NDArray[np.number]) -> float:
-    """Return how far values, not all equal, are a function of others (N,), of whatever form.
-
-    Chatterjee's coefficient (arXiv 1909.10140), about 0 for independent values and 1 for a
-    function: 1 - N Σ |r(i+1) - r(i)| / (2 Σ l(i) (N - l(i))), the values ordered by the others; r
-    and l are the `_ranks`.
-    """
+    """Return how far values, not all equal, are a function of others (N,), of whatever form."""
+    # Chatterjee's coefficient (arXiv 1909.10140), about 0 for independent values and 1 for a
+    # function: 1 - N Σ |r(i+1) - r(i)| / (2 Σ l(i) (N - l(i))), the values ordered by the others; r
+    # and l are the `_ranks`.
     (up_to, from_on), count = ranks, len(on)
     steps = np.abs(np.diff(up_to[np.argsort(on, kind="stable")])).sum()
     return float(1 - count * steps / (2 * (from_on * (count - from_on)).sum()))
 
 
 def row_gaps(images: Iterable[Float]) -> float | None:
-    """Return the share of gaps among the pixels of points and gaps, None without a point.
-
-    A gap are up to `MAX_GAP` empty pixels between two of points in a column.
-    """
+    """Return the share of gaps, up to `MAX_GAP` empty pixels between two of points in a column."""
     gaps = occupied = 0
     for channels in images:
         full = channels[0] > 0

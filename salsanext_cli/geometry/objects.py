@@ -14,17 +14,15 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.compiled import argument, compiled
 from salsanext_cli.geometry.projection import pixels_from_points
-from salsanext_cli.records import Float, Int, RangeImage
+from salsanext_cli.records import Float, Int, Mask, RangeImage
 
 Objects = npt.NDArray[np.uint16]
-COLUMNS, ROWS = 6, 4
-"""Pixels to the right and below that may be neighbours."""
+COLUMNS, ROWS = 6, 4  # Pixels to the right and below that may be neighbours
 LARGEST_COSINE = np.float32(np.cos(np.radians(8.0)))
 """Of the angle between beam and line above which points are connected."""
 NEAR_M, FAR_M = np.float32(0.4), np.float32(1.5)
 """Distances below which points are connected at any angle, and above which at none."""
-MOST = np.iinfo(np.uint16).max
-"""Objects of a scan that have a number in 16 bits."""
+MOST = np.iinfo(np.uint16).max  # Objects of a scan that have a number in 16 bits
 SAME_M, MIN_POINTS = np.float32(1.0), 10
 """Largest difference in range to the pixel whose object a point joins; fewest points of one."""
 ANGLES_RAD = np.radians(np.arange(0.0, 90.0, 1.5))
@@ -35,11 +33,8 @@ NEAREST_M, MAX_FITTED = np.float32(0.05), 128
 """Distance below which points are equally close to a side; points of an object that are fitted."""
 
 
-def find_objects(image: RangeImage, labels: TrainIds, things: npt.NDArray[np.bool_]) -> Objects:
-    """Return the number of the object of each point, (N,) uint16 from 1; 0 for none.
-
-    `labels` (N,): train ids of the points; `things` (C,): classes that consist of objects.
-    """
+def find_objects(image: RangeImage, labels: TrainIds, things: Mask) -> Objects:
+    """Return the number of each point's object, (N,) uint16 from 1, of `things` (C,); else 0."""
     wanted = (np.arange(len(things), dtype=np.uint8) * things)[labels]
     seen = pixels_from_points(wanted, image.point_of_pixel)
     channels = argument(image.channels, np.float32)

@@ -24,18 +24,27 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
-from salsanext_cli.records import CHANNELS, LARGEST, Float, Int, RangeImage, Scan
+from salsanext_cli.records import (
+    CHANNELS,
+    LARGEST,
+    Double,
+    Float,
+    Indices,
+    Int,
+    Mask,
+    RangeImage,
+    Scan,
+)
 from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
 
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
 PI = np.float32(math.pi)
 TAN_22_5 = math.sqrt(2) - 1
-MAX_POINTS = 4096
-"""Points of a scan in a sample."""
+MAX_POINTS = 4096  # Points of a scan in a sample
 Value = TypeVar("Value", bound=np.generic)
 
 
-def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
+def project(scan: Scan, sensor: Sensor) -> RangeImage:
     """Project a scan onto the sensor's range image (paper eq. 1).
 
     A point has no pixel (index -1, range 0) if a coordinate is NaN or infinite, if it lies at the
@@ -48,23 +57,12 @@ def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
         N points; any number, none included.
     sensor : Sensor
         Field of view, image size and what to do with points out of view.
-    device : str
-        "cpu" (compiled by numba) or a torch device; the result is the same, bit for bit.
-
-    Returns
-    -------
-    RangeImage
-        NumPy arrays, whatever the device.
     """
     scan = without_ego(scan, sensor)
     up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
     height, width, count = sensor.height, sensor.width, len(scan)
     fov_down, fov = np.float32(down), np.float32(up - down)
     drop, rows = sensor.out_of_view == "drop", rows_of(scan, sensor)
-    if device != "cpu":
-        from salsanext_cli.geometry import projection_torch
-
-        return projection_torch.project(scan, fov_down, fov, height, width, drop, rows, device)
     view = (fov_down, fov, np.float32(height), np.float32(width), drop)
     points = argument(scan.points, np.float32).reshape(-1)
     intensity = argument(scan.intensity, np.float32)
@@ -97,13 +95,11 @@ def project(scan: Scan, sensor: Sensor, device: str = "cpu") -> RangeImage:
 
 
 def rows_of(scan: Scan, sensor: Sensor) -> Int | None:
-    """Return the row of each point, that of its beam; None where the sensor knows no beams.
-
-    Of B beams, number b from the top has row ``floor((b + ½) H / B)``. Points of one ring are of
-    the beam nearest to the median of their elevations; points without a ring are of the beam
-    nearest to their own. Returns (N,) int32 from 0 at the top, of an upright scan; points without
-    a measurement have any row.
-    """
+    """Return the row of each point, that of its beam; None where the sensor knows no beams."""
+    # Of B beams, number b from the top has row ``floor((b + ½) H / B)``. Points of one ring are of
+    # the beam nearest to the median of their elevations; points without a ring are of the beam
+    # nearest to their own. Returns (N,) int32 from 0 at the top, of an upright scan; points without
+    # a measurement have any row.
     if not sensor.beams:
         return None
     ranges, measured = measured_ranges(scan.points, float(LARGEST))
@@ -116,11 +112,10 @@ def rows_of(scan: Scan, sensor: Sensor) -> Int | None:
         known = measured & (scan.ring >= 0)
         medians = medians_of_rings(slopes[known], scan.ring[known])
         beam[known] = np.searchsorted(borders, -medians)[scan.ring[known]]
-    rows: Int = ((2 * beam + 1) * sensor.height // (2 * len(beams))).astype(np.int32)
-    return rows
+    return ((2 * beam + 1) * sensor.height // (2 * len(beams))).astype(np.int32)
 
 
-def medians_of_rings(values: npt.NDArray[np.float64], ring: Int) -> npt.NDArray[np.float64]:
+def medians_of_rings(values: Double, ring: Int) -> Double:
     """Return the median of the values (N,) of each ring, by number; NaN where it has none."""
     order = np.argsort(ring, kind="stable")
     numbers, starts = np.unique(ring[order], return_index=True)
@@ -132,12 +127,10 @@ def medians_of_rings(values: npt.NDArray[np.float64], ring: Int) -> npt.NDArray[
 
 @compiled
 def arctan2(y: float, x: float) -> float:
-    """Return atan2(y, x) within 1e-11, in float64 arithmetic alone.
-
-    The library's function differs in the last bit between platforms and cannot be vectorised. Here
-    the ratio of the smaller to the larger coordinate is brought below tan 22.5° by turning 45°;
-    there, 13 terms of atan t = t − t³/3 + t⁵/5 − … suffice.
-    """
+    """Return atan2(y, x) within 1e-11, in float64 arithmetic alone."""
+    # The library's function differs in the last bit between platforms and cannot be vectorised.
+    # Here the ratio of the smaller to the larger coordinate is brought below tan 22.5° by turning
+    # 45°; there, 13 terms of atan t = t − t³/3 + t⁵/5 − … suffice.
     steep = abs(y) > abs(x)
     small = abs(x) if steep else abs(y)
     large = abs(y) if steep else abs(x)
@@ -236,17 +229,11 @@ def pixels_from_points(
     """Give every pixel its nearest point's value: (N, …) to (H, W, …); else `empty`."""
     # Index -1 finds the value that is appended.
     last = np.full((1, *of_points.shape[1:]), empty, of_points.dtype)
-    of_pixels: npt.NDArray[Value] = np.concatenate([of_points, last])[point_of_pixel]
-    return of_pixels
+    return np.concatenate([of_points, last])[point_of_pixel]
 
 
-def measured_ranges(
-    points: Float, farthest: float = sys.float_info.max
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-    """Return the ranges (N,) float64 of points in metres, and which hold a measurement, (N,) bool.
-
-    The origin, NaN, infinity and ranges beyond the farthest are none.
-    """
+def measured_ranges(points: Float, farthest: float = sys.float_info.max) -> tuple[Double, Mask]:
+    """Return ranges (N,) float64 in metres, and which are measurements, finite and above 0."""
     with np.errstate(invalid="ignore"):  # of a signalling NaN
         x, y, z = np.square(points.T, dtype=np.float64)
         ranges = np.sqrt(x + y + z)
@@ -254,31 +241,26 @@ def measured_ranges(
 
 
 def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
-    """Return a number of points of a scan in their order, drawn alike; all if there are no more.
-
-    Of points in the order of a grid, every n-th could be of few beams or in few directions.
-    """
+    """Return some points of a scan in their order, drawn alike; all if there are no more."""
+    # Of points in the order of a grid, every n-th could be of few beams or in few directions.
     if len(scan) <= count:
         return scan
     places = drawn(len(scan), count)
     return Scan(scan.points[places], scan.intensity[places])
 
 
-def drawn(length: int, count: int) -> npt.NDArray[np.intp]:
+def drawn(length: int, count: int) -> Indices:
     """Return (count,) places in an array, rising, drawn alike; all if there are no more."""
     return np.arange(length) if length <= count else (_uniform(count) * length).astype(np.intp)
 
 
 @cache
-def _uniform(count: int) -> npt.NDArray[np.float64]:
+def _uniform(count: int) -> Double:
     return np.sort(np.random.default_rng(0).random(count))
 
 
 def in_sensor_frame(scan: Scan, sensor: Sensor) -> Scan:
-    """Return the scan moved from the sensor's `origin`, and turned so that its `up` is the z axis.
-
-    Points at the origin of the files are no measurements and stay none.
-    """
+    """Return the scan moved from the sensor's `origin`, and turned so that its `up` is z."""
     points = scan.points
     if sensor.origin != ORIGIN:
         points = points - np.array(sensor.origin, np.float32)
@@ -302,7 +284,7 @@ def without_ego(scan: Scan, sensor: Sensor) -> Scan:
     return replace(scan, points=points)
 
 
-def ego_points(points: Float, sensor: Sensor) -> npt.NDArray[np.intp]:
+def ego_points(points: Float, sensor: Sensor) -> Indices:
     """Return the indices of points (N, 3), in the sensor's frame, in `min_range` or `ego_box`."""
     nearest, box = sensor.min_range or 0.0, np.array(sensor.ego_box or ()).reshape(2, -1)
     reach = max(nearest, float(np.linalg.norm(np.abs(box).max(axis=0, initial=0))))
@@ -313,15 +295,12 @@ def ego_points(points: Float, sensor: Sensor) -> npt.NDArray[np.intp]:
     own = squares[near] < np.float32(nearest) ** 2
     if box.size:
         own |= ((points[near] >= box[0]) & (points[near] <= box[1])).all(axis=1)
-    of_vehicle: npt.NDArray[np.intp] = near[own]
-    return of_vehicle
+    return near[own]
 
 
-def upright_rotation(up: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the rotation that turns a direction (3,) to z and the direction ahead to x, (3, 3).
-
-    Ahead is the level part of x; of z in frames of cameras, with y down, and with x up or down.
-    """
+def upright_rotation(up: Double) -> Double:
+    """Return the rotation (3, 3) that turns a direction (3,) to z and the direction ahead to x."""
+    # Ahead is the level part of x; of z in frames of cameras, with y down, and with x up or down.
     up = up / np.linalg.norm(up)
     largest = int(np.abs(up).argmax())
     ahead = np.eye(3)[2 if largest == 0 or (largest == 1 and up[1] < 0) else 0]

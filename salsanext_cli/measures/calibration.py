@@ -14,10 +14,8 @@ import numpy as np
 from salsanext_cli.measures.histograms import CONFIDENCES, Histogram
 from salsanext_cli.measures.scores import Counts, Ratios, ratio
 
-POOLED_BINS = 15
-"""Number of bins of the pooled errors and of the diagram."""
-SCAN_BINS = 10
-"""Number of bins of the error of a single scan, as in Calib3D."""
+POOLED_BINS = 15  # Number of bins of the pooled errors and of the diagram
+SCAN_BINS = 10  # Number of bins of the error of a single scan, as in Calib3D
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,11 +76,7 @@ def reliability(counts: Counts, bin_count: int = POOLED_BINS) -> Reliability:
 
 
 def adaptive_error(counts: Counts, bin_count: int = POOLED_BINS) -> float:
-    """Return Σ_b |accuracy_b − confidence_b| / B over bins that hold equally many points each.
-
-    Points of one confidence that a border falls among are divided in proportion, right and wrong
-    alike. NaN without points.
-    """
+    """Return Σ_b |accuracy_b − confidence_b| / B over bins of equally many points, ties divided."""
     points = counts.sum(axis=0)
     held = points > 0
     if not held.any():

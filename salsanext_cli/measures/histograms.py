@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.measures.scores import Counts, Mask, Ratios
-from salsanext_cli.records import Float
+from salsanext_cli.records import Float, Indices
 
 SMALLEST_PROBABILITY = 2.0**-24
 """Least probability of the true class: the smallest float16 above 0.
@@ -32,8 +32,7 @@ LOWEST, HIGHEST = -48, 8
 """Exponents of two of the first and the last bin; uncertainties below are as good as 0."""
 UNCERTAINTY_BINS = 1 + (HIGHEST - LOWEST) * BINS_PER_OCTAVE
 """Number of bins: one for everything below the lowest, then 128 per octave; the last is open."""
-BFLOAT16_SHIFT = 16
-"""Bits of a float32 that a bfloat16 does not have."""
+BFLOAT16_SHIFT = 16  # Bits of a float32 that a bfloat16 does not have
 FIRST_KEY = int(np.float32(2.0**LOWEST).view(np.int32)) >> BFLOAT16_SHIFT
 
 
@@ -41,7 +40,7 @@ FIRST_KEY = int(np.float32(2.0**LOWEST).view(np.int32)) >> BFLOAT16_SHIFT
 class SoftmaxErrors:
     """Errors of the softmax of points, each (N,); NaN for points that have none."""
 
-    predicted: npt.NDArray[np.intp]  # The most probable class
+    predicted: Indices  # The most probable class
     wrong: Mask  # Whether the true class is another
     confidence: npt.NDArray[np.float16]  # The largest probability
     nll: Ratios  # Negative log-likelihood of the true class in nats, 0…16.6
@@ -63,14 +62,10 @@ def softmax_errors(probabilities: npt.NDArray[Any], truth: npt.NDArray[Any]) -> 
 
 
 def lack_of_confidence(probabilities: npt.NDArray[Any]) -> Float:
-    """Return 1 − the largest probability: (N, C) to (N,) float32, 0 … 1 − 1/C.
-
-    It is the sum of the others, which float16 resolves finely where 1 − 0.9999 would be 0.
-    """
+    """Return 1 − the largest probability, as the sum of the others: (N, C) to (N,) float32."""
     others = probabilities.astype(np.float32)
     others[np.arange(len(others)), others.argmax(axis=1)] = 0
-    rest: Float = np.einsum("nc->n", others)
-    return rest
+    return np.einsum("nc->n", others)
 
 
 def softmax_entropy(probabilities: npt.NDArray[Any]) -> Float:
@@ -96,8 +91,7 @@ class Histogram:
     @property
     def points(self) -> Counts:
         """Number of points of each group, (G,)."""
-        points: Counts = self.counts.sum(axis=(0, 2))
-        return points
+        return self.counts.sum(axis=(0, 2))
 
     def means(self, name: str) -> Ratios:
         """Divide a sum by the number of points of each group, (G,); NaN for one without points."""
@@ -128,10 +122,7 @@ class Histogram:
 def confidence_histogram(
     errors: SoftmaxErrors, group: npt.NDArray[Any], group_count: int
 ) -> Histogram:
-    """Count the points of a scan by confidence, in a bin for each of `CONFIDENCES`.
-
-    `group` (N,): group of each point, below `group_count`.
-    """
+    """Count points by group (N,) and by confidence, in a bin for each of `CONFIDENCES`."""
     bins = errors.confidence.view(np.uint16).astype(np.intp)
     known, shape = ~np.isnan(errors.confidence), (2, group_count, len(CONFIDENCES))
     return _histogram(shape, known, errors.wrong, group, bins, nll=errors.nll, brier=errors.brier)
@@ -147,11 +138,8 @@ def uncertainty_histogram(
 
 
 def error_histogram(error: npt.NDArray[Any], wrong: Mask) -> Histogram:
-    """Count the points of a scan by the probability that their label is wrong, (N,) or NaN.
-
-    The bins are `CONFIDENCES`, to which probabilities are rounded, and there is one group. "Wrong"
-    is what is claimed with this probability, so a point that is wrong counts as right here.
-    """
+    """Count points by the probability (N,) that their label is wrong, in bins of `CONFIDENCES`."""
+    # "Wrong" is what is claimed with this probability, so a wrong point counts as right here.
     shape, group = (2, 1, len(CONFIDENCES)), np.zeros(len(error), np.intp)
     bins = np.abs(error).astype(np.float16).view(np.uint16).astype(np.intp)
     return _histogram(shape, ~np.isnan(error), ~wrong, group, bins)
@@ -162,7 +150,7 @@ def _histogram(
     known: Mask,
     wrong: Mask,
     group: npt.NDArray[Any],
-    bins: npt.NDArray[np.intp],
+    bins: Indices,
     **values: Ratios,
 ) -> Histogram:
     """Count the known points of a scan, all arrays (N,)."""
@@ -174,7 +162,7 @@ def _histogram(
     return Histogram(counts, scan_sums, int(len(cell) > 0), len(known) - len(cell))
 
 
-def bin_of(uncertainty: npt.NDArray[Any]) -> npt.NDArray[np.intp]:
+def bin_of(uncertainty: npt.NDArray[Any]) -> Indices:
     """Return the bin of each uncertainty, from float32, same shape; NaN has none."""
     # The bit patterns of positive floats are in the order of the floats.
     key = uncertainty.astype(np.float32).view(np.int32) >> BFLOAT16_SHIFT

@@ -15,10 +15,8 @@ from salsanext_cli.measures.scores import Counts, Mask, Ratios, ious, plain, rat
 from salsanext_cli.results.layout import ScanFile
 
 RESAMPLES, SEED = 1000, 0
-MIN_SCANS = 5
-"""Fewer scans have no interval: their resamples are too much alike."""
-NAMED = 10
-"""Scans, and pairs of classes, that are named."""
+MIN_SCANS = 5  # Fewer scans have no interval: their resamples are too much alike
+NAMED = 10  # Scans, and pairs of classes, that are named
 
 
 class Difference(NamedTuple):
@@ -32,11 +30,9 @@ class Difference(NamedTuple):
 
 
 def paired_differences(sums: Counts, held: Mask) -> list[Difference]:
-    """Return the differences of accuracy, of the mean IoU of the held classes, and of each IoU.
-
-    `sums`: (S, 2, 3, C), `class_sums` of S scans by both runs. The scans of each resample are drawn
-    for both runs alike.
-    """
+    """Return the differences of accuracy, of the mean IoU of the held classes, and of each IoU."""
+    # `sums`: (S, 2, 3, C), `class_sums` of S scans by both runs. The scans of each resample are
+    # drawn for both runs alike.
     random, flat = np.random.default_rng(SEED), sums.reshape(len(sums), -1)
     totals = [flat.sum(axis=0)]
     for _ in range(RESAMPLES if len(sums) >= MIN_SCANS else 0):
@@ -123,8 +119,7 @@ class RunComparison:
     @cached_property
     def turned(self) -> Counts:
         """Points (C, C) of all scans by label of the first run and of the second."""
-        turned: Counts = np.sum([pair.turned for pair in self.pairs], axis=0)
-        return turned
+        return np.sum([pair.turned for pair in self.pairs], axis=0)
 
     def turns(self) -> list[tuple[str, str, int, float]]:
         """Return which classes turned into which, most points first, and the share that did."""

@@ -15,18 +15,14 @@ from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.measures.scores import EPSILON, Mask, Ratios
 
 MIN_SEGMENT_POINTS = 50
-SEGMENT_COUNTS = 5
-"""Sum of IoU, matches, false alarms, misses and true objects, of each class."""
+SEGMENT_COUNTS = 5  # Sum of IoU, matches, false alarms, misses and true objects, of each class
 COLUMNS = ("pq", "sq", "rq", "matches", "false_alarms", "misses")
 
 
 def count_segments(
     truth: tuple[TrainIds, RawIds], predicted: tuple[TrainIds, RawIds], scored: Mask
 ) -> Ratios:
-    """Match the segments of a scan, of train ids and of raw ids with instances, (N,) each.
-
-    Returns `SEGMENT_COUNTS` of each class, (C, 5) float64.
-    """
+    """Return `SEGMENT_COUNTS` of a scan, (C, 5) float64, by train ids and raw ids (N,)."""
     judged = scored[truth[0]]
     (true, of_true, true_sizes), (guessed, of_guessed, guessed_sizes) = (
         np.unique((train.astype(np.int64) << 16 | raw >> 16)[judged], False, True, True)

@@ -18,8 +18,7 @@ from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
 COVERAGE = np.arange(1, 101) / 100
 """Shares of the points, the least uncertain ones first, at which the risk is given."""
-PERCENT_KEPT = 80
-"""Share of the points, in percent, that a threshold keeps as nearly as it can."""
+PERCENT_KEPT = 80  # Share of the points, in percent, that a threshold keeps as nearly as it can
 FEW_DIGITS = (1, 2, 3, 4)
 """Significant digits of a threshold that is rounded, where that keeps the same points."""
 SERIES_FROM = 16
@@ -81,12 +80,10 @@ def average_precision(right: Counts, wrong: Counts) -> float:
 
 
 def aurc(right: Counts, wrong: Counts) -> float:
-    """Return the mean over k = 1…n of the risk of the k least uncertain points.
-
-    The risk is the share of them that is wrong. Among the m tied points of a bin, w of them wrong,
-    it is on average (E + (k − K) w/m) / k, with E wrong ones among the K points of the bins
-    before; the sum over k is closed in harmonic numbers.
-    """
+    """Return the mean over k = 1…n of the risk of the k least uncertain points."""
+    # The risk is the share of them that is wrong. Among the m tied points of a bin, w of them
+    # wrong, it is on average (E + (k − K) w/m) / k, with E wrong ones among the K points of the
+    # bins before; the sum over k is closed in harmonic numbers.
     tied = right + wrong
     held = tied > 0
     if not held.any():
@@ -101,10 +98,7 @@ def aurc(right: Counts, wrong: Counts) -> float:
 def risk_coverage(
     right: Counts, wrong: Counts, coverage: Ratios = COVERAGE
 ) -> tuple[Ratios, Ratios]:
-    """Return the risk of keeping shares (K,) of the points, and the thresholds for it, (K,) each.
-
-    A threshold is the upper end of the bin in which the coverage is reached; NaN without points.
-    """
+    """Return risks and thresholds (K,) of keeping shares (K,) of the points; NaN without points."""
     reached = (right + wrong).cumsum()
     kept = coverage * reached[-1]
     if not reached[-1]:
@@ -157,10 +151,7 @@ class KeptPoints:
 
 
 def kept_points(kind: str, histogram: Histogram) -> KeptPoints:
-    """Find the threshold that keeps nearly `PERCENT_KEPT` of the points, of tied ones all or none.
-
-    The groups of the `uncertainty_histogram`, of at least one point, are taken together.
-    """
+    """Find the threshold that keeps nearly `PERCENT_KEPT` of the points, ties together."""
     right, wrong = histogram.total().counts[:, 0]
     tied = right + wrong
     reached, errors = tied.cumsum(), wrong.cumsum()
@@ -181,10 +172,7 @@ def kept_points(kind: str, histogram: Histogram) -> KeptPoints:
 
 
 def _between(highest: float, others: float) -> float:
-    """Return a number of few digits above the highest value of a bin and not above those kept out.
-
-    `others` is the highest value of the empty bins between them, or `highest` itself.
-    """
+    """Return a number of few digits above `highest`, and at most the next after `others`."""
     lowest_out = float(np.nextafter(np.float32(others), np.float32(np.inf)))
     middle = (highest + lowest_out) / 2
     rounded = (float(f"{middle:.{digits}g}") for digits in FEW_DIGITS)
@@ -196,10 +184,7 @@ def _percent(share: float) -> str:
 
 
 def spearman(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
-    """Return Spearman's rank correlation of finite numbers, (N,) each, -1…1.
-
-    Equal numbers share the mean of their ranks; NaN where one of the two does not vary.
-    """
+    """Return Spearman's rank correlation of finite numbers (N,), -1…1; NaN if one does not vary."""
     ranks = [_centred_ranks(values) for values in (one, other)]
     norm = math.prod(math.sqrt(r @ r) for r in ranks)
     return float(ranks[0] @ ranks[1] / norm) if norm else math.nan
@@ -208,5 +193,4 @@ def spearman(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
 def _centred_ranks(values: npt.NDArray[Any]) -> Ratios:
     """Return ranks whose mean is 0, so that those of equal values are exactly 0."""
     _, rank_of, count = np.unique(values, return_inverse=True, return_counts=True)
-    ranks: Ratios = (count.cumsum() - (count + len(values)) / 2)[rank_of]
-    return ranks
+    return (count.cumsum() - (count + len(values)) / 2)[rank_of]

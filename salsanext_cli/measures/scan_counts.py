@@ -34,23 +34,21 @@ from salsanext_cli.measures.histograms import (
 from salsanext_cli.measures.panoptic import SEGMENT_COUNTS, count_segments
 from salsanext_cli.measures.scores import Confusion, Mask, Ratios, scores
 from salsanext_cli.network.card import is_among
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Float, Indices, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.result_folder import read_kind
 from salsanext_cli.results.stage_records import Rejection
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
-SOFTMAX = "probabilities"
-"""Folder of the softmax, and key of the histograms of its confidence."""
+SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of its confidence
 OF_SOFTMAX = {"confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
 """Uncertainties that come from the probabilities."""
 EVALUATED_KINDS = (*OF_SOFTMAX, *UNCERTAINTY)
 """Every kind of uncertainty, in the order in which they are reported."""
 SCORES_OF_SCAN = ("points", "accuracy", "iou_mean_present")
 CLASS, RING = "class", "ring"
-OF_ERROR = ("error", "calibration")
-"""Key of the histogram of the error as a probability."""
+OF_ERROR = ("error", "calibration")  # Key of the histogram of the error as a probability
 LEAST_ACCURACY, MIN_JUDGED = 0.2, 10_000
 """Least accuracy, over so many points or more, of labels that mean the same as the predictions;
 that of other ids was 0.02, that of the default weights in streets 0.75 or more."""
@@ -265,7 +263,7 @@ def _labels(
     return read_labels(scan.label_path, len(cloud)), read_labels(predictions, len(cloud))
 
 
-def ring_of_point(points: Float) -> npt.NDArray[np.intp]:
+def ring_of_point(points: Float) -> Indices:
     """Return the index into `RING_NAMES` of points (N, 3) in metres; -1 without a measurement."""
     ranges, measured = measured_ranges(points)
     return np.where(measured, np.digitize(np.nan_to_num(ranges), RING_STARTS_M) - 1, -1)

@@ -20,13 +20,7 @@ from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import first_few
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.label_scan import LabelledScan
-from salsanext_cli.fitting.scan_checks import (
-    MIN_POINTS,
-    UNCHECKED,
-    Finding,
-    ScanCheck,
-    ScanTraits,
-)
+from salsanext_cli.fitting.scan_checks import MIN_POINTS, UNCHECKED, Finding, ScanCheck, ScanTraits
 from salsanext_cli.geometry.network_input import INTENSITY_FACTOR
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.results.layout import ScanFile
@@ -34,8 +28,7 @@ from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.results.owned_folder import Texts
 from salsanext_cli.sensors.sensor import Sensor
 
-LARGEST_CLASSES = 5
-"""Classes that a summary names."""
+LARGEST_CLASSES = 5  # Classes that a summary names
 LARGEST_SHARE = 0.75
 """Largest share of a class in a scan that is believed; an empty crossroads had 0.6 of road."""
 FEW_CLASSES = 10
@@ -52,8 +45,7 @@ USUAL = (
 DENSITY_FACTOR = 1.5
 """Least factor between the numbers of points that two sensors have around an elevation; scans of
 one sensor had up to 1.27, the two most similar sensors 1.77."""
-POINTS_FACTOR = 4.0
-"""The same for all their points, of which the sky leaves more or less."""
+POINTS_FACTOR = 4.0  # The same for all their points, of which the sky leaves more or less
 LEAST_SHARE = 0.02
 """Points around an elevation, as a share of those of the largest scan, up to which they do not
 count."""
@@ -178,10 +170,7 @@ class RunSummary:
 
     @contextmanager
     def kept_in(self, run: OutputRun, scans: Sequence[ScanFile]) -> Iterator[None]:
-        """Finish the summary when the run in an output folder ends, and keep what it found there.
-
-        What earlier runs of the stage found of scans that have their results is added.
-        """
+        """Finish the summary when the run ends, and keep what it and earlier runs found."""
         try:
             yield
         finally:
@@ -196,10 +185,7 @@ class RunSummary:
                     self.findings.setdefault(texts[0], []).append((name, Finding(*texts)))
 
     def warnings(self) -> list[dict[str, Any]]:
-        """Return what was found, by code, with the scans, as plain data, in sorted order.
-
-        The words are those of the first scan, whatever the order in which workers were done.
-        """
+        """Return what was found, by code, in the words of the first scan, with all scans."""
         warnings = []
         for code in sorted(self.findings):
             names, findings = zip(*sorted(self.findings[code], key=itemgetter(0)), strict=True)
@@ -237,12 +223,10 @@ def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:
 def mixed_sensors(
     traits: Mapping[ScanFile, ScanTraits], *, selectable: bool = True
 ) -> dict[ScanFile, Finding]:
-    """Return the scans of other sensors than most, with the reason.
-
-    Scans differ if a gap of `DENSITY_FACTOR` divides them when all are sorted by one trait; a gap
-    of the other factors for all points and for the intensity. `selectable` says whether the
-    command takes any SCANS.
-    """
+    """Return the scans of other sensors than most, with the reason."""
+    # Scans differ if a gap of `DENSITY_FACTOR` divides them when all are sorted by one trait; a gap
+    # of the other factors for all points and for the intensity. `selectable` says whether the
+    # command takes any SCANS.
     files = sorted(traits)
     if len(files) < 2:
         return {}
@@ -268,10 +252,7 @@ def mixed_sensors(
 
 
 def _groups(values: npt.NDArray[Any], factor: float) -> Counts:
-    """Return the numbers (F,) of the groups of values that gaps of a factor divide, from 0.
-
-    A value of 0 is unknown and in the first group.
-    """
+    """Return the groups (F,), from 0, of values that gaps of a factor divide; 0 is unknown."""
     groups = np.zeros(len(values), np.int64)
     known = np.flatnonzero(values > 0)
     order = known[np.argsort(values[known], kind="stable")]

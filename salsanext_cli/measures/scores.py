@@ -29,8 +29,7 @@ Counts = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 Ratios = npt.NDArray[np.float64]
 
-EPSILON = 1e-15
-"""Added to every denominator by the official evaluator."""
+EPSILON = 1e-15  # Added to every denominator by the official evaluator
 FREQUENT_POINTS = 500
 """Points of a class from which on it is frequent; the IoU of fewer is mostly chance."""
 
@@ -59,10 +58,7 @@ class Confusion:
         return self
 
     def counted(self, scored: Mask) -> Counts:
-        """Return the matrix (C, C) with 0 in the rows of ignored classes; `scored` is (C,) bool.
-
-        Columns of ignored classes stay: a labelled point predicted "unlabelled" is a miss.
-        """
+        """Return the matrix (C, C), rows of ignored classes 0; their columns, misses, stay."""
         return np.where(scored[:, None], self.matrix, 0)
 
     def __add__(self, other: Confusion) -> Confusion:
@@ -114,11 +110,9 @@ class Scores:
 
 
 def ring_rows(rings: Mapping[str, Scores]) -> list[tuple[str, Scores, float, list[str]]]:
-    """Return name, scores, mean IoU of the same classes, and absent classes of each ring.
-
-    The same ones are those that the truth holds in every ring with points; absent ones are in other
-    rings only.
-    """
+    """Return name, scores, mean IoU of the same classes, and absent classes of each ring."""
+    # The same ones are those that the truth holds in every ring with points; absent ones are in
+    # other rings only.
     held = {name: {c.name for c in ring.classes if c.points} for name, ring in rings.items()}
     every = set[str]().union(*held.values())
     same = every.intersection(*filter(None, held.values()))

@@ -20,10 +20,9 @@ Stack = Callable[[int, int], nn.Module]
 
 
 class Unit(nn.Sequential):
-    """Convolution → LeakyReLU → batch norm, size preserving: (B, in, H, W) → (B, out, H, W).
+    """Convolution → LeakyReLU → batch norm, size preserving: (B, in, H, W) → (B, out, H, W)."""
 
-    A 2×2 kernel keeps its size only with dilation 2 and padding 1.
-    """
+    # A 2×2 kernel keeps its size only with dilation 2 and padding 1.
 
     def __init__(self, inputs: int, outputs: int, kernel: int, dilation: int = 1) -> None:
         padding = dilation * (kernel - 1) // 2
@@ -51,8 +50,7 @@ class ContextBlock(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, in, H, W) to (B, out, H, W)."""
         features = self.shortcut(x)
-        context: Tensor = features + self.dilated(self.local(features))
-        return context
+        return features + self.dilated(self.local(features))
 
 
 class PlainContextBlock(nn.Module):
@@ -65,8 +63,7 @@ class PlainContextBlock(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, in, H, W) to (B, out, H, W)."""
-        context: Tensor = self.shortcut(x) + self.local(x)
-        return context
+        return self.shortcut(x) + self.local(x)
 
 
 class DilatedStack(nn.Module):
@@ -84,8 +81,7 @@ class DilatedStack(nn.Module):
         narrow = self.narrow(x)
         middle = self.middle(narrow)
         wide = self.wide(middle)
-        fused: Tensor = self.fuse(torch.cat((narrow, middle, wide), dim=1))
-        return fused
+        return self.fuse(torch.cat((narrow, middle, wide), dim=1))
 
 
 class UnitChain(nn.Sequential):
@@ -106,8 +102,7 @@ class ResidualBlock(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, in, H, W) to (B, out, H, W)."""
-        features: Tensor = self.shortcut(x) + self.stack(x)
-        return features
+        return self.shortcut(x) + self.stack(x)
 
 
 def average_pooling(_: int, dropout: float) -> nn.Sequential:
@@ -139,11 +134,7 @@ def transposed_unit(convolution: nn.ConvTranspose2d) -> nn.Sequential:
 
 
 class UpBlock(nn.Module):
-    """Upsample ×2, concatenate or add the skip connection, fuse; channel dropout around each.
-
-    `upsampling`: (B, in, H, W) to (B, upsampled, 2H, 2W); `joined`: channels with the skip
-    connection; `stack`: factory of the layers that fuse.
-    """
+    """Upsample ×2, concatenate or add the skip connection, fuse; channel dropout around each."""
 
     def __init__(
         self,
@@ -168,8 +159,7 @@ class UpBlock(nn.Module):
         """Map (B, in, H, W) and (B, skip, 2H, 2W) to (B, out, 2H, 2W)."""
         upsampled = self.dropout_raised(self.raising(x))
         joined = upsampled + skip if self.adds else torch.cat((upsampled, skip), dim=1)
-        fused: Tensor = self.dropout_fused(self.stack(self.dropout_joined(joined)))
-        return fused
+        return self.dropout_fused(self.stack(self.dropout_joined(joined)))
 
 
 def pixel_shuffle(inputs: int, skip: int, outputs: int, stack: Stack, dropout: float) -> UpBlock:

@@ -29,10 +29,7 @@ KEY = "salsanext"
 FORMAT = "salsanext-2"
 TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
 """Parts of a card that are mappings."""
-FITTED = {
-    "risk": ("threshold", "at_most", "scans"),
-    "accuracy": ("slope", "offset", "deviation"),
-}
+FITTED = {"risk": ("threshold", "at_most", "scans"), "accuracy": ("slope", "offset", "deviation")}
 """Parts that are mappings and may be absent, and the numbers that each holds."""
 TEMPERATURES = (1e-3, 1e3)
 """Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""

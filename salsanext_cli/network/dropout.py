@@ -17,10 +17,7 @@ _DRAW: ContextVar[Draw | None] = ContextVar("_DRAW", default=None)
 
 
 class ChannelDropout(nn.Module):
-    """Drop whole channels with probability `rate`, scaling the rest by 1/(1 - rate).
-
-    Masks come from torch's global generator in training mode, inside `sampling` from its function.
-    """
+    """Drop whole channels with probability `rate`, scaling the rest by 1/(1 - rate)."""
 
     def __init__(self, rate: float) -> None:
         super().__init__()
@@ -62,10 +59,7 @@ def drawn(generators: Sequence[torch.Generator]) -> Draw:
 
 @contextmanager
 def sampling(draw: Draw) -> Iterator[None]:
-    """Make every dropout in this thread multiply by what a function gives.
-
-    Batch norm is untouched: it stays frozen as long as the module is in evaluation mode.
-    """
+    """Make every dropout in this thread multiply by what a function gives; batch norm stays."""
     token = _DRAW.set(draw)
     try:
         yield

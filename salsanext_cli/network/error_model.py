@@ -13,15 +13,11 @@ import numpy as np
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.records import Float
 
-BLOCK = 256
-"""Rows computed together: with 16 values in a layer, they stay in the first cache."""
+BLOCK = 256  # Rows computed together: with 16 values in a layer, they stay in the first cache
 
 
 def last_values(rows: Float, layers: Sequence[tuple[Float, Float]]) -> Float:
-    """Return the value of the last layer for rows (N, F), (N,) float32; NaN for rows with NaN.
-
-    `layers` are those of an `ErrorModel`. No bit depends on the number of threads.
-    """
+    """Return an `ErrorModel`'s last value for rows (N, F), (N,) float32; NaN for rows with NaN."""
     rows = argument(rows, np.float32)
     given = tuple((argument(w, np.float32), argument(b, np.float32)) for w, b in layers)
     values = np.empty(len(rows), np.float32)

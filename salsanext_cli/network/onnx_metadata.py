@@ -7,14 +7,10 @@ from pathlib import Path
 from salsanext_cli.errors import FormatError, WeightsError
 from salsanext_cli.files.reading import present, reading
 
-OPSET = 17
-"""The latest that TensorRT 8.6 reads; OpenVINO and ONNX Runtime read later ones too."""
-MAX_FIELDS = 1000
-"""Most fields of a message; an exporter writes a dozen."""
-VARINT, BYTES = 0, 2
-"""Kinds of values that are read."""
-GRAPH, OPSET_IMPORT, METADATA = 7, 8, 14
-"""Numbers of fields of ModelProto in ONNX's onnx.proto."""
+OPSET = 17  # The latest that TensorRT 8.6 reads; OpenVINO and ONNX Runtime read later ones too
+MAX_FIELDS = 1000  # Most fields of a message; an exporter writes a dozen
+VARINT, BYTES = 0, 2  # Kinds of values that are read
+GRAPH, OPSET_IMPORT, METADATA = 7, 8, 14  # Numbers of fields of ModelProto in ONNX's onnx.proto
 KEY, VALUE = 1, 2
 """Numbers of the fields of an entry of METADATA; of OPSET_IMPORT, domain and version."""
 
@@ -73,10 +69,7 @@ def _fields(content: bytes) -> Iterator[tuple[int, int, bytes]]:
 
 
 def _varint(content: bytes, at: int) -> tuple[int, int]:
-    """Read a number of seven bits per byte, the lowest first; the eighth says that more follow.
-
-    Also return the place after it.
-    """
+    """Read a number of seven bits per byte, the lowest first; also return the place after it."""
     value = 0
     for shift, byte in enumerate(content[at : at + 10]):
         value |= (byte & 127) << (7 * shift)

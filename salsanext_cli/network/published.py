@@ -54,10 +54,7 @@ STAND_INS: dict[str, Any] = {"collections.defaultdict": lambda *_: {}}
 
 
 def read_published(path: Path) -> dict[str, Tensor]:
-    """Read the tensors of a published checkpoint under the names that our SalsaNext gives them.
-
-    It is a dictionary with ``state_dict``, or that itself; keys may have the prefix ``module.``.
-    """
+    """Read the tensors of a published checkpoint under the names that our SalsaNext gives them."""
     checkpoint = _read_torch_file(path)
     state = checkpoint.get("state_dict", checkpoint) if isinstance(checkpoint, dict) else None
     if not isinstance(state, dict) or not any(isinstance(t, Tensor) for t in state.values()):
@@ -84,10 +81,7 @@ def our_name(key: str, source: object = "checkpoint") -> str:
 
 
 def _read_torch_file(path: Path) -> Any:
-    """Return what was given to `torch.save`; classes that torch refuses are read as `Ignored`.
-
-    Nothing that a file names is ever called.
-    """
+    """Return what was given to `torch.save`, `Ignored` for classes that torch refuses."""
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise WeightsError(path, "neither a file nor a link to one", "a file of torch.save")
     ignored: list[str] = []

@@ -9,8 +9,7 @@ from salsanext_cli.records import CHANNELS
 
 SLOPE, MOMENTUM = 0.1, 0.01
 """Slope of LeakyReLU below 0, and momentum of batch norm, as its authors have them."""
-DEPTHS = (1, 2, 8, 8, 4)
-"""Residual blocks of the encoder's stages."""
+DEPTHS = (1, 2, 8, 8, 4)  # Residual blocks of the encoder's stages
 
 
 class NormedUnit(nn.Sequential):
@@ -34,8 +33,7 @@ class Bottleneck(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (B, C, H, W) to the same shape."""
-        features: Tensor = x + self.wide(self.narrow(x))
-        return features
+        return x + self.wide(self.narrow(x))
 
 
 class Stage(nn.Sequential):
@@ -60,10 +58,7 @@ class UpStage(nn.Sequential):
 
 
 class RangeNet53(SegmentationNetwork):
-    """A Darknet53 that keeps the height of the image; 50 377 364 parameters with 20 classes.
-
-    `width`: channels of the stem, doubled by every stage.
-    """
+    """A Darknet53 that keeps the height of the image; 50 377 364 parameters with 20 classes."""
 
     stride = (1, 2 ** len(DEPTHS))
 
@@ -77,10 +72,7 @@ class RangeNet53(SegmentationNetwork):
         self.logits = nn.Conv2d(width, class_count, 3, padding=1)
 
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:
-        """Compute the features of stem and first stage, (B, 32, H, W) and (B, 64, H, W/2).
-
-        Of (B, 5, H, W) with W divisible by 32.
-        """
+        """Compute the features of stem and first stage, (B, 32, H, W) and (B, 64, H, W/2)."""
         stem: Tensor = self.stem(image)
         return stem, self.stages[0](stem)
 
@@ -93,5 +85,4 @@ class RangeNet53(SegmentationNetwork):
         upsampled = skips.pop()
         for step in self.raises:
             upsampled = step(upsampled) + skips.pop()
-        decoded: Tensor = self.dropout(upsampled)
-        return decoded
+        return self.dropout(upsampled)

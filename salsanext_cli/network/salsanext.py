@@ -18,8 +18,7 @@ from salsanext_cli.network.dropout import ChannelDropout
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import CHANNELS
 
-CONTEXT_WIDTH = 32
-"""Channels of the context module."""
+CONTEXT_WIDTH = 32  # Channels of the context module
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +108,8 @@ class SalsaNext(SegmentationNetwork):
         self.logits = nn.Conv2d(width, class_count, 1)
 
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:
-        """Compute the features of the first block and, if level 1 has no dropout, of the second.
-
-        Of (B, 5, H, W), H and W divisible by `stride`: in the paper's second version (B, 64, H, W)
-        and (B, 128, H/2, W/2).
-        """
+        """Compute the first block, and the second if level 1 has no dropout."""
+        # Of (B, 5, H, W): in the paper's second version (B, 64, H, W) and (B, 128, H/2, W/2).
         features = [self._block(1, self.context(image))]
         if self.trunk_blocks == 2:
             features.append(self._block(2, self._down(1, features[0])))
@@ -130,9 +126,7 @@ class SalsaNext(SegmentationNetwork):
         return upsampled
 
     def _block(self, number: int, x: Tensor) -> Tensor:
-        features: Tensor = self.get_submodule(f"block{number}")(x)
-        return features
+        return self.get_submodule(f"block{number}")(x)
 
     def _down(self, number: int, x: Tensor) -> Tensor:
-        pooled: Tensor = self.get_submodule(f"down{number}")(x)
-        return pooled
+        return self.get_submodule(f"down{number}")(x)

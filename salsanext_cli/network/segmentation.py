@@ -29,8 +29,7 @@ class SegmentationNetwork(nn.Module):
 
     def rest(self, *features: Any) -> Tensor:
         """Compute the logits (B, C, H, W) from what `trunk` returns."""
-        logits: Tensor = self.logits(self.decoded(*features))
-        return logits
+        return self.logits(self.decoded(*features))
 
     def forward(self, image: Tensor) -> Tensor:
         """Map a normalised range image (B, 5, H, W) to logits (B, C, H, W); any H, W."""

@@ -24,11 +24,7 @@ NORM_SUFFIXES = (".running_mean", ".running_var")
 
 
 def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool = False) -> None:
-    """Write a weights file of the network that `card.architecture` names, atomically.
-
-    `half`: store in float16, half the size; batch-norm statistics stay float32, as does a tensor
-    with a value beyond float16's range.
-    """
+    """Write a weights file, atomically; by `half` in float16, but for statistics of batch norm."""
     tensors = {name: _stored(name, tensor, half) for name, tensor in module.state_dict().items()}
     write_bytes(path, safetensors.torch.save(tensors, card.to_metadata()), durable=True)
 

@@ -19,14 +19,12 @@ from salsanext_cli.files.yaml_toml import are_numbers, read_toml, refuse_unknown
 
 MAX_PIXELS = 1 << 21
 """Largest range image, in pixels: 64×32768, eight times that of the finest sensor."""
-BYTES_PER_PIXEL = 1000
-"""Approximate memory of a network per pixel."""
+BYTES_PER_PIXEL = 1000  # Approximate memory of a network per pixel
 MAX_NUMBER = 1e6
 """Bound of means, deviations and scales, in metres and units of intensity, and of their inverse."""
 SCALES = f"from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
 NOISE = ("range_noise", "intensity_noise")
-MIN_LENGTH = 1e-3
-"""Least length of a vector that tells a direction."""
+MIN_LENGTH = 1e-3  # Least length of a vector that tells a direction
 INTENSITY_LEVELS = 65
 """Quantiles of intensity, evenly spaced from the smallest to the largest value."""
 BOX_EXPECTED = "six numbers in metres, the least x, y, z and then the largest, or none"
@@ -47,11 +45,9 @@ OF_IMAGES = ("height", "width", "means", "stds")
 """Fields that a network depends on, not a sensor: size and normalisation of its images."""
 OF_DEVICE = ("name", "intensity_scale", *NOISE)
 """Fields of a built-in sensor that hold whatever the range images of a network are."""
-UP = (0.0, 0.0, 1.0)
-"""Direction of the z axis, away from the ground."""
+UP = (0.0, 0.0, 1.0)  # Direction of the z axis, away from the ground
 ORIGIN = (0.0, 0.0, 0.0)
-FITTED_NAME = "fitted"
-"""Name of a sensor whose view or mounting was found from scans."""
+FITTED_NAME = "fitted"  # Name of a sensor whose view or mounting was found from scans
 OPTIONAL = (
     *("columns", "up", "origin", "intensity_quantiles", "beams"),
     *("row_gaps", "min_range", "ego_box"),
@@ -165,11 +161,7 @@ class Sensor:
         return cls(**values)
 
     def to_toml(self, *, images: bool = True) -> str:
-        """Return the text of a TOML file that `sensor` reads; the file's name is the sensor's.
-
-        Without `images`, size and normalisation are left out, so that they are those of the
-        weights that the file is used with.
-        """
+        """Return a TOML file that `sensor` reads; size and normalisation only with `images`."""
         left_out = ("name",) if images else ("name", *OF_IMAGES)
         values = {key: value for key, value in self.to_dict().items() if key not in left_out}
         # What JSON writes for texts, numbers and lists of numbers is TOML as well.

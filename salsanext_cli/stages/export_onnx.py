@@ -113,7 +113,7 @@ def _int8(model: Any, network: Network, scans: list[ScanFile]) -> tuple[bytes, f
 
 def _input(file: ScanFile, network: Network) -> Float:
     """Return what the network sees of a scan, (1, 5, H, W)."""
-    image = project(read_scan(file.path, network.sensor), network.sensor, "cpu")
+    image = project(read_scan(file.path, network.sensor), network.sensor)
     return network.input(image.channels)
 
 

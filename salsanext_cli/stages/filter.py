@@ -21,9 +21,10 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.bags import Bag
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.recordings import files_of, recorded_paths, recording_of
-from salsanext_cli.formats.subsets import Mask, subsets_of, write_bag_subset
+from salsanext_cli.formats.subsets import subsets_of, write_bag_subset
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
+from salsanext_cli.records import Mask
 from salsanext_cli.results.layout import (
     ERROR,
     LABELLING_STAGES,

@@ -18,10 +18,8 @@ from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan, draw_plan, grou
 from salsanext_cli.synthesis.street.traffic import Mover, moving
 from salsanext_cli.synthesis.surfaces import Material
 
-SPEED_M_PER_S = (4.0, 12.0)
-"""Slowest and fastest drive."""
-VIEW_M = 90.0
-"""Largest distance at which moving things are recorded."""
+SPEED_M_PER_S = (4.0, 12.0)  # Slowest and fastest drive
+VIEW_M = 90.0  # Largest distance at which moving things are recorded
 
 
 def build_street(
@@ -67,12 +65,10 @@ class Frame:
 def record(
     seed: int, sequence: int, scans: int, spacing: float, make_rig: RigMaker = hdl64_rig
 ) -> Iterator[Frame]:
-    """Yield the frames of one sequence, `spacing` metres apart.
-
-    The street comes from the seed, the sequence, which also chooses its style, and the length of
-    the drive; the noise of a frame from (seed, sequence, frame). The street is the same through
-    any sensor.
-    """
+    """Yield the frames of one sequence, `spacing` metres apart."""
+    # The street comes from the seed, the sequence, which also chooses its style, and the length of
+    # the drive; the noise of a frame from (seed, sequence, frame). The street is the same through
+    # any sensor.
     rng = np.random.default_rng([seed, sequence])
     speed = float(rng.uniform(*SPEED_M_PER_S))
     style = STYLES[sequence % len(STYLES)]
@@ -135,18 +131,14 @@ class _Track:
     def in_motion(
         self, s: float, origins: Array, directions: Array, times: Array
     ) -> tuple[Array, Array]:
-        """Return world origins and directions of rays fired while the vehicle drives on past s.
-
-        Over the tenth of a second of a revolution the pose changes linearly.
-        """
+        """Return world origins and directions of rays fired past s, the pose changing linearly."""
         start, end = times.min(), times.max()
         first, last = self.pose(s + self._speed * start), self.pose(s + self._speed * end)
         share = ((times - start) / (end - start))[:, None]
 
         def turned(vectors: Array) -> Array:
             before, after = vectors @ first[:3, :3].T, vectors @ last[:3, :3].T
-            between: Array = before * (1 - share) + after * share
-            return between
+            return before * (1 - share) + after * share
 
         starts = first[:3, 3] * (1 - share) + last[:3, 3] * share + turned(origins)
         mixed = turned(directions)

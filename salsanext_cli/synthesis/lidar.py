@@ -8,22 +8,17 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.files.optional_packages import import_open3d
+from salsanext_cli.records import Mask
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.presets import Numbers
 from salsanext_cli.synthesis.surfaces import OPTICS
 
-GRAZING_COSINE = 0.14
-"""Cosine of incidence below which surfaces look darker."""
-PATCH_FIRINGS = 11
-"""Length of the runs of firings in which mirrors lose pulses."""
-USUAL_ECHO = 0.35
-"""Brightness that `gamma` leaves as it is."""
-EDGE_SHARE = 0.45
-"""Share of the pulses at an edge that hit both surfaces."""
-PULSE_M = 1.2
-"""Distance between two surfaces up to which their echoes are one."""
-LOST_AT_EDGE_SHARE = 0.3
-"""Share of the pulses on two surfaces farther apart that are lost."""
+GRAZING_COSINE = 0.14  # Cosine of incidence below which surfaces look darker
+PATCH_FIRINGS = 11  # Length of the runs of firings in which mirrors lose pulses
+USUAL_ECHO = 0.35  # Brightness that `gamma` leaves as it is
+EDGE_SHARE = 0.45  # Share of the pulses at an edge that hit both surfaces
+PULSE_M = 1.2  # Distance between two surfaces up to which their echoes are one
+LOST_AT_EDGE_SHARE = 0.3  # Share of the pulses on two surfaces farther apart that are lost
 LEAST_REFLECTED = 0.01
 """Brightness that even a black surface has where it is decided whether a pulse returns."""
 DETECTION_STEEPNESS = 2.2
@@ -32,8 +27,7 @@ DIFFUSE_BRIGHTNESS, DIFFUSE_SHARE, MOST_DIFFUSE = 0.3, 0.75, 0.9
 """A glossy surface so bright reflects that share diffusely, others in proportion up to the most."""
 STRAIGHT_ON_SHARE, STRAIGHT_ON_EXPONENT = 0.6, 16
 """Share of what a mirror hit straight on sends back, and exponent of the cosine of incidence."""
-POWER_EXPONENT = 3
-"""Exponent with which strong lasers lose fewer pulses on glossy surfaces."""
+POWER_EXPONENT = 3  # Exponent with which strong lasers lose fewer pulses on glossy surfaces
 INTENSITY_NOISE = 0.02
 """Standard deviation of the reported brightness, which is as much too low."""
 MOST_INTENSITY = 0.99
@@ -111,7 +105,7 @@ def measure(
     return np.where(returned, measured, np.nan), intensity, labels
 
 
-def _edges(rng: Rng, reach: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
+def _edges(rng: Rng, reach: Array) -> tuple[Array, Mask]:
     """Return distances (R,) of pulses as wide as the step to the next one, and which are lost."""
     step = np.diff(reach, append=reach[-1:])
     chance, share = rng.random((2, len(reach)))
@@ -121,17 +115,13 @@ def _edges(rng: Rng, reach: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
 
 
 def _lost_to_gloss(reflected: Array, cosine: Array, gloss: Array, power: Array) -> Array:
-    """Return the chance (R,) that a pulse is lost to a mirror, which sends it elsewhere.
-
-    A mirror sends a pulse back only when hit straight on. Strong lasers still see its dirt, so
-    that glass and dark paint come back in some rows and not in others.
-    """
+    """Return the chance (R,) that a mirror, not hit straight on, sends a pulse elsewhere."""
+    # Strong lasers still see its dirt, so glass and dark paint come back in some rows only.
     diffuse = np.minimum(MOST_DIFFUSE, DIFFUSE_SHARE * reflected / DIFFUSE_BRIGHTNESS)
     straight_on = STRAIGHT_ON_SHARE * cosine**STRAIGHT_ON_EXPONENT
     mirrored = gloss * (1 - straight_on) * (1 - diffuse)
     odds = mirrored / np.maximum(1 - mirrored, 1e-6) / power**POWER_EXPONENT
-    chance: Array = odds / (1 + odds)
-    return chance
+    return odds / (1 + odds)
 
 
 def _patchy(rng: Rng, count: int) -> Array:

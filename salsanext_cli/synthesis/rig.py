@@ -5,22 +5,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from salsanext_cli.records import Mask
 from salsanext_cli.synthesis.lidar import Lasers
 from salsanext_cli.synthesis.mesh import Array, Rng
 from salsanext_cli.synthesis.presets import HDL64, VEHICLE_OUTLINES_DEG, Numbers
 from salsanext_cli.synthesis.presets import RANDOM_SENSOR as BOUNDS
 
-ENCODER_STEP_DEG = 0.09
-"""Resolution of the azimuth."""
+ENCODER_STEP_DEG = 0.09  # Resolution of the azimuth
 REVOLUTION_S = 0.1
-PARALLAX_DEG = 1.2
-"""Shift of the vehicle as seen by lasers to the left and right of the axis."""
+PARALLAX_DEG = 1.2  # Shift of the vehicle as seen by lasers to the left and right of the axis
 UPPER_BLOCK, LOWER_BLOCK = (2.4, -8.0, 32), (-8.6, -23.9, 32)
 """Elevation of the first and the last beam of a block in degrees, and their number."""
-AZIMUTH_STEP_DEG = 0.1667
-"""Angle between firings of a laser at 10 Hz."""
+AZIMUTH_STEP_DEG = 0.1667  # Angle between firings of a laser at 10 Hz
 HDL64_MOUNT_M = 1.73
 
 
@@ -40,16 +37,13 @@ class Beams:
         """Return the azimuth of each firing, (L, columns), radians, anticlockwise from ahead."""
         tick = np.radians(ENCODER_STEP_DEG)
         step = np.arange(self.columns) * (2 * np.pi / self.columns)
-        azimuth: Array = np.floor(step / tick) * tick + self.azimuth[:, None]
-        return azimuth
+        return np.floor(step / tick) * tick + self.azimuth[:, None]
 
     def rays(self) -> tuple[Array, Array, Array]:
-        """Return origins and directions (L * columns, 3), sensor frame, and the time of each.
-
-        In the order of KITTI's files: laser by laser from the top, each once around from
-        straight ahead to the left. The time (L * columns,) is in seconds; the sensor turns
-        clockwise from behind and looks ahead at time 0.
-        """
+        """Return origins and directions (L * columns, 3), sensor frame, and the time of each."""
+        # In the order of KITTI's files: laser by laser from the top, each once around from straight
+        # ahead to the left. The time (L * columns,) is in seconds; the sensor turns clockwise from
+        # behind and looks ahead at time 0.
         azimuth = self.azimuths()
         elevation = np.broadcast_to(self.elevation[:, None], azimuth.shape)
         horizontal = np.cos(elevation)
@@ -69,7 +63,7 @@ class Rig:
 
     beams: Beams  # Its lasers
     response: Numbers  # What it makes of the pulses that return
-    unblocked: npt.NDArray[np.bool_]  # (L * columns,) bool: rays that the vehicle does not block
+    unblocked: Mask  # (L * columns,) bool: rays that the vehicle does not block
     mount: float  # Height above the road, metres
     tilt: Array  # (2,): pitch and roll of the mounting, radians
 
@@ -85,11 +79,10 @@ class Rig:
         )
 
 
-RigMaker = Callable[[Rng], Rig]
-"""Draws a sensor and its mounting."""
+RigMaker = Callable[[Rng], Rig]  # Draws a sensor and its mounting
 
 
-def hidden_by_vehicle(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
+def hidden_by_vehicle(beams: Beams, rng: Rng) -> Mask:
     """Return the rays that the recording vehicle blocks, (L * columns,); mounting varies a bit."""
     azimuth = np.degrees(beams.azimuths()) + PARALLAX_DEG * np.sign(beams.aside)[:, None]
     elevation = np.degrees(beams.elevation)[:, None]
@@ -174,7 +167,7 @@ def _random_response(rng: Rng) -> Numbers:
     return Numbers(**response, steps=int(rng.choice(BOUNDS.intensity_steps)))
 
 
-def _random_shadow(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
+def _random_shadow(beams: Beams, rng: Rng) -> Mask:
     """Draw which rays the vehicle blocks: none, those of a car's outline, or those of a roof."""
     kind = rng.choice(BOUNDS.shadows)
     if kind == "none":
@@ -185,5 +178,5 @@ def _random_shadow(beams: Beams, rng: Rng) -> npt.NDArray[np.bool_]:
     wave = np.cos(2 * azimuth) * rng.uniform(*BOUNDS.roof_ahead_and_behind)
     wave = wave + np.cos(azimuth) * rng.uniform(*BOUNDS.roof_ahead)
     edge = -rng.uniform(*BOUNDS.roof_edge) + wave
-    hidden: npt.NDArray[np.bool_] = np.degrees(beams.elevation)[:, None] < edge
+    hidden: Mask = np.degrees(beams.elevation)[:, None] < edge
     return hidden.reshape(-1)

@@ -12,10 +12,7 @@ from salsanext_cli.training.log import Row
 
 
 def folds(files: Sequence[ScanFile], count: int) -> list[list[ScanFile]]:
-    """Divide scans, in order of sequences, into at most `count` folds, each to be left out once.
-
-    Scans of one place are much alike: a fold takes whole sequences, or neighbours of a single one.
-    """
+    """Divide scans into at most `count` folds, each of whole sequences or of neighbours in one."""
     sequences = [list(members) for _, members in groupby(files, lambda file: file.sequence)]
     if len(sequences) == 1:
         parts = np.array_split(np.arange(len(files)), min(count, len(files)))

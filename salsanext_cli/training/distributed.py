@@ -21,8 +21,7 @@ from salsanext_cli.errors import SalsanextError, UsageError
 
 PROCESS_GROUP_TIMEOUT = timedelta(hours=12)
 """Time that workers wait for the main one, which counts labels, writes and draws."""
-GLOO_THREADS_S = 0.5
-"""Time that threads of gloo have to free their last tensors."""
+GLOO_THREADS_S = 0.5  # Time that threads of gloo have to free their last tensors
 
 T = TypeVar("T")
 
@@ -67,10 +66,7 @@ class ProcessGroup:
                 dist.broadcast(tensor, 0)
 
     def on_main(self, work: Callable[[], T]) -> T:
-        """Call a function in the main worker only, and return its result in all of them.
-
-        A `SalsanextError` of the main worker is raised by all, marked as reported by the main one.
-        """
+        """Call a function in the main worker only; all return its result, or raise its error."""
         if self.size == 1:
             return work()
         answer: list[Any] = [None]
@@ -83,12 +79,10 @@ class ProcessGroup:
         if isinstance(answer[0], SalsanextError):
             answer[0].reported_elsewhere = not self.is_main
             raise answer[0]
-        result: T = answer[0]
-        return result
+        return answer[0]
 
 
-SINGLE_PROCESS = ProcessGroup()
-"""Group of a training without torchrun."""
+SINGLE_PROCESS = ProcessGroup()  # Group of a training without torchrun
 
 
 def group_of_environment() -> ProcessGroup:

@@ -31,8 +31,7 @@ from salsanext_cli.training.log import EpochWriter, Row, draw_curve, tensorboard
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
 from salsanext_cli.training.tuning.temperature import best_temperature
 
-SAVE_INTERVAL_S = 600.0
-"""Seconds between two checkpoints within an epoch."""
+SAVE_INTERVAL_S = 600.0  # Seconds between two checkpoints within an epoch
 MAX_VALIDATED_POINTS = 200_000
 """Bound of the points of a validation whose logits the temperature is fitted to."""
 
@@ -54,11 +53,7 @@ class StepReport:
 
 @dataclass(slots=True, eq=False)
 class Training:
-    """Training in a run folder: its learner, samples, validation scans and outputs.
-
-    Without validation scans the last weights are the best; scores and temperature of a validation
-    take the place of those of the card.
-    """
+    """Training in a run folder; without validation scans the last weights are the best."""
 
     run: Path
     learner: Learner
@@ -186,10 +181,7 @@ class Training:
 
 
 def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS) -> Row:
-    """Score labelled scans, predicted as `predict` does, each by one worker of a group.
-
-    Returns columns of the log: scores, and the best temperature, 1 where there is none.
-    """
+    """Score scans labelled as `predict` does, shared by workers; also fit a temperature."""
     space = network.card.space
     confusion = Confusion(space.class_count)
     # (C, M) float32, (M,) int64: some points of the classes that count, evenly spaced in every scan

@@ -41,12 +41,11 @@ def weighted_cross_entropy(
 
 @torch.no_grad()
 def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
-    """Return the gradient of the Lovász extension of the Jaccard loss, (K, P), by pixel.
-
-    Of errors (K, P) for each of K classes, and whether pixels are of the class, (K, P), at least
-    one. With the pixels sorted by falling error, pixel i weighs by how much the Jaccard loss grows
-    when it joins the mispredicted set {1 … i-1} (Berman et al. 2018, eq. 9 and algorithm 1).
-    """
+    """Return the gradient of the Lovász extension of the Jaccard loss, (K, P), by pixel."""
+    # Of errors (K, P) for each of K classes, and whether pixels are of the class, (K, P), at least
+    # one. With the pixels sorted by falling error, pixel i weighs by how much the Jaccard loss
+    # grows when it joins the mispredicted set {1 … i-1} (Berman et al. 2018, eq. 9 and algorithm
+    # 1).
     order = errors.argsort(dim=1, descending=True)
     belongs = foreground.gather(1, order)
     hits = belongs.cumsum(1)
@@ -62,10 +61,7 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
 def lovasz_softmax(
     probabilities: Tensor, truth: Tensor, group: ProcessGroup = SINGLE_PROCESS
 ) -> Tensor:
-    """Return a worker's share of the mean Lovász-Softmax loss of the classes in the truth, 0-d.
-
-    Of probabilities (P, C) and truth (P,) int64.
-    """
+    """Return a worker's share of the mean Lovász-Softmax loss of softmax (P, C)."""
     present = group.sum(truth.bincount(minlength=probabilities.shape[1])).nonzero()[:, 0]
     if not len(present):
         return probabilities.sum()
@@ -91,11 +87,7 @@ class SegmentationLoss(nn.Module):
     weights: Tensor
 
     def __init__(
-        self,
-        weights: Tensor,
-        lovasz: float = 1.0,
-        smoothing: float = 0.0,
-        sets: ClassSets = (),
+        self, weights: Tensor, lovasz: float = 1.0, smoothing: float = 0.0, sets: ClassSets = ()
     ) -> None:
         super().__init__()
         of_sets = [_least_positive(weights[list(several)]) for several in sets]

@@ -144,10 +144,7 @@ def _extended(
 
 
 def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that may not change when a training is resumed.
-
-    The parts of a batch may: a training that has run out of memory must be able to go on.
-    """
+    """Return the settings that a resumed training keeps; the parts of a batch may change."""
     recipe = settings.get("recipe")
     if not isinstance(recipe, dict):
         return dict(settings)

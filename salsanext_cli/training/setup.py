@@ -29,11 +29,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.sensors.sensor import Sensor, sensor
 from salsanext_cli.training import run_folder
 from salsanext_cli.training.cross_validation import Expectation, expectation, folds
-from salsanext_cli.training.data.class_counts import (
-    ClassCounts,
-    class_weights,
-    rare_classes,
-)
+from salsanext_cli.training.data.class_counts import ClassCounts, class_weights, rare_classes
 from salsanext_cli.training.data.dataset import Samples, SamplingPlan
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.data.targets import class_sets
@@ -51,8 +47,7 @@ from salsanext_cli.training.tuning.error import (
     points_of_scan,
 )
 
-DEFAULT_SENSOR = "hdl64"
-"""Sensor of a training from random weights, unless another is given."""
+DEFAULT_SENSOR = "hdl64"  # Sensor of a training from random weights, unless another is given
 
 log = logging.getLogger(__name__)
 
@@ -60,11 +55,9 @@ log = logging.getLogger(__name__)
 def initial_network(
     weights: Path | None, space: LabelSpace, recipe: Recipe, own: Sensor | None
 ) -> tuple[SegmentationNetwork, WeightsCard]:
-    """Return the network before training, and its card: architecture, classes, sensor, scans.
-
-    Without weights it is random; where they are of other classes, so are the outputs of classes
-    without one of the same name. The sensor is `own`, else that of the weights, else the default.
-    """
+    """Return the network before training, and its card: architecture, classes, sensor, scans."""
+    # Without weights it is random; where they are of other classes, so are the outputs of classes
+    # without one of the same name. The sensor is `own`, else that of the weights, else the default.
     architecture = {
         "name": recipe.architecture,
         "class_count": space.class_count,
@@ -219,10 +212,7 @@ class Setup:
         run_folder.begin(self.run, self.settings, overwrite=self.overwrite)
 
     def _report_fold(self, number: int, count: int, report: StepReport) -> None:
-        """Report a step as one of the whole cross-validation and the training after it.
-
-        After an epoch, the best weights of the fold become those of the run if they are better.
-        """
+        """Report a step of a fold as one of all; its weights become the run's if better."""
         best = self.run / run_folder.BEST
         own = run_folder.fold_folder(self.run, number) / run_folder.BEST
         if report.row and own.exists() and not (self.run / run_folder.CHECKPOINT).exists():
@@ -235,10 +225,8 @@ class Setup:
         self.report(replace(report, step=done, steps=steps, fold=number))
 
     def _error_model(self, temperature: float) -> ErrorModel | None:
-        """Fit a model of errors to the scans that each fold left out, judged by its weights.
-
-        None if it tells no more than the confidence.
-        """
+        """Fit a model of errors to the scans that each fold left out, judged by its weights."""
+        # None if it tells no more than the confidence.
         source, parts = self.sources[0], self._folds()
         judged: dict[ScanFile, JudgedPoints] = {}
         most = points_of_scan(len(source.files))

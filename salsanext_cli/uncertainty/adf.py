@@ -19,8 +19,7 @@ from torch import Tensor
 
 from salsanext_cli.compiled import parallel_for
 
-NODES = 12
-"""Nodes of the Gauss-Hermite quadrature of the logistic function."""
+NODES = 12  # Nodes of the Gauss-Hermite quadrature of the logistic function
 CHUNK_SIZE = 1 << 15
 """Numbers per step on a CPU: so few that torch does not divide them among threads, which would
 round some of them otherwise, and that what lies between stays in the cache."""
@@ -29,8 +28,7 @@ MAX_DEVIATIONS = 12.0
 farther out are numbers so small that computing with them takes many times as long."""
 Groups = Sequence[Sequence[int]]
 """Classes that are merged into each of fewer; none into some of them."""
-SMALLEST_DIVISOR = 1e-30
-"""Least divisor: what it divides is 0 where it acts."""
+SMALLEST_DIVISOR = 1e-30  # Least divisor: what it divides is 0 where it acts
 DAMPING = 0.15
 """Damping of a shift of second order, so that for large v it grows like √v, as the largest of
 several Gaussians does."""
@@ -142,11 +140,9 @@ def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def logistic_moments(d: Tensor, variance: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return mean, 1 − mean and variance of the logistic function of N(d, variance).
-
-    Everything is a rise or fall from the smaller of logistic(d) and 1 − logistic(d), so that a
-    confident class keeps its digits.
-    """
+    """Return mean, 1 − mean and variance of the logistic function of N(d, variance)."""
+    # Everything is a rise or fall from the smaller of logistic(d) and 1 − logistic(d), so that a
+    # confident class keeps its digits.
     near, deviation = -d.abs(), variance.sqrt()
     small, large = torch.sigmoid(near), torch.sigmoid(-near)
     slope = small * large
@@ -185,11 +181,9 @@ def _margins(m: Tensor, v: Tensor, is_best: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _consistent(mean: Tensor, variance: Tensor) -> Tensor:
-    """Raise the variance of the likeliest class to what the sum of the others demands.
-
-    The classes sum to 1, so that one cannot vary by more than all others together. Where it seems
-    to, a sum of the others that is taken as log-normal has hidden it from the class they rival.
-    """
+    """Raise the variance of the likeliest class to what the sum of the others demands."""
+    # The classes sum to 1, so that one cannot vary by more than all others together. Where it seems
+    # to, a sum of the others that is taken as log-normal has hidden it from the class they rival.
     deviation = variance.sqrt()
     largest, class_of_largest = deviation.max(dim=0, keepdim=True)
     lacking = (2 * largest - deviation.sum(dim=0, keepdim=True)).clamp(min=0)
@@ -205,11 +199,7 @@ def _sum_of_others(values: Tensor, rest: Tensor, is_best: Tensor) -> Tensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaussian:
-    """Independent Gaussians in place of a tensor's numbers.
-
-    PyTorch asks it what each function of a network does to it. A function without a rule is an
-    error, so that the moments cannot drift apart from the network.
-    """
+    """Independent Gaussians in place of a tensor; a function without a rule is an error."""
 
     # From a function to what it does to moments (Gast & Roth 2018), with the same arguments
     RULES: ClassVar[Mapping[Callable[..., Any], Callable[..., Any]]] = {}

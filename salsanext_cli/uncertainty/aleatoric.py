@@ -30,11 +30,7 @@ def _along_ray(channels: Float) -> Float:
 
 
 def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float]:
-    """Yield channels (5, H, W) float32 with the sensor's noise, each with its own, without end.
-
-    A range that is wrong moves its point along its ray; each pixel's error is its own. Empty pixels
-    stay empty.
-    """
+    """Yield channels (5, H, W) float32 without end, each pixel moved along its ray by its noise."""
     range_noise, intensity_noise = noise_of(sensor)
     random = np.random.default_rng(seed)
     occupied, step = image.channels[0] > 0, _along_ray(image.channels)
@@ -47,40 +43,27 @@ def noisy_copies(image: RangeImage, sensor: Sensor, seed: int) -> Iterator[Float
 
 
 def input_variance(channels: Float, sensor: Sensor) -> Float:
-    """Return the variance (5, H, W) float32 of every number of a normalised range image.
-
-    A range that is wrong by δ moves the point along its ray: x by δ x/r, y and z alike. Empty
-    pixels are certain. `channels` (5, H, W) are not normalised.
-    """
+    """Return the variance (5, H, W) float32 that channels (5, H, W) have when normalised."""
     range_noise, intensity_noise = noise_of(sensor)
     deviations = np.zeros_like(channels)
     deviations[:4] = _along_ray(channels)
     deviations[:4] *= range_noise
     deviations[4] = (channels[0] > 0) * np.float32(intensity_noise)
     deviations /= np.asarray(sensor.stds, np.float32).reshape(-1, 1, 1)
-    variance: Float = np.square(deviations)
-    return variance
+    return np.square(deviations)
 
 
 def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
-    """Return the variance (C, H, W) of every pixel's softmax over noisy copies, dropout off.
-
-    It is without bias: divided by the number of copies less one; and without the temperature, as
-    in `sample`.
-    """
+    """Return the variance (C, H, W) of the softmax over noisy copies, without bias."""
     statistics = PassStatistics((network.space.class_count, image.height, image.width))
     copies = noisy_copies(image, network.sensor, seed)
     for _ in range(COPIES):
         statistics.add(*network.pixel_probabilities([next(copies)], temperature=1.0))
-    variance: Float = (statistics.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
-    return variance
+    return (statistics.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
 
 
 def aleatoric(network: Network, image: RangeImage) -> Float:
-    """Return the variance (C, H, W) of every pixel's softmax that comes from noise of the input.
-
-    One pass of assumed density filtering, dropout off, without the temperature, as in `sample`.
-    """
+    """Return the variance (C, H, W) of the softmax from noise of the input, by one pass."""
     engine, mean = network.engine, network.input(image.channels)
     filled = with_filled_gaps(image.channels, network.sensor, network.card.sensor)
     variance = input_variance(filled, network.sensor)[None]
@@ -93,8 +76,7 @@ def aleatoric(network: Network, image: RangeImage) -> Float:
             given = (torch.from_numpy(values).to(engine.device) for values in (mean, variance))
             moments = _moments(engine.module, *given)
         softmax = Gaussian(*moments).softmax(dim=1, groups=network.groups)
-        variances: Float = softmax.variance[0].cpu().numpy()
-        return variances
+        return softmax.variance[0].cpu().numpy()
 
 
 def _moments(module: SegmentationNetwork, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:

@@ -22,8 +22,7 @@ from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian
 from salsanext_cli.uncertainty.estimate import Estimate, entropy
 
-SMALLEST_MEAN = 1e-12
-"""Least divisor, of a probability."""
+SMALLEST_MEAN = 1e-12  # Least divisor, of a probability
 
 
 class ChannelCorrelatedGaussian(Gaussian):
@@ -72,10 +71,8 @@ def _conv_transpose2d(
     groups: int = 1,
     dilation: Any = 1,
 ) -> ChannelCorrelatedGaussian:
-    """Var = (Σ W)² ∗ v, the sum over those of the window's weights that meet at a pixel.
-
-    They differ between the stride² positions of a pixel in its cell, so each is summed apart.
-    """
+    """Var = (Σ W)² ∗ v, the sum over those of the weights that meet at a pixel."""
+    # They differ between the stride² positions of a pixel in its cell, so each is summed apart.
     geometry = (stride, padding, output_padding)
     mean = F.conv_transpose2d(x.mean, weight, bias, *geometry, groups, dilation)
     channels = weight.shape[0]
@@ -105,10 +102,7 @@ def _avg_pool2d(
 def _dropout2d(
     x: ChannelCorrelatedGaussian, p: float, training: bool, inplace: bool = False
 ) -> ChannelCorrelatedGaussian:
-    """Var = v / (1 − p) + m² p / (1 − p), of a factor that is 0 or 1 / (1 − p) of mean 1.
-
-    The noise is there in evaluation mode too, as in sampling.
-    """
+    """Var = v / (1 − p) + m² p / (1 − p), of a factor 0 or 1 / (1 − p), in evaluation mode too."""
     odds = p / (1 - p)
     return x.like(x.mean, x.variance * (1 + odds) + x.mean.square() * odds)
 
@@ -123,11 +117,8 @@ ChannelCorrelatedGaussian.RULES = {
 
 
 def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
-    """Estimate what `sample` would tend to with ever more passes.
-
-    The mutual information is that of a small spread of the softmax around its mean, ½ Σ v / p, and
-    at most the entropy. The temperature is left out, as in `sample`.
-    """
+    """Estimate what `sample` would tend to with ever more passes."""
+    # The mutual information is that of a small spread of the softmax around its mean, ½ Σ v / p.
     engine, given = network.engine, network.input(image.channels)
     rate = require_dropout(engine.module)
     with inference_mode(engine.device):

@@ -6,30 +6,25 @@ for any sensor.
 """
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.records import Float, Int, RangeImage
+from salsanext_cli.records import Float, Int, Mask, RangeImage
 from salsanext_cli.uncertainty.estimate import entropy
 
 ROWS, COLUMNS, STEP = 4, 8, 2
 """Pixels of the window on each side, of which every second row and column counts."""
 NEAR_M, NEAR_SHARE = 1.0, 0.05
 """Ranges that differ by less, or by this share, are of the same surface."""
-COST = 8
-"""Time that a window takes, in those of a point's projection."""
+COST = 8  # Time that a window takes, in those of a point's projection
 
 
 def label_support(image: RangeImage, probabilities: Float, labels: TrainIds, pixels: Int) -> Float:
-    """Return the mean probability (M,) of labels (M,) of pixels among those around at their range.
-
-    Of a window of 9 × 17 pixels, which goes on around the image, every second row and column
-    counts; in an image that is narrower, a column may count twice. `pixels` (M,) are occupied.
-    """
+    """Return the mean probability (M,) of labels (M,) around pixels (M,) at their range."""
+    # Every second row and column of 9 × 17 pixels; in a narrower image a column may count twice.
     ranges, softmax = argument(image.channels[0], np.float32), argument(probabilities, np.float32)
     labels, pixels = argument(labels, np.uint8), argument(pixels, np.int32)
     support = np.empty(len(labels), np.float32)
@@ -64,11 +59,10 @@ def mean_in_windows(
 
 
 def region_means(image: RangeImage, classes: TrainIds, values: Float) -> Float:
-    """Return the mean (H, W) of a value over the region that each pixel belongs to.
-
-    A region is of occupied pixels of one class, each beside the next, in eight directions, or the
-    next but one in its row or column. Regions go on around the image. Empty pixels keep their own.
-    """
+    """Return the mean (H, W) of a value over the region that each pixel belongs to."""
+    # A region is of occupied pixels of one class, each beside the next, in eight directions, or the
+    # next but one in its row or column. Regions go on around the image. Empty pixels keep their
+    # own.
     means = np.empty(values.shape, np.float32)
     given = argument(classes, np.uint8), argument(values, np.float32)
     mean_of_regions(argument(image.channels[0] > 0, np.bool_), *given, means)
@@ -76,9 +70,7 @@ def region_means(image: RangeImage, classes: TrainIds, values: Float) -> Float:
 
 
 @compiled
-def mean_of_regions(
-    occupied: npt.NDArray[np.bool_], classes: TrainIds, values: Float, means: Float
-) -> None:
+def mean_of_regions(occupied: Mask, classes: TrainIds, values: Float, means: Float) -> None:
     """Write what `region_means` returns: a union-find over the pixels, the lowest is the root."""
     height, width = occupied.shape
     parent = np.arange(height * width)
@@ -119,15 +111,11 @@ FEATURES = (
     "log range",
     "height above the sensor",
 )
-NEAREST_M = 0.5
-"""Ranges are no less in logarithms."""
+NEAREST_M = 0.5  # Ranges are no less in logarithms
 
 
 def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) -> Float:
-    """Return the features of every point, (N, 9) float32; NaN where it has no pixel.
-
-    `probabilities` (C, H, W) are the softmax of a single pass, `labels` (N,) those after kNN.
-    """
+    """Return the features of points, (N, 9) float32, NaN without a pixel; labels after kNN."""
     # Most points have the label of their pixel: described once per pixel, the others on their own.
     classes, table = _of_pixels(image, probabilities)
     features = np.empty((len(labels), len(FEATURES)), np.float32)
@@ -150,10 +138,7 @@ def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) ->
 
 
 def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float]:
-    """Return the class of each pixel, (H · W,), and its features, (H · W, 9) float32.
-
-    They are those of its nearest point, if that has this class; how far it lies beyond is 0.
-    """
+    """Return the class of each pixel, (H · W,), and features of its nearest point, (H · W, 9)."""
     largest, second = np.zeros((2, *probabilities.shape[1:]), np.float32)
     classes = np.zeros(largest.shape, np.uint8)
     for train_id, each in enumerate(probabilities):
@@ -174,8 +159,7 @@ def _of_pixels(image: RangeImage, probabilities: Float) -> tuple[TrainIds, Float
 
 
 def _log_range(metres: Float) -> Float:
-    log_range: Float = np.log(np.maximum(metres, NEAREST_M))
-    return log_range
+    return np.log(np.maximum(metres, NEAREST_M))
 
 
 def knows_error(network: Network) -> bool:

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from salsanext_cli.records import Float
+from salsanext_cli.records import Double, Float
 
-Double = npt.NDArray[np.float64]
 Values = TypeVar("Values", Float, Double)
 
 
@@ -60,5 +58,4 @@ def entropy(probabilities: Values) -> Values:
     # The logarithm of the smallest stands for that of 0, which counts 0 times.
     logarithms = np.log(np.maximum(probabilities, np.finfo(probabilities.dtype).tiny))
     # A softmax rounded up to above 1 would have a negative one.
-    nats: Values = np.maximum(-(probabilities * logarithms).sum(axis=0), 0)
-    return nats
+    return np.maximum(-(probabilities * logarithms).sum(axis=0), 0)

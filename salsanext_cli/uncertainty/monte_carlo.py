@@ -16,8 +16,8 @@ from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.errors import UsageError
 from salsanext_cli.network.dropout import drawn, require_dropout, sampling
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.records import Float, RangeImage
-from salsanext_cli.uncertainty.estimate import Double, Estimate, entropy
+from salsanext_cli.records import Double, Float, RangeImage
+from salsanext_cli.uncertainty.estimate import Estimate, entropy
 
 PASSES_PER_THREAD = 4
 """Passes that a thread computes before they are added up, in the order of their numbers."""

@@ -4,7 +4,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
 
 from salsanext_cli.engines.network import Network
@@ -14,7 +13,7 @@ from salsanext_cli.fitting.label_scan import LabelledScan, labelled, project_for
 from salsanext_cli.fitting.scan_checks import ScanCheck
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.options import KnnParameters
-from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.records import Double, Float, RangeImage
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import sample
@@ -26,17 +25,15 @@ class ScanDescription:
 
     file: ScanFile
     # (D,) float64: of the layer before the logits, without dropout; 32 in SalsaNext
-    features: npt.NDArray[np.float64]
+    features: Double
     uncertainty: float  # Mutual information of label and weights, nats
     check: ScanCheck  # Reasons to doubt the scan
 
 
 def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> ScanDescription:
-    """Read a scan, and describe it by what the network makes of it.
-
-    The masks of dropout are those of the seed, the same for every scan: between masks the mutual
-    information of a scan varies more than between scans of one drive.
-    """
+    """Describe a scan by what the network makes of it."""
+    # The masks of dropout are the same for every scan: between masks the mutual information varies
+    # more than between scans of one drive.
     projected = project_for(network, file)
     image = projected.image
     filled = image.point_of_pixel >= 0
@@ -52,11 +49,7 @@ def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> 
 def label_sampled(
     file: ScanFile, network: Network, samples: int, seed: int
 ) -> tuple[LabelledScan, Float]:
-    """Label a scan by the mean softmax of the passes.
-
-    Returns the mutual information of label and weights of each pixel, (H, W), nats, too; it is
-    meaningless where the pixel is empty.
-    """
+    """Label a scan by the mean softmax of passes; also return their information (H, W), nats."""
     projected = project_for(network, file)
     estimate = _estimate(file, projected.image, network, samples, seed)
     scan = labelled(projected, estimate.probabilities, network, KnnParameters())
@@ -75,12 +68,10 @@ def pixel_features(network: Network, image: RangeImage) -> Float:
     """Return the features of every pixel of a scan, (D, H, W) float32, without dropout."""
     engine, given = network.engine, network.input(image.channels)
     if engine.library == "openvino":
-        of_one: Float = engine.graph("features", _decoded)(given)[0][0]
-        return of_one
+        return engine.graph("features", _decoded)(given)[0][0]
     with inference_mode(engine.device):
         decoded = _decoded(engine.torch_module, engine.tensor(given))
-        features: Float = decoded[0].float().cpu().numpy()
-        return features
+        return decoded[0].float().cpu().numpy()
 
 
 def _decoded(module: SegmentationNetwork, image: Tensor) -> Tensor:

@@ -4,14 +4,8 @@
 import math
 
 import numpy as np
-import pytest
-import torch
 
 F = np.float32
-ON_TORCH = "cpu:0"
-"""Any name but "cpu" chooses the implementation for torch devices."""
-NO_GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
-DEVICES = [ON_TORCH, pytest.param("cuda", marks=[pytest.mark.cuda, NO_GPU])]
 
 
 def slow_project(scan, sensor):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from slow_geometry import DEVICES, ON_TORCH, published_refine, slow_refine
+from slow_geometry import published_refine, slow_refine
 
 from salsanext_cli import KnnParameters, RangeImage, knn_refine, project, sensor
 from salsanext_cli.errors import LabelError, UsageError
@@ -39,10 +39,6 @@ def slow(image, labels, parameters):
     return slow_refine(image, labels, *rules)
 
 
-def on_torch(image, labels, parameters, device=ON_TORCH):
-    return knn_refine(image, labels, parameters=parameters, device=device)
-
-
 @st.composite
 def problems(draw):
     height, width = draw(st.integers(1, 6)), draw(st.integers(1, 9))
@@ -63,13 +59,12 @@ def problems(draw):
 
 
 @given(problems())
-def test_equals_the_slow_loop_on_both_devices(problem):
+def test_equals_the_slow_loop(problem):
     image, labels, parameters = problem
     expected = slow(image, labels, parameters)
     refined = knn_refine(image, labels, parameters=parameters)
     assert refined.dtype == np.uint8
     np.testing.assert_array_equal(refined, expected)
-    np.testing.assert_array_equal(on_torch(image, labels, parameters), expected)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -83,18 +78,7 @@ def test_many_points_on_any_number_of_threads(rings, cell, threads, monkeypatch)
     labels = labels[::cell, ::cell].repeat(cell, 0).repeat(cell, 1)[:64, :512]
     parameters = KnnParameters(cutoff=4.0)
     refined = knn_refine(image, labels, parameters=parameters)
-    np.testing.assert_array_equal(refined, on_torch(image, labels, parameters))
     np.testing.assert_array_equal(refined[::97], slow(some_points(image, 97), labels, parameters))
-
-
-@pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("width", [2048, 333, 3])
-def test_other_devices_give_the_same_labels(rings, width, device):
-    image = project(rings, sensor("hdl64").resized(width=width))
-    labels = np.random.default_rng(2).integers(0, 20, (64, width))
-    for parameters in (KnnParameters(), KnnParameters(7, 7, 2.0, 5.0)):
-        expected = knn_refine(image, labels, parameters=parameters)
-        np.testing.assert_array_equal(on_torch(image, labels, parameters, device), expected)
 
 
 ROW = [5.0] * 8
@@ -116,7 +100,6 @@ NEAR, FAR = [5.0, 5.0, 5.0, 5.1, 5.1, 5.2, 5.2, 90], [5.0, 5.0, 5.0, 6.0]
 def test_one_row_by_hand(ranges, labels, pixel, parameters, expected):
     image, parameters = image_of([ranges], [pixel]), KnnParameters(*parameters)
     assert knn_refine(image, [labels], parameters=parameters).tolist() == [expected]
-    assert on_torch(image, [labels], parameters).tolist() == [expected]
 
 
 def test_hidden_point_gets_the_label_of_its_own_distance():

@@ -6,14 +6,12 @@ import math
 import numba
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from slow_geometry import DEVICES, ON_TORCH, slow_project
+from slow_geometry import slow_project
 
 from salsanext_cli import Scan, Sensor, project, sensor
-from salsanext_cli.geometry import projection_torch
 from salsanext_cli.geometry.projection import arctan2
 
 FIELDS = ("channels", "pixel_of_point", "point_of_pixel", "point_range")
@@ -58,10 +56,8 @@ def sensors(draw):
 
 
 @given(scans, sensors())
-def test_equals_the_slow_loop_on_both_devices(scan, drawn):
-    expected = slow_project(scan, drawn)
-    assert_same(project(scan, drawn), expected)
-    assert_same(project(scan, drawn, ON_TORCH), expected)
+def test_equals_the_slow_loop(scan, drawn):
+    assert_same(project(scan, drawn), slow_project(scan, drawn))
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -69,13 +65,6 @@ def test_many_points_on_any_number_of_threads(rings, threads, monkeypatch):
     monkeypatch.setattr("salsanext_cli.compiled.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
     assert_same(project(rings, sensor("hdl64")), slow_project(rings, sensor("hdl64")))
-
-
-@pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("width", [2048, 333, 3])
-def test_other_devices_give_the_same_bits(rings, width, device):
-    narrow = sensor("hdl64").resized(width=width)
-    assert_same(project(rings, narrow, device), fields_of(project(rings, narrow)))
 
 
 def test_compass():
@@ -101,13 +90,11 @@ def test_takes_views_and_read_only_arrays(rings):
     assert_same(image, fields_of(project(rings, WIDE)))
 
 
-def test_both_arctangents_are_the_same_bits():
-    """A last bit of float32 moves one point in a hundred thousand to the next pixel."""
+def test_the_arctangent_is_that_of_the_library():
     y, x = np.random.default_rng(5).normal(size=(2, 20_000))
     x[:4], y[:4] = (0, -0.0, 0, 1), (0, 0.0, -1, 0)
-    found = projection_torch.arctan2(torch.from_numpy(y), torch.from_numpy(x)).numpy()
-    expected = np.array([arctan2(*pair) for pair in zip(y, x, strict=True)])
-    np.testing.assert_array_equal(found.view(np.int64), expected.view(np.int64))
+    found = np.array([arctan2(*pair) for pair in zip(y, x, strict=True)])
+    np.testing.assert_allclose(found, np.arctan2(y, x), rtol=0, atol=1e-11)
 
 
 @pytest.mark.real

@@ -12,8 +12,7 @@ from salsanext_cli.synthesis.presets import BRIGHTNESS
 from salsanext_cli.synthesis.street.plan import Plan, Side
 from salsanext_cli.synthesis.surfaces import Material
 
-PIECE_M = 5.0
-"""Largest length of the pieces in which long things follow a bend."""
+PIECE_M = 5.0  # Largest length of the pieces in which long things follow a bend
 
 
 def with_brightness(mesh: Mesh, of_material: Array) -> Mesh:

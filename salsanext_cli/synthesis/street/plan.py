@@ -11,24 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.records import Mask
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
 from salsanext_cli.synthesis.presets import BRIGHTNESS, Numbers, weighted_choice
 from salsanext_cli.synthesis.surfaces import Material
 
-REACH_M = 62.0
-"""Extent of the world to either side of the centre line."""
+REACH_M = 62.0  # Extent of the world to either side of the centre line
 LEFT, RIGHT = 1, -1
-KERB_M = 0.02
-"""Half the depth of a kerb's face, which belongs to the pavement."""
-DROP_M = 0.6
-"""Length over which a kerb goes down beside a driveway."""
-RUN_OUT_M = 70.0
-"""Length of the street behind the first scan and beyond the last one."""
+KERB_M = 0.02  # Half the depth of a kerb's face, which belongs to the pavement
+DROP_M = 0.6  # Length over which a kerb goes down beside a driveway
+RUN_OUT_M = 70.0  # Length of the street behind the first scan and beyond the last one
 MULTILANE_HALF_WIDTH_M = 5.5
 """Half the width of a carriageway from which on it has more than a lane per direction."""
-GREEN = ("thicket", "scrub", "field", "green")
-"""Kinds of lot on an embankment."""
+GREEN = ("thicket", "scrub", "field", "green")  # Kinds of lot on an embankment
 PAVED = (Material.PAVING, Material.PAVING, Material.PAVING, Material.ASPHALT)
 """Materials of paved ground, each as likely as it is listed."""
 CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
@@ -98,7 +94,7 @@ class Side:
             height = np.minimum(height, self.kerb * np.clip(away / DROP_M, 0, 1))
         return height
 
-    def on_side_street(self, s: Array, beyond: Array) -> npt.NDArray[np.bool_]:
+    def on_side_street(self, s: Array, beyond: Array) -> Mask:
         """Say whether a place `beyond` the kerb is on a side street or its rounded corners."""
         on_street = np.zeros(np.broadcast_shapes(np.shape(s), np.shape(beyond)), bool)
         for crossing in self.crossings:
@@ -150,8 +146,7 @@ class Plan:
 
     def yaw(self, s: npt.ArrayLike) -> Array:
         """Heading of the street at s, radians."""
-        heading: Array = np.interp(np.asarray(s, float), self.knots, self.heading)
-        return heading
+        return np.interp(np.asarray(s, float), self.knots, self.heading)
 
     def world(self, s: npt.ArrayLike, t: npt.ArrayLike) -> Array:
         """World coordinates (..., 3) of the ground at (s, t)."""
@@ -164,8 +159,7 @@ class Plan:
     def rolling(self, x: Array, y: Array) -> Array:
         """Height of the landscape under everything."""
         amplitude, kx, ky, phase = self.waves[(...,) + (None,) * np.ndim(x)]
-        height: Array = (amplitude * np.sin(kx * x + ky * y + phase)).sum(0)
-        return height
+        return (amplitude * np.sin(kx * x + ky * y + phase)).sum(0)
 
     def relief(self, s: Array, t: Array) -> Array:
         """Height of kerbs, camber and banks above the landscape."""
@@ -189,11 +183,11 @@ class Plan:
             label = np.where(beyond > -KERB_M / 2, side.label(s, beyond), label)
         return label
 
-    def _painted(self, s: Array, t: Array) -> npt.NDArray[np.bool_]:
+    def _painted(self, s: Array, t: Array) -> Mask:
         """Say where the carriageway is painted: dashes, edge lines, zebra and stop lines."""
         dashed = (np.abs(t) < 0.08) & (np.mod(s, 9.0) < 3.0)
         edge = (np.abs(np.abs(t) - (self.half - 0.3)) < 0.06) & (self.style.lane[1] > 4)
-        painted: npt.NDArray[np.bool_] = dashed | edge
+        painted: Mask = dashed | edge
         for crossing in self.crossings:
             away = np.abs(s - crossing.s) - crossing.half
             painted &= away > 1
@@ -363,8 +357,7 @@ def ground(rng: Rng, plan: Plan) -> Mesh:
 def _lines(regular: Array, edges: Array, low: float, high: float) -> Array:
     lines: Array = np.unique(np.concatenate([regular, edges - KERB_M, edges + KERB_M]))
     lines = lines[(lines >= low) & (lines <= high)]
-    apart: Array = lines[np.concatenate([[True], np.diff(lines) > 0.01])]
-    return apart
+    return lines[np.concatenate([[True], np.diff(lines) > 0.01])]
 
 
 def _patches(rng: Rng, s: Array, t: Array, length: float) -> Array:

@@ -12,12 +12,9 @@ from salsanext_cli.synthesis.things.vehicles import car, length_of, vehicle
 
 TOWARDS_TRAFFIC_RAD = np.pi / 2
 """Turns a sign, which faces its local -y, towards the traffic on its side of the street."""
-SIDE_STREET_END_M = 50.0
-"""Distance beyond the kerb at which trees close a side street."""
-TOWARDS_ROAD_RAD = -np.pi / 2
-"""Turns what faces along the street towards the road."""
-IN_A_ROW_M = 1.95
-"""Distance between bicycles that stand one behind the other."""
+SIDE_STREET_END_M = 50.0  # Distance beyond the kerb at which trees close a side street
+TOWARDS_ROAD_RAD = -np.pi / 2  # Turns what faces along the street towards the road
+IN_A_ROW_M = 1.95  # Distance between bicycles that stand one behind the other
 
 
 def furnish(builder: Builder, side: Side) -> None:

@@ -9,15 +9,12 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, merge, quads
 from salsanext_cli.synthesis.surfaces import BUILDING, Material
 
-FOOT_M = -1.5
-"""Height of the foot of a wall: below the ground, which is not level."""
+FOOT_M = -1.5  # Height of the foot of a wall: below the ground, which is not level
 BLANK_SHARE = 0.2
 """Largest share of openings in the ground floor of a blank front; real ones near a sensor are often
 flat over more than 3 m."""
-Corners = list[list[float]]
-"""Four points of a quadrangle."""
-Opening = tuple[float, float, float, float]
-"""Left, right, bottom and top."""
+Corners = list[list[float]]  # Four points of a quadrangle
+Opening = tuple[float, float, float, float]  # Left, right, bottom and top
 
 
 class House(NamedTuple):

@@ -10,10 +10,8 @@ from salsanext_cli.synthesis.things.vehicles import dark_paint
 
 TYRE_SHADE = 3.0
 """Brighter than rubber of cars; on a street no shade is more than the presets' most, 2.2."""
-WHEEL_M = 0.34
-"""Radius of a bicycle's wheel."""
-AXLE_M = 0.52
-"""Half the distance between the axles of a bicycle."""
+WHEEL_M = 0.34  # Radius of a bicycle's wheel
+AXLE_M = 0.52  # Half the distance between the axles of a bicycle
 
 
 def _ring(centre: Array, radius: float, thickness: float, skin: Skin) -> Mesh:

@@ -6,8 +6,7 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, ellipsoid, facets, merge, tube
 from salsanext_cli.synthesis.surfaces import TRUNK, VEGETATION, Material
 
-THIN_M = 0.06
-"""Largest radius of a stem that is a branch, not a trunk."""
+THIN_M = 0.06  # Largest radius of a stem that is a branch, not a trunk
 FOOT_M = -0.4
 """Height of the foot of trunks, stems and hedges: below the ground, which is not level."""
 

@@ -13,15 +13,13 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import TrainIds
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Double, Float, Indices, Mask, Scan
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.recipe import Recipe
 
-LabelledScan = tuple[Scan, TrainIds]
-"""A scan and the train ids of its points, (N,) uint8."""
+LabelledScan = tuple[Scan, TrainIds]  # A scan and the train ids of its points, (N,) uint8
 
 SHIFT_LOW_M = (-5.0, -3.0, -1.0)
 SHIFT_HIGH_M = (5.0, 3.0, 0.0)
@@ -61,15 +59,13 @@ def rotate(points: Float, angle: float) -> Float:
     cosine, sine = np.cos(angle), np.sin(angle)
     turn = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]], np.float32)
     with np.errstate(invalid="ignore"):
-        turned: Float = points @ turn
-    return turned
+        return points @ turn
 
 
-def shift(points: Float, offset: npt.NDArray[np.float64]) -> Float:
+def shift(points: Float, offset: Double) -> Float:
     """Move points (N, 3) by (3,) metres; those at the origin measure nothing and stay."""
     x, y, z = points.T != 0
-    moved: Float = points + (x | y | z)[:, None] * offset.astype(np.float32)
-    return moved
+    return points + (x | y | z)[:, None] * offset.astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,12 +90,10 @@ class Checkerboard:
         sectors = 2 * int(random.integers(1, MAX_SECTOR_PAIRS + 1)) if in_sectors else 1
         return cls(bands, sectors, random.uniform(-np.pi, np.pi), sensor.fov_down, sensor.fov_up)
 
-    def odd(self, points: Float) -> npt.NDArray[np.bool_]:
-        """Return whether points (N, 3) lie in odd cells, (N,) bool.
-
-        It changes with every border between a point and the lowest band of the first sector: a cone
-        between bands, a plane through the origin for two borders between sectors.
-        """
+    def odd(self, points: Float) -> Mask:
+        """Return whether points (N, 3) lie in odd cells, (N,) bool."""
+        # It changes with every border between a point and the lowest band of the first sector: a
+        # cone between bands, a plane through the origin for two borders between sectors.
         x, y, z = np.ascontiguousarray(points.T)
         odd = np.zeros(len(points), np.bool_)
         edges = np.radians(np.linspace(self.fov_down, self.fov_up, self.bands + 1)[1:-1])
@@ -121,9 +115,7 @@ def mix(even: LabelledScan, odd: LabelledScan, board: Checkerboard) -> LabelledS
     return concatenate(of_even, select(odd, board.odd(odd[0].points)))
 
 
-def paste(
-    onto: LabelledScan, pasted: LabelledScan, angles: npt.NDArray[np.float64]
-) -> LabelledScan:
+def paste(onto: LabelledScan, pasted: LabelledScan, angles: Double) -> LabelledScan:
     """Return a scan with points of another beside it, turned about z by each angle (radians)."""
     points = pasted[0].points
     with np.errstate(invalid="ignore", over="ignore"):
@@ -133,13 +125,13 @@ def paste(
     return concatenate(onto, *turned)
 
 
-def select(labelled: LabelledScan, chosen: npt.NDArray[np.bool_]) -> LabelledScan:
+def select(labelled: LabelledScan, chosen: Mask) -> LabelledScan:
     """Return the chosen points of a labelled scan, (N,) bool."""
     # By index it takes a fifth of the time that NumPy needs by mask.
     return _taken(labelled, np.flatnonzero(chosen))
 
 
-def _taken(labelled: LabelledScan, index: npt.NDArray[np.intp]) -> LabelledScan:
+def _taken(labelled: LabelledScan, index: Indices) -> LabelledScan:
     scan, labels = labelled
     return scan.take(index), labels.take(index)
 
@@ -154,17 +146,12 @@ def concatenate(*scans: LabelledScan) -> LabelledScan:
 
 
 def choose_columns(
-    truth: TrainIds,
-    scored: npt.NDArray[np.bool_],
-    width: int,
-    on_class: float,
-    random: np.random.Generator,
-) -> npt.NDArray[np.intp]:
-    """Choose the columns, (width,), of a window that may go round the circle.
-
-    With probability `on_class` it holds a pixel of a class drawn evenly from those present in truth
-    (H, W) that are scored, (C,) bool; else it is anywhere. A width of 0, or more than W, takes all.
-    """
+    truth: TrainIds, scored: Mask, width: int, on_class: float, random: np.random.Generator
+) -> Indices:
+    """Choose the columns, (width,), of a window that may go round the circle."""
+    # With probability `on_class` it holds a pixel of a class drawn evenly from those present in
+    # truth (H, W) that are scored, (C,) bool; else it is anywhere. A width of 0, or more than W,
+    # takes all.
     whole = truth.shape[1]
     if width == 0 or width >= whole:
         return np.arange(whole)
@@ -174,5 +161,4 @@ def choose_columns(
         if len(present):
             _, candidates = np.nonzero(truth == random.choice(present))
             start = random.choice(candidates) - random.integers(width)
-    columns: npt.NDArray[np.intp] = (start + np.arange(width)) % whole
-    return columns
+    return (start + np.arange(width)) % whole

@@ -22,13 +22,13 @@ from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.card import parted, scan_digest
+from salsanext_cli.records import Double, Mask
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.data.sources import Source, read_labelled
 
 Counts = npt.NDArray[np.int64]
-RARE_SHARE = 0.01
-"""Share of the scored training points below which a class is rare."""
+RARE_SHARE = 0.01  # Share of the scored training points below which a class is rare
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,21 +80,20 @@ def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSumma
     return counts.astype(np.int64), [each[1] for each in results], [each[2] for each in results]
 
 
-def class_shares(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+def class_shares(counts: Counts, scored: Mask) -> Double:
     """Return the share of every class in the scored points, (C,) float64; 0 for ignored ones."""
     used = np.where(scored, counts, 0).astype(np.float64)
-    shares: npt.NDArray[np.float64] = used / max(used.sum(), 1)
-    return shares
+    return used / max(used.sum(), 1)
 
 
-def class_weights(counts: Counts, scored: npt.NDArray[np.bool_], exponent: float = 0.5) -> Tensor:
+def class_weights(counts: Counts, scored: Mask, exponent: float = 0.5) -> Tensor:
     """Return share**-exponent of every class, (C,) float32; 0 for those ignored or never seen."""
     share = class_shares(counts, scored)
     weights = np.divide(1, share**exponent, out=np.zeros_like(share), where=share > 0)
     return torch.from_numpy(weights.astype(np.float32))
 
 
-def rare_classes(counts: Counts, scored: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def rare_classes(counts: Counts, scored: Mask) -> Mask:
     """Return which scored classes are rare, (C,) bool."""
     return scored & (class_shares(counts, scored) < RARE_SHARE)
 
@@ -107,11 +106,9 @@ def class_counts(
     jobs: int = 1,
     also: float = 0.0,
 ) -> ClassCounts:
-    """Return the points per class of all training data, reading and checking all scans.
-
-    The JSON file keeps the result until a file changes: a whole SemanticKITTI is 55 GB. Points
-    count as often as they are drawn: further sources get the share `also` of the samples.
-    """
+    """Return the points per class of all training data, reading and checking all scans."""
+    # The JSON file keeps the result until a file changes: a whole SemanticKITTI is 55 GB. Points
+    # count as often as they are drawn: further sources get the share `also` of the samples.
     first, *further = sources
     space, training = first.space, first.files
     digest = data_digest([*sources, validation], validated, also if further else 0.0)

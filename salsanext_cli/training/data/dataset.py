@@ -10,7 +10,6 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
@@ -25,7 +24,7 @@ from salsanext_cli.geometry.network_input import (
     with_filled_gaps,
 )
 from salsanext_cli.geometry.projection import pixels_from_points, project
-from salsanext_cli.records import Float
+from salsanext_cli.records import Float, Mask
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
 from salsanext_cli.training.data import augment, other_sensors
@@ -38,8 +37,7 @@ from salsanext_cli.training.recipe import Recipe
 ORDER, SAMPLE = 0, 1
 """Purposes of generators, of orders and of samples: parts of their seeds beside `DROPOUT`."""
 
-SampleKey = tuple[int, int]
-"""Position of a sample in the whole training, index of its scan."""
+SampleKey = tuple[int, int]  # Position of a sample in the whole training, index of its scan
 Sample = tuple[Float, TrainIds, int]
 """Normalised image (5, H, W), targets (H, W), index of the scan."""
 Batch = tuple[Tensor, Tensor, Tensor]
@@ -116,7 +114,7 @@ class Samples(Dataset[Sample]):
     sources: Sequence[Source]
     sensor: Sensor  # That images are normalised for; its intensity and gaps are those of training
     recipe: Recipe
-    rare: npt.NDArray[np.bool_]  # (C,): classes whose points are pasted
+    rare: Mask  # (C,): classes whose points are pasted
     sets: ClassSets = ()
 
     @property

@@ -12,10 +12,9 @@ Dark surfaces have more holes in some of these sensors and fewer in others: inte
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.geometry.projection import measured_ranges
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Float, Indices, Scan
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.data.augment import shift
 
@@ -24,29 +23,21 @@ Rng = np.random.Generator
 LOG_GAIN, LOG_GAMMA, RANGE_POWER, OFFSET = 0.3, 0.3, 0.15, 0.05
 """Standard deviations of what intensities are changed by: log of gain and of exponent, power of the
 range, and offset."""
-RESPONSE_RANGE_M = 10.0
-"""Range at which a power of the range changes nothing."""
-LOWERED_M, RAISED_M = 0.55, 0.9
-"""Largest distances that a sensor is moved down and up."""
-TILT_DEG = 1.0
-"""Standard deviation of the angle that a sensor is tilted by."""
+RESPONSE_RANGE_M = 10.0  # Range at which a power of the range changes nothing
+LOWERED_M, RAISED_M = 0.55, 0.9  # Largest distances that a sensor is moved down and up
+TILT_DEG = 1.0  # Standard deviation of the angle that a sensor is tilted by
 EDGE_SHIFT_DEG, EDGE_SHIFT = 6.0, 0.25
 """Largest shift of an edge of the view, in degrees and as a share of the view, so that the edges
 never meet."""
-LEAST_ROWS, MOST_ROWS = 0.25, 0.75
-"""Bounds of the share of rows that are kept."""
+LEAST_ROWS, MOST_ROWS = 0.25, 0.75  # Bounds of the share of rows that are kept
 MAX_RUN = 4
 """Most pixels between two measured ones of a row of which the holes among them are counted."""
-EDGE_RATIO = 1.1
-"""Ratio of the ranges on both sides above which there is an edge between them."""
-RANGE_EDGES_M = (5.0, 10.0, 20.0, 40.0)
-"""Bounds of the bins of the range on the nearer side."""
+EDGE_RATIO = 1.1  # Ratio of the ranges on both sides above which there is an edge between them
+RANGE_EDGES_M = (5.0, 10.0, 20.0, 40.0)  # Bounds of the bins of the range on the nearer side
 HOLE_SHARES = np.array([[0.064, 0.026, 0.026, 0.051, 0.067], [0.119, 0.114, 0.115, 0.149, 0.176]])
 """Share of holes on surfaces and at edges, by range."""
-CONTINUED = 0.42
-"""Share of holes whose neighbour to the right is a hole, too."""
-MOST_HOLES = 2.0
-"""Largest factor of the shares: that of the sensor with the most holes, OS2-32."""
+CONTINUED = 0.42  # Share of holes whose neighbour to the right is a hole, too
+MOST_HOLES = 2.0  # Largest factor of the shares: that of the sensor with the most holes, OS2-32
 MOST_JITTER_M = 0.03
 """Largest standard deviation of positions: of ranges it is what makers state as typical."""
 
@@ -94,12 +85,9 @@ def fewer_beams(channels: Float, random: Rng) -> Float:
     return thinned
 
 
-def hole_cells(ranges: Float) -> npt.NDArray[np.intp]:
-    """Return the cell of `HOLE_SHARES`, counted row by row, of each pixel of ranges (H, W).
-
-    It depends on the next measured pixels (above 0) to the left and right around the circle,
-    whether or not the pixel itself is measured; -1 where they are more than `MAX_RUN` apart.
-    """
+def hole_cells(ranges: Float) -> Indices:
+    """Return the cell of `HOLE_SHARES` of each pixel of ranges (H, W), -1 beyond `MAX_RUN`."""
+    # By the next measured pixels to the left and right, whether or not itself is measured.
     sides, steps = np.zeros((2, *ranges.shape), np.float32), np.full((2, *ranges.shape), MAX_RUN)
     for step in range(MAX_RUN, 0, -1):
         for side, signed in enumerate((step, -step)):
@@ -113,11 +101,8 @@ def hole_cells(ranges: Float) -> npt.NDArray[np.intp]:
 
 
 def make_holes(channels: Float, random: Rng) -> Float:
-    """Return channels (C, H, W), the range first, of which pixels are lost as real sensors do.
-
-    By the share of their cell times a factor, uniform up to `MOST_HOLES`; with probability
-    `CONTINUED` a pixel shares the random number of its left neighbour.
-    """
+    """Return channels (C, H, W), the range first, of which pixels are lost as in real sensors."""
+    # By the share of their cell times a factor; by `CONTINUED` with their left neighbours.
     shares = np.append(HOLE_SHARES, 0.0)[hole_cells(channels[0])] * random.uniform(0, MOST_HOLES)
     chance, own = random.random(shares.shape), random.random(shares.shape) >= CONTINUED
     source = np.maximum.accumulate(np.where(own, np.arange(own.shape[1]), 0), axis=1)
@@ -129,5 +114,4 @@ def jitter(points: Float, random: Rng) -> Float:
     """Return points (N, 3) with normal noise on x, y and z; those at the origin stay."""
     deviation = np.float32(random.uniform(0, MOST_JITTER_M))
     noise = deviation * random.standard_normal(points.shape, np.float32)
-    moved: Float = points + noise * (points != 0).any(axis=1, keepdims=True)
-    return moved
+    return points + noise * (points != 0).any(axis=1, keepdims=True)

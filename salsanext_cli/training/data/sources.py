@@ -22,10 +22,7 @@ from salsanext_cli.geometry.projection import ego_points, in_sensor_frame, proje
 from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.results.selection import (
-    data_set_label_space,
-    with_splits,
-)
+from salsanext_cli.results.selection import data_set_label_space, with_splits
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 from salsanext_cli.training.data.augment import LabelledScan
 from salsanext_cli.training.data.targets import ClassSets, to_targets
@@ -130,12 +127,10 @@ def merged_into(own: LabelSpace, space: LabelSpace) -> LabelSpace | None:
 def scans_to_train_on(
     dataset: Path, space: LabelSpace | None, *, divisible: bool
 ) -> tuple[LabelSpace, list[ScanFile], list[ScanFile]]:
-    """Return the label space of a data set, its training scans and its validation scans.
-
-    If it is `divisible`, a validation split may lack: all labelled scans are trained on where no
-    splits are named; where one is in none, or ``train`` or ``valid`` is empty, all but those of
-    other splits than ``train``.
-    """
+    """Return the label space of a data set, its training scans and its validation scans."""
+    # If it is `divisible`, a validation split may lack: all labelled scans are trained on where no
+    # splits are named; where one is in none, or ``train`` or ``valid`` is empty, all but those of
+    # other splits than ``train``.
     if not divisible:
         classes, training = labelled_split(dataset, space, "train")
         _name_unsplit(dataset, classes)
@@ -187,11 +182,7 @@ def _name_unsplit(dataset: Path, space: LabelSpace) -> None:
 def labelled_split(
     dataset: Path, space: LabelSpace | None, split: str
 ) -> tuple[LabelSpace, list[ScanFile]]:
-    """Return the label space of a data set, and the scans of a split.
-
-    What is not given or not in the space, itself, splits, alternatives of merged classes, is what
-    the data set says, else SemanticKITTI's. A split without scans raises `NoInputError`.
-    """
+    """Return the label space of a data set, completed as `with_splits_of`, and a split's scans."""
     space = with_splits_of(dataset, space)
     members = space.split(split)
     scans = [scan for scan in find_scans(dataset) if scan.sequence in members]

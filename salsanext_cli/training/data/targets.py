@@ -7,19 +7,12 @@ A data set says so by `LabelSpace.alternatives`. With C classes, target C + k is
 from collections.abc import Callable, Iterable
 
 import numpy as np
-import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import (
-    RAW_ID_COUNT,
-    UNKNOWN,
-    LabelSpace,
-    RawIds,
-    TrainIds,
-)
+from salsanext_cli.classes.label_space import RAW_ID_COUNT, UNKNOWN, LabelSpace, RawIds, TrainIds
 from salsanext_cli.errors import UsageError
+from salsanext_cli.records import Mask
 
-ClassSets = tuple[tuple[int, ...], ...]
-"""Sets of train ids, each in rising order."""
+ClassSets = tuple[tuple[int, ...], ...]  # Sets of train ids, each in rising order
 
 
 def class_sets(spaces: Iterable[LabelSpace]) -> ClassSets:
@@ -45,11 +38,7 @@ def to_targets(raw: RawIds, space: LabelSpace, sets: ClassSets, source: object) 
     return np.where(of_sets > 0, of_sets, targets)
 
 
-def of_targets(
-    of_classes: npt.NDArray[np.bool_],
-    sets: ClassSets,
-    rule: Callable[[npt.NDArray[np.bool_]], np.bool_],
-) -> npt.NDArray[np.bool_]:
+def of_targets(of_classes: Mask, sets: ClassSets, rule: Callable[[Mask], np.bool_]) -> Mask:
     """Return (C,) bool of classes, and behind it what a rule makes of each set's, (C + K,)."""
     of_sets = [bool(rule(of_classes[list(several)])) for several in sets]
     return np.append(of_classes, np.array(of_sets, np.bool_))

@@ -20,10 +20,8 @@ from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan
 SMALLEST_VARIANCE = 1e-4
 """Lower bound of a variance, (1 % of probability)²: else a few points that are sure and wrong would
 weigh more than all others."""
-SAMPLES = 30
-"""Passes per scan and rate."""
-LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10
-"""Ends of the range of rates, and their number."""
+SAMPLES = 30  # Passes per scan and rate
+LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10  # Ends of the range of rates, and their number
 
 log = logging.getLogger(__name__)
 
@@ -42,11 +40,9 @@ def rates_between(lowest: float, highest: float, steps: int) -> list[float]:
 
 
 def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) -> float:
-    """Return Σ ½ log s + (y − p)² / 2s over points and classes; lower is better.
-
-    It is the negative log-likelihood, but for a constant, of the one-hot truth y (M,) under
-    Gaussians of mean p (M, C), the mean softmax of the passes, and total variance s (M, C).
-    """
+    """Return Σ ½ log s + (y − p)² / 2s over points and classes; lower is better."""
+    # It is the negative log-likelihood, but for a constant, of the one-hot truth y (M,) under
+    # Gaussians of mean p (M, C), the mean softmax of the passes, and total variance s (M, C).
     s = np.maximum(variance.astype(np.float64), SMALLEST_VARIANCE)
     error = probabilities.astype(np.float64)
     error[np.arange(len(truth)), truth] -= 1
@@ -61,10 +57,7 @@ def fit_dropout(
     highest: float = HIGHEST,
     steps: int = STEPS,
 ) -> Tuned:
-    """Find the rate of dropout of the least `objective`, mean over the points, among some rates.
-
-    `samples`, `seed`: passes per scan and rate, and the seed of their masks.
-    """
+    """Find the rate of dropout of the least mean `objective`, of `samples` passes with a `seed`."""
     rates = rates_between(lowest, highest, steps)
     require_sampling(with_dropout(scans.loaded, lowest), samples)
     noise_of(scans.loaded.sensor)

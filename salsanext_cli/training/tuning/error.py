@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 from torch import nn
@@ -19,32 +18,24 @@ from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
 from salsanext_cli.measures.risk_coverage import kept_points, ranking_scores
 from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.records import Float
+from salsanext_cli.records import Float, Mask
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
 from salsanext_cli.uncertainty.error_features import FEATURES, error_features
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
-MAX_POINTS = 1_000_000
-"""Bound of the number of points of all scans, 37 MB."""
-MAX_POINTS_OF_SCAN = 20_000
-"""Points of one scan are much alike: more of them tell little."""
+MAX_POINTS = 1_000_000  # Bound of the number of points of all scans, 37 MB
+MAX_POINTS_OF_SCAN = 20_000  # Points of one scan are much alike: more of them tell little
 FOLDS = 5
-SEED = 0
-"""Seed of the choice of points, of the first weights and of the order of the points."""
-HIDDEN = 16
-"""Values of each of the two hidden layers."""
-EPOCHS, BATCH = 8, 2048
-"""Passes over the points, and points per step."""
-LEAST_STEPS = 400
-"""Few points are passed over more often."""
+SEED = 0  # Seed of the choice of points, of the first weights and of the order of the points
+HIDDEN = 16  # Values of each of the two hidden layers
+EPOCHS, BATCH = 8, 2048  # Passes over the points, and points per step
+LEAST_STEPS = 400  # Few points are passed over more often
 LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4
 HEIGHT = FEATURES.index("height above the sensor")
-LEAST_SPREAD = 1e-3
-"""Features that hardly differ are not blown up."""
+LEAST_SPREAD = 1e-3  # Features that hardly differ are not blown up
 
-Mask = npt.NDArray[np.bool_]
 
 log = logging.getLogger(__name__)
 
@@ -158,11 +149,7 @@ def gains(model: ErrorModel) -> bool:
 
 
 def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
-    """Fit a model of the least cross-entropy to points of all scans, some wrong and some right.
-
-    The mean and spread of the features become part of the first layer. Without `height`, the
-    weights of that feature are 0.
-    """
+    """Fit a model of least cross-entropy to points; without `height` that feature weighs 0."""
     features = np.concatenate([scan.features for scan in scans])
     wrong = torch.from_numpy(np.concatenate([scan.wrong for scan in scans])).float()
     mean, spread = features.mean(axis=0), np.maximum(features.std(axis=0), LEAST_SPREAD)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.network import Network
@@ -18,7 +17,7 @@ from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.records import Float, Indices, RangeImage
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import select_scans, space_of
 from salsanext_cli.training.data.class_counts import require_labels
@@ -75,15 +74,14 @@ class LabelledImage:
     """Range image of a whole scan, and its M points that have a pixel and one class that counts."""
 
     image: RangeImage
-    points: npt.NDArray[np.intp]  # (M,): their indices in the scan
+    points: Indices  # (M,): their indices in the scan
     truth: TrainIds  # (M,) uint8
     several: float  # Share of the labelled points with a pixel whose label is of several classes
 
     def of_points(self, of_pixels: Float) -> Float:
         """Give every point that counts its pixel's values: (C, H, W) to (M, C)."""
         pixels = self.image.pixel_of_point[self.points]
-        values: Float = of_pixels.reshape(len(of_pixels), -1)[:, pixels].T
-        return values
+        return of_pixels.reshape(len(of_pixels), -1)[:, pixels].T
 
 
 def labelled_scans(
@@ -106,7 +104,7 @@ def labelled_scans(
 def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:
     """Read a scan with its labels and project it."""
     scan, targets = read_labelled(file, space, network.sensor, class_sets([space]))
-    image = project(scan, network.sensor, network.device)
+    image = project(scan, network.sensor)
     is_scored = np.isin(targets, np.flatnonzero(space.scored))
     seen = image.pixel_of_point >= 0
     points = np.flatnonzero(is_scored & seen)

@@ -25,10 +25,8 @@ from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 MAX_LOGITS = 20_000_000
 """Bound of the number of logits that are kept, 80 MB: a million points with 20 classes."""
-SEED = 0
-"""Seed of the choice of points that are kept."""
-CHUNK_POINTS = 1 << 16
-"""Points whose logits are float64 at the same time."""
+SEED = 0  # Seed of the choice of points that are kept
+CHUNK_POINTS = 1 << 16  # Points whose logits are float64 at the same time
 
 log = logging.getLogger(__name__)
 

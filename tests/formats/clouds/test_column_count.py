@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from salsanext_cli.formats.kitti import COUNTS, evident_count, likely_names
+from salsanext_cli.formats.kitti import COUNTS, evident_count
 
 VLP16_DEG = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
 """Elevations in the order of firing: every other beam looks up."""
@@ -50,27 +50,27 @@ def table(names, points):
 
 
 NORMALS, COLOURS = ("normal0", "normal1", "normal2"), ("colour0", "colour1", "colour2")
-RECORDS = {
-    (): "x,y,z",
-    ("fraction",): "x,y,z,intensity",
-    ("byte",): "x,y,z,intensity",
-    ("zero",): "x,y,z,_",
-    ("decibel",): "x,y,z,_",
-    ("byte", "ring"): "x,y,z,intensity,ring",
-    ("fraction", "ring"): "x,y,z,intensity,ring",
-    ("ring", "fraction"): "x,y,z,ring,intensity",
-    ("fraction", "time"): "x,y,z,intensity,_",
-    ("byte", "time", "ring"): "x,y,z,intensity,_,_",
-    NORMALS: "x,y,z,_,_,_",
-    ("fraction", *COLOURS): "x,y,z,intensity,_,_,_",
-    ("fraction", *NORMALS): "x,y,z,intensity,_,_,_",
-    ("one", "fraction", *["zero"] * 3): "x,y,z,_,intensity,_,_,_",
-    ("byte", "time", "ring", "zero", "zero"): "x,y,z,intensity,_,_,_,_",
-    ("fraction", *["zero"] * 4): "x,y,z,intensity,_,_,_,_",
-    ("fraction", *COLOURS, "time"): "x,y,z,intensity,_,_,_,_",
-    ("one", *NORMALS, "zero", "fraction", *["zero"] * 3): "x,y,z,_,_,_,_,_,intensity,_,_,_",
-    ("fraction", *["zero"] * 12): "x,y,z,intensity" + ",_" * 12,
-}
+RECORDS = (
+    (),
+    ("fraction",),
+    ("byte",),
+    ("zero",),
+    ("decibel",),
+    ("byte", "ring"),
+    ("fraction", "ring"),
+    ("ring", "fraction"),
+    ("fraction", "time"),
+    ("byte", "time", "ring"),
+    NORMALS,
+    ("fraction", *COLOURS),
+    ("fraction", *NORMALS),
+    ("one", "fraction", *["zero"] * 3),
+    ("byte", "time", "ring", "zero", "zero"),
+    ("fraction", *["zero"] * 4),
+    ("fraction", *COLOURS, "time"),
+    ("one", *NORMALS, "zero", "fraction", *["zero"] * 3),
+    ("fraction", *["zero"] * 12),
+)
 
 
 @pytest.mark.parametrize("shuffled", [False, True])
@@ -87,7 +87,6 @@ def test_a_wrong_number_of_columns_is_noticed_and_the_right_one_never(names, shu
         # A multiple has every second point.
         if expected % count:
             assert evident_count(values, expected) == count, expected
-    assert ",".join(likely_names(rows)) == RECORDS[names]
 
 
 @pytest.mark.parametrize("lost", [0.0, np.nan])

@@ -109,7 +109,7 @@ def test_real_five_columns_are_recognised(real_data, tmp_path, name):
 
 @pytest.mark.real
 @pytest.mark.parametrize("name", ["semantickitti/sequences/00", "pandaset/sequences/002"])
-def test_the_names_of_the_error_read_a_real_scan_with_other_columns(real_data, tmp_path, name):
+def test_a_real_scan_with_other_columns_is_refused_with_names_to_try(real_data, tmp_path, name):
     table = np.fromfile(next((real_data / "data" / name / "velodyne").iterdir()), "<f4")
     table = table.reshape(-1, 4)
     random, ones = np.random.default_rng(0), np.ones((len(table), 1), np.float32)
@@ -128,7 +128,6 @@ def test_the_names_of_the_error_read_a_real_scan_with_other_columns(real_data, t
         (names,) = re.findall(r"--columns (\S+)", str(caught.value))
         scan = kitti.read_bin(path, columns=tuple(names.split(",")))
         np.testing.assert_array_equal(scan.points, table[:, :3])
-        np.testing.assert_array_equal(scan.intensity, table[:, 3] * (len(columns) > 1))
 
 
 @pytest.mark.real
