@@ -82,11 +82,7 @@ def export_rrd(
 
     out = results.folder()
     with over_scans("export-rrd", running, output.quiet) as run:
-        outcome = stage(
-            out,
-            query=query,
-            options=run,
-        )
+        outcome = stage(out, query=query, options=run)
     run_end.finish("export-rrd", outcome, out, output)
 
 
@@ -196,11 +192,7 @@ def view(
 
     with over_scans("view", running, output.quiet) as run:
         server = stage(
-            results.folder(),
-            port=port,
-            query=query,
-            by_distance=by_distance,
-            options=run,
+            results.folder(), port=port, query=query, by_distance=by_distance, options=run
         )
     run_end.name_failures(server.failures)
     scans, left_out = counted(server.scans, "scan"), run_end.left_out(server.missing)

@@ -14,8 +14,7 @@ from salsanext_cli.options import ScanSelection
 
 def models(
     weights: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Weights files to describe.", show_default="default"),
+        list[Path] | None, typer.Argument(help="Weights files to describe.", show_default="default")
     ] = None,
     *,
     output: console.Output,
@@ -96,8 +95,7 @@ def export_onnx(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="ONNX model to write (.onnx).")],
     *,
     sensor: Annotated[
-        str | None,
-        typer.Option(help=options.SENSOR_HELP, show_default="the sensor of the weights"),
+        str | None, typer.Option(help=options.SENSOR_HELP, show_default="the sensor of the weights")
     ] = None,
     dynamic_width: Annotated[
         bool,

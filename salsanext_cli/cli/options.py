@@ -42,8 +42,7 @@ Scans = Annotated[
 ]
 SEVERAL_HELP = f"{SCANS_HELP} Several may be given, before OUT."
 SeveralScans = Annotated[
-    Path | None,
-    typer.Argument(metavar="SCANS...", help=SEVERAL_HELP, show_default="the data set"),
+    Path | None, typer.Argument(metavar="SCANS...", help=SEVERAL_HELP, show_default="the data set")
 ]
 RequiredScans = Annotated[Path, typer.Argument(metavar="SCANS", help=SCANS_HELP)]
 LabelledDataSet = Annotated[

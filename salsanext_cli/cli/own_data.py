@@ -118,8 +118,7 @@ def pick(
         ),
     ] = None,
     selection: Annotated[
-        ScanSelection,
-        Shown(limit={"help": "Look at this number of scans only, evenly spaced."}),
+        ScanSelection, Shown(limit={"help": "Look at this number of scans only, evenly spaced."})
     ],
     topic: options.Topic = None,
     network: options.Network,

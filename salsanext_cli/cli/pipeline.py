@@ -78,8 +78,7 @@ def predict(
     fuse: Annotated[
         bool,
         typer.Option(
-            "--fuse",
-            help="Then fuse the scans of each sequence, as `fuse` does, into OUT/fused.",
+            "--fuse", help="Then fuse the scans of each sequence, as `fuse` does, into OUT/fused."
         ),
     ] = False,
     objects: Annotated[
@@ -224,8 +223,7 @@ def knn_refine(
     columns: Annotated[
         str | None,
         options.network_option(
-            help=COLUMNS_HELP,
-            show_default="those of the earlier stages, else x,y,z,intensity",
+            help=COLUMNS_HELP, show_default="those of the earlier stages, else x,y,z,intensity"
         ),
     ] = None,
     knn: KnnParameters,

@@ -52,14 +52,7 @@ def fuse(
 
     target = target or out / FUSED
     with over_scans("fuse", running, output.quiet) as run:
-        outcome = fuse_results(
-            out,
-            target,
-            poses=poses,
-            reach=reach,
-            query=query,
-            options=run,
-        )
+        outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=run)
     run_end.finish("fuse", outcome, target, output, split=query.selection.split, strict=strict)
 
 
@@ -86,8 +79,7 @@ def filter_command(
         str | None, typer.Option(help="Keep these classes only.", show_default="all")
     ] = None,
     max_error: Annotated[
-        float | None,
-        typer.Option(help="Leave out points whose error is above this, 0 to 1."),
+        float | None, typer.Option(help="Leave out points whose error is above this, 0 to 1.")
     ] = None,
     split: Annotated[bool, typer.Option("--split", help="Write a file for each class.")] = False,
     indices: Annotated[
@@ -138,13 +130,7 @@ def compare(
     from salsanext_cli.stages.compare import compare as stage
 
     with over_scans("compare", running, output.quiet) as run:
-        found, failures = stage(
-            before,
-            after,
-            by_distance=by_distance,
-            query=query,
-            options=run,
-        )
+        found, failures = stage(before, after, by_distance=by_distance, query=query, options=run)
     failed = [failure.to_dict() for failure in failures]
     output.result(
         {"stage": "compare", **found.to_dict(), "failures": failed}, comparison_tables(found)
@@ -219,14 +205,7 @@ def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
 def export_ply(
     *,
     results: options.Results,
-    colour: Annotated[
-        str,
-        typer.Option(
-            "--colour",
-            "--color",
-            help=f"{COLOUR_HELP}.",
-        ),
-    ] = "label",
+    colour: Annotated[str, typer.Option("--colour", "--color", help=f"{COLOUR_HELP}.")] = "label",
     scale: Annotated[
         tuple[float, float] | None,
         typer.Option(

@@ -166,8 +166,7 @@ class RunOptions:
         "Processes (loky), threads, or workers of a Dask or Ray cluster.", default="loky"
     )
     scheduler: str | None = running_option(
-        "Address of the running cluster, which dask and ray need.",
-        metavar="ADDRESS",
+        "Address of the running cluster, which dask and ray need.", metavar="ADDRESS"
     )
     shard: Shard = running_option(
         "Only share I of N shares of the scans, from 1/N to N/N.",

@@ -207,10 +207,7 @@ def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS)
 
 
 def _of_chunks(
-    attempt: Callable[[Chunk], list[Attempt]],
-    cut: Iterable[Chunk],
-    pool: WorkerPool,
-    backend: str,
+    attempt: Callable[[Chunk], list[Attempt]], cut: Iterable[Chunk], pool: WorkerPool, backend: str
 ) -> Generator[Attempt, None, None]:
     import joblib
 

@@ -85,11 +85,7 @@ def _log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[st
 
 
 def select_scans(
-    source: Path,
-    selection: ScanSelection,
-    space: LabelSpace | None = None,
-    *,
-    evenly: bool = False,
+    source: Path, selection: ScanSelection, space: LabelSpace | None = None, *, evenly: bool = False
 ) -> list[ScanFile]:
     """Find the scans of a source and choose among them.
 

@@ -151,9 +151,7 @@ def export_ply(
     rejected = list[int]()
     colours = PointColours(colour, scale, space)
     with output_run(
-        *(out, stage, settings, (folder,), scans),
-        overwrite=overwrite,
-        record_scans=False,
+        *(out, stage, settings, (folder,), scans), overwrite=overwrite, record_scans=False
     ) as output:
         task = partial(export_scan, colours=colours, sensor=sensor, output=output)
         task = partial(task, classes=query.classes, labels=chosen.labels, max_error=max_error)

@@ -31,10 +31,7 @@ log = logging.getLogger(__name__)
 
 
 def export_rrd(
-    out: Path,
-    *,
-    query: ResultQuery = ResultQuery(),
-    options: RunOptions = RunOptions(),
+    out: Path, *, query: ResultQuery = ResultQuery(), options: RunOptions = RunOptions()
 ) -> Outcome:
     """Write `OUT/rrd/<seq>.rrd`: points, classes, uncertainties and every other known scalar.
 

@@ -199,10 +199,7 @@ def filter_scans(
 
 
 def _filter_bags(
-    task: PointFilter,
-    scans: list[ScanFile],
-    options: RunOptions,
-    counts: list[Count],
+    task: PointFilter, scans: list[ScanFile], options: RunOptions, counts: list[Count]
 ) -> Outcome:
     """Write the bag of each sequence, whole or not at all; add to the counts of its clouds.
 

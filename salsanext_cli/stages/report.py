@@ -256,10 +256,7 @@ def read_run(
 
 
 def _rows(
-    files: Sequence[ScanFile],
-    reader: RunReader,
-    by_distance: bool,
-    options: RunOptions,
+    files: Sequence[ScanFile], reader: RunReader, by_distance: bool, options: RunOptions
 ) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
     """Read the results of all scans; count those with labels."""
     rows: list[ScanRow] = []

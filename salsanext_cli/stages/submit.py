@@ -43,10 +43,7 @@ SCANS_OF_TEST = {
 }
 """Number of scans of each test sequence of SemanticKITTI, named 000000, 000001, …"""
 REFUSED_IDS = {
-    "unknown-id": (
-        "ids that {} lacks",
-        "write raw ids, not train ids, or give --label-space",
-    ),
+    "unknown-id": ("ids that {} lacks", "write raw ids, not train ids, or give --label-space"),
     "moving": (
         "classes that move, which the benchmark of single scans does not know",
         "give them the ids of their classes at rest, such as 10 instead of 252",

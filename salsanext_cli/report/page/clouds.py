@@ -45,10 +45,7 @@ def scales_of(scans: Sequence[ShownScan]) -> dict[str, Scale]:
 
 
 def encode_cloud(
-    shown: ShownScan,
-    space: LabelSpace,
-    sensor: Sensor,
-    scales: Mapping[str, Scale],
+    shown: ShownScan, space: LabelSpace, sensor: Sensor, scales: Mapping[str, Scale]
 ) -> dict[str, Any]:
     """Return a scan as plain data: numbers of points are base64 of little-endian integers.
 
