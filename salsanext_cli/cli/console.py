@@ -134,11 +134,7 @@ LINE_INTERVAL_S = 30.0
 
 
 def tell(text: str) -> None:
-    """Write a line on stderr, above the bar if there is one.
-
-    While a bar is shown, rich stands in for `sys.stderr`. `typer.echo` would go past it, to the
-    file behind it, and write into the bar.
-    """
+    """Write a line on stderr, or through rich's stand-in for it, above the bar if there is one."""
     sys.stderr.write(f"{text}\n")
 
 

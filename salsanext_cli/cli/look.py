@@ -210,10 +210,7 @@ def view(
 
 
 def _forwarding(port: int, connection: str) -> str:
-    """Return the command that brings a port of this machine to where an SSH session comes from.
-
-    `connection` is the environment variable SSH_CONNECTION: client, its port, server, its port.
-    """
+    """Return the command that forwards a port to where SSH_CONNECTION comes from, if to any."""
     match connection.split():
         case [_, _, host, ssh_port]:
             user = f"{name}@" if (name := os.environ.get("USER")) else ""

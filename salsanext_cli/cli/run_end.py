@@ -31,11 +31,7 @@ def finish(
     split: str | None = None,
     strict: bool = False,
 ) -> NoReturn:
-    """Say what became of a run over scans and leave with the exit status for it.
-
-    `more`: options that the command to type next needs as well; `split`: the split that the scans
-    are of, if one was named; `strict`: whether warnings about scans count as failures.
-    """
+    """Say what became of a run and leave with its exit status; `more`: options to type next."""
     name_failures(outcome.failures)
     following = next_command(stage, outcome, str(out), more, split)
     found = {"stage": stage, "out": str(out), **_as_data(outcome), "next": following}

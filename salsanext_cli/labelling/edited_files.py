@@ -82,11 +82,10 @@ class ScanNames:
 
 
 def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
-    """Return the scan that an edited file belongs to; `source` is the file or folder named for it.
+    """Return the scan of an edited file: the only one, or that of its stem or of a word in it.
 
-    It is the only scan there is, if a single file was named; or the only one of that stem, or else
-    whose stem is a whole word of the file's name, as in ``000010 - Cloud.ply``. If a folder tells
-    the sequence, only its scans count; so it is if the name has that of a sequence as a word.
+    `source`: the file or folder that was named. If a folder above or a word of the name tells the
+    sequence, only its scans count.
     """
     if not is_folder(source) and len(names.scans) == 1:
         return names.scans[0]
@@ -162,10 +161,7 @@ class EditedLabels:
 def read_file_labels(
     path: Path, points: Float, meanings: LabelIds, scalar: str | None = None
 ) -> tuple[LabelTransfer, str]:
-    """Read the labels that a tool wrote for points (N, 3), matched by place or by order.
-
-    Returns them and the name of the scalar that holds them.
-    """
+    """Read the labels of points (N, 3), matched by place or order, and the name of their scalar."""
     has_points = path.suffix.lower() in READERS
     cloud = read_labelled_cloud(path, scalar) if has_points else _of_all_points(path, points)
     if unknown := meanings.unknown(cloud.ids):

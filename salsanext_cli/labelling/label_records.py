@@ -111,8 +111,7 @@ class LabelRecords:
     def is_replaceable(self, scan: ScanFile, edited: Iterable[Path], contradicted: int = 0) -> bool:
         """Say whether the label file of a scan, if there is one, may give way to edited files.
 
-        It may if it is as salsanext wrote it, and was imported from no file of another name, which
-        may hold other points, nor from files that contradicted each other in fewer points.
+        It may if it is as salsanext wrote it, from no other file and with as many contradictions.
         """
         path, earlier = scan.label_path, self._imported.get(scan.name, {"files": []})
         # Files that are not recorded may be any.

@@ -43,10 +43,7 @@ def worker_count(jobs: int) -> int:
 
 
 def use_threads(count: int) -> None:
-    """Let torch and our kernels use so many threads, in this thread and those started later.
-
-    What is not loaded yet will not be used: work brings what it needs when it is unpickled.
-    """
+    """Let torch and our kernels, where loaded, use so many threads, here and in new threads."""
     if torch := _if_loaded("torch"):
         torch.set_num_threads(count)
     if numba := _if_loaded("numba"):
@@ -54,20 +51,13 @@ def use_threads(count: int) -> None:
 
 
 def _if_loaded(name: str) -> Any:
-    """Return a module that was imported before, complete; None for another.
-
-    Importing it waits for another thread that is just importing it.
-    """
+    """Return a module that was imported before, complete; None for another."""
     return import_module(name) if name in sys.modules else None
 
 
 @contextmanager
 def threads_of_workers(count: int) -> Iterator[None]:
-    """Let threads that are started in the body use so many each, and afterwards as before.
-
-    Torch keeps the number for each thread by itself; a new one begins with what was set last,
-    wherever that was.
-    """
+    """Let threads that are started in the body use so many each, and afterwards as before."""
     torch, numba = _if_loaded("torch"), _if_loaded("numba")
     of_torch = torch.get_num_threads() if torch else 0
     of_kernels = numba.config.NUMBA_NUM_THREADS if numba else 0
@@ -115,10 +105,7 @@ class Shard:
 
     @classmethod
     def of_slurm(cls, environment: Mapping[str, str]) -> "Shard | None":
-        """Return the shard of a task of a Slurm array, None outside of one.
-
-        Arrays begin where their user likes, at 0 or 1, and may count in steps.
-        """
+        """Return the shard of a task of a Slurm array, which may start and step anyhow."""
         names = [SLURM_PREFIX + name for name in ("ID", "MIN", "COUNT")]
         if any(name not in environment for name in names):
             return None
@@ -136,11 +123,7 @@ class Shard:
         return cls(index + 1, count)
 
     def of(self, scans: "Sequence[ScanFile]") -> "list[ScanFile]":
-        """Return this shard's scans, neighbours of each other, in order of sequence and stem.
-
-        All shards together have every scan once, and differ in size by one at most, if all are
-        given the same scans, in any order.
-        """
+        """Return this shard's scans, neighbours by sequence and stem; sizes differ by one."""
         if self.count == 1:
             return list(scans)
         ordered = sorted(scans)

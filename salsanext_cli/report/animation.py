@@ -78,10 +78,7 @@ def find_ffmpeg() -> str:
 
 
 def frames(pictures: Sequence[Path]) -> Iterator[Image]:
-    """Yield pictures reduced to frames of one size, even in width and height.
-
-    Smaller ones than the largest are at the upper left of a frame.
-    """
+    """Yield pictures reduced to frames of one size, even in width and height, at the upper left."""
     from PIL import Image
 
     sizes = []
@@ -99,11 +96,7 @@ def frames(pictures: Sequence[Path]) -> Iterator[Image]:
 
 
 def encode_gif(pictures: Sequence[Path], frames_per_second: float, kept: Colours) -> bytes:
-    """Return pictures as the content of a GIF file that repeats without end.
-
-    `kept` (N, 3): colours that mean something, however rare: the first 192 stay as they are. The
-    others are those of the first picture, as far as a palette of 256 has them.
-    """
+    """Return pictures as the content of a GIF file that repeats; colours `kept` (N, 3) stay."""
     from PIL import Image
 
     exact = list(dict.fromkeys(map(tuple, kept.tolist())))[:MOST_KEPT]

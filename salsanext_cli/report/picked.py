@@ -74,10 +74,7 @@ def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) 
 
 
 def reason(choice: Choice, rank: int, strategy: str, scans: int, nearest: str | None) -> str:
-    """Say in words why a scan was picked at a rank, from 1, out of some number of scans.
-
-    `nearest`: name of the nearest scan picked before.
-    """
+    """Say why a scan was picked at a rank, from 1, of so many; `nearest`: scan picked before."""
     if scans == 1:
         return "the only scan"
     if strategy == "random":

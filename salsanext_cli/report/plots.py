@@ -130,10 +130,7 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
 
 
 def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
-    """Draw the confusion matrix, each row in percent of its true class, as a PNG.
-
-    Ignored classes have a column, but no row.
-    """
+    """Draw the confusion matrix, each row in percent of its true class, as a PNG."""
     import matplotlib
 
     matrix = confusion.counted(space.scored)
@@ -318,10 +315,7 @@ def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
 
 
 def _name_dots(axes: Axes, dots: Ratios, names: Sequence[str]) -> None:
-    """Write a name beside each dot (N, 2), or farther away with a line to it if there is no room.
-
-    The axes have their final limits and scales.
-    """
+    """Write a name beside each dot (N, 2), or farther away with a line to it for want of room."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.lines import Line2D
     from matplotlib.transforms import Bbox, IdentityTransform

@@ -86,12 +86,7 @@ def picture_of_results(
     views: Collection[str],
     strips: Collection[str],
 ) -> bytes:
-    """Draw a scan and its results, as a PNG.
-
-    `sensor`: sensor of the range image; `scales`: values at the ends of the colour map, by colour;
-    `views`, `strips`: of `COLOURINGS`, all known: those seen from above, and those of the range
-    image.
-    """
+    """Draw a scan and its results, as a PNG: `views` from above and `strips`, of `COLOURINGS`."""
     columns = scalar_columns(results, space)
     image = project(results.scan, sensor)
     shown = dict.fromkeys((*views, *strips))
@@ -122,10 +117,7 @@ def picture_of_results(
 
 
 def known_views(columns: Collection[str]) -> list[str]:
-    """Return what a picture shows from above, out of all columns known of a scan: 2 to 4 of them.
-
-    These are labels, errors and an uncertainty; measurements where there are too few of those.
-    """
+    """Return 2 to 4 columns to show from above: labels, errors, uncertainty, measurements."""
     views = [colour for colour in ("truth", "label", "wrong") if colour in columns]
     views += [kind for kind in ("error", "entropy", *UNCERTAINTY) if kind in columns][:1]
     return (views + ["intensity", "range"])[: max(2, len(views))]
@@ -144,8 +136,8 @@ def scan_picture(
     """Draw a scan from above and its strips below that, as a PNG.
 
     `points` (N, 3) float32, metres, sensor frame; `views`: colours of the points (N, 3) by title;
-    `absent`: entries of the legend at the bottom that the picture does not show; `reach`: metres
-    from the middle to an edge of a view; `way` (S, 3): of a drive, instead of the sensor's place.
+    `absent`: entries of the legend that are not shown; `reach`: metres from the middle to an edge;
+    `way` (S, 3): of a drive, instead of the sensor's place.
     """
     width = NARROW_PX if len(views) == 1 else WIDTH_PX
     in_row = max(1, min(len(views), MAX_IN_A_ROW))
@@ -187,12 +179,10 @@ def _draw_bar(figure: Figure, scale: tuple[float, float], unit: str, left: int, 
 
 
 def raster(points: Float, colours: Colours, reach: float, size: int, spread: int = 1) -> Colours:
-    """Draw points (N, 3) in metres as seen from above; a higher point hides a lower one.
+    """Draw points (N, 3), metres, from above, higher ones over lower ones: (size, size, 3) uint8.
 
-    `reach`: metres from the sensor, in the middle, to an edge; `size`: height and width in pixels;
-    `spread`: those of a point.
-
-    Returns (size, size, 3) uint8; x, forward, points up, y to the left.
+    x, forward, points up, y left; `reach`: metres from the middle to an edge; `spread`: size in
+    pixels of a point.
     """
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     order = finite[np.argsort(points[finite, 2], kind="stable")]
@@ -240,10 +230,7 @@ def _draw_from_above(
 
 
 def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
-    """Draw range, truth, prediction and errors of a labelled scan, as PNG of strips without text.
-
-    Returns (4·3·H + gaps, W, 3) uint8, the picture.
-    """
+    """Draw range, truth, prediction and errors as PNG; return it, (4·3·H + gaps, W, 3) uint8."""
     from matplotlib.image import imsave  # a second to import, and only this needs it
 
     space, sensor = network.space, network.sensor

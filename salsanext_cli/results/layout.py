@@ -131,12 +131,7 @@ def drive_order(file: ScanFile) -> tuple[Any, ...]:
 
 
 def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[ScanFile]:
-    """Find scans, sorted by sequence and stem.
-
-    `source`: a scan, a folder of scans, a sequence folder (holding ``velodyne/``), a data set root
-    (holding ``sequences/``), that ``sequences`` folder itself, a recording, or a topic in one.
-    Hidden files are left out. `sequences`: names of those wanted; "8" also means "08".
-    """
+    """Find the scans of a file, folder, data set or recording, sorted by sequence and stem."""
     try:
         is_file = present(source) and not source.is_dir()
         if is_file and not scan_suffix(source.name) and not recording_of(_absolute(source)):

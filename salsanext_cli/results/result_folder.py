@@ -125,11 +125,7 @@ class ResultFolder(StageRecords):
     dataset: Path | None = None  # Where scans and labels are, if not where the scans came from
 
     def scans(self, sequence: str | None = None) -> list[ScanFile]:
-        """Find the scans whose results lie here, of all sequences or one; log those that are gone.
-
-        Where it is not recorded where scans came from, or that place is gone, they are looked for
-        in the folder that `DATASET_VARIABLE` names, else in the working folder.
-        """
+        """Find the scans that have results, of all sequences or one; log those that are gone."""
         self._require_current()
         there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(self.root, folder)}
         wanted = {key for key in there if sequence in (None, key[0])}
@@ -201,10 +197,7 @@ class ResultFolder(StageRecords):
         space: LabelSpace | None = None,
         classes: LabelSpace | None = None,
     ) -> tuple[list[ScanFile], LabelSpace]:
-        """Choose among the scans, and return the classes in which their labels are compared.
-
-        `space`, `classes`: as for `compared_space`.
-        """
+        """Choose among the scans; return them and the classes to compare, as `compared_space`."""
         scans = self.scans()
         space = self.compared_space(scans, space, classes, own_ids=True)
         if selection.split:
@@ -218,10 +211,7 @@ class ResultFolder(StageRecords):
         return chosen, space
 
     def chosen(self, query: ResultQuery) -> ChosenResults:
-        """Choose among the scans of which any stage left results; log how many lack them.
-
-        A limit is of scans with results.
-        """
+        """Choose among the scans of which any stage left results; log how many lack them."""
         recorded, selection = self.scans(), query.selection
         space = self.compared_space(recorded, query.label_space, query.classes, own_ids=True)
         self.require_same_weights()
@@ -262,8 +252,8 @@ class ResultFolder(StageRecords):
     ) -> ScanResults:
         """Read a scan and all that is known about it here and in its data set.
 
-        Predicted classes that are merged into `classes` get their raw ids. The truth is read if
-        `truth_in` has the label space of its ids and that to show it in, whose raw ids it gets.
+        `classes`: those that predicted ones are merged into; `truth_in`: label space of the ids of
+        the truth, and that to show it in.
         """
         scan = read_scan(file.path, sensor)
         count = len(scan)
@@ -318,10 +308,7 @@ class ResultFolder(StageRecords):
         return output_path(self.root, file.sequence, FOLDER_OF_COLUMN[column], file.stem)
 
     def meant_uncertainty(self, scans: Sequence[ScanFile]) -> str:
-        """Return what "uncertainty" means.
-
-        The error where all scans have it, else the first of `MEANT_BY_UNCERTAINTY` that is known.
-        """
+        """Return the kind that is meant: the error, if all scans have it, else the first known."""
         if len(self.with_column("error", scans)) == len(scans):
             return "error"
         known = (kind for kind in MEANT_BY_UNCERTAINTY if self.with_column(kind, scans))

@@ -89,8 +89,8 @@ def select_scans(
 ) -> list[ScanFile]:
     """Find the scans of a source and choose among them.
 
-    `space`: whose splits count if the source does not bring its own label space; `evenly`: whether
-    a limit takes evenly spaced scans, not the first ones.
+    `space`: of a source that has none of its own; `evenly`: whether a limit takes evenly spaced
+    scans.
     """
     scans = scans_of(source)
     unlimited = replace(selection, limit=None) if evenly else selection
@@ -101,11 +101,7 @@ def select_scans(
 def choose(
     scans: list[ScanFile], selection: ScanSelection, space: LabelSpace, source: object
 ) -> list[ScanFile]:
-    """Choose among scans by sequences, split and limit.
-
-    A split cannot choose where no split names any of the sequences, as in a folder of one's own:
-    then all stay, and a warning says so.
-    """
+    """Choose scans by sequences, split and limit; all, with a warning, if no split names any."""
     if selection.sequences:
         scans = of_sequences(scans, selection.sequences, source)
     if selection.split is not None:
@@ -144,7 +140,7 @@ def data_set_label_space(root: Path) -> LabelSpace | None:
 def with_splits(
     space: LabelSpace, root: Path | None = None, *, alternatives: bool = False
 ) -> LabelSpace:
-    """Return a label space that has splits: its own, else the data set's, else SemanticKITTI's.
+    """Return a label space with splits: its own, else the data set's, else SemanticKITTI's.
 
     `alternatives`: whether it gets the data set's alternatives of merged classes too.
     """
@@ -164,11 +160,7 @@ def with_splits(
 
 
 def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> LabelSpace:
-    """Return the label space of the data set that scans lie in.
-
-    One that does not describe its own has SemanticKITTI's, with its splits and ignored classes,
-    unless the fallback, that of the weights say, has other classes.
-    """
+    """Return the label space of the scans' data set, else SemanticKITTI's or one that differs."""
     root = data_set_of(scans[0]) if scans else None
     if root and (own := data_set_label_space(root)):
         return own
@@ -186,9 +178,6 @@ def evenly_spaced(files: Sequence[Item], count: int) -> list[Item]:
 def space_of_labels(
     scans: Sequence[ScanFile], space: LabelSpace, labels: LabelSpace | None = None
 ) -> LabelSpace:
-    """Return the meaning of the raw ids of labels that are compared in the classes of a space.
-
-    `labels`: their own label space, with the same names, if it is not that of the scans' data set.
-    """
+    """Return the meaning of the raw ids of labels, or of those of the same names as the space."""
     own = labels or space_of(scans, space)
     return own if own.names == space.names else space

@@ -33,10 +33,7 @@ log = logging.getLogger(__name__)
 def export_rrd(
     out: Path, *, query: ResultQuery = ResultQuery(), options: RunOptions = RunOptions()
 ) -> Outcome:
-    """Write `OUT/rrd/<seq>.rrd`: points, classes, uncertainties and every other known scalar.
-
-    Recordings of earlier runs are replaced. A sequence gets none if none of its scans can be read.
-    """
+    """Write `OUT/rrd/<seq>.rrd`: points, classes, uncertainties and every other known scalar."""
     results = ResultFolder(out, query.dataset)
     import_rerun()
     try:

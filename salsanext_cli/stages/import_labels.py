@@ -60,12 +60,10 @@ def import_labels(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> LabelImport:
-    """Write label files of the scans of a data set from what a labelling tool wrote.
+    """Write label files of the scans of a data set from files that a labelling tool wrote.
 
-    `edited`: a file, or a folder of files, which `scan_of_edited` matches to scans; those of one
-    scan are merged; `ids`: YAML file that maps the tool's ids to names or raw ids; `space`: by
-    default the classes of the data set; `overwrite`: whether label files that were changed, or not
-    written by salsanext, may be replaced.
+    `ids`: YAML file that maps the tool's ids to names or raw ids; `overwrite`: whether label files
+    that were changed, or not written by salsanext, may be replaced.
     """
     scans = find_scans(dataset)
     if recording_of(scans[0].path) is not None:

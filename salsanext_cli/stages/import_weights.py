@@ -29,10 +29,9 @@ def import_weights(
     half: bool = False,
     overwrite: bool = False,
 ) -> WeightsCard:
-    """Write a weights file from a published checkpoint, or again from one of ours.
+    """Write a weights file from a checkpoint of ``torch.save``, or again from one of ours.
 
-    A published checkpoint, saved with ``torch.save``, is of SemanticKITTI's classes, the HDL-64 and
-    `DROPOUT` by default; ours know theirs, and refuse another `space` or `dropout`.
+    A checkpoint is of SemanticKITTI's classes, the HDL-64 and `DROPOUT` unless told otherwise.
     """
     require_target(target, overwrite)
     if source.suffix == WEIGHTS_SUFFIX:

@@ -56,10 +56,7 @@ class Inspection:
         }
 
     def fitted_sensor(self, name: str, *, images: bool = True) -> Sensor:
-        """Return the sensor with the field of view and normalisation of these scans.
-
-        Without `images` of its own, its view is the one for those of weights, `seen`.
-        """
+        """Return the sensor with the normalisation of these scans, and their view or `seen`."""
         _require_fit(name, self.total)
         view = _with_field_of_view(self.sensor, self.total)
         if self.seen and not images:
@@ -81,11 +78,7 @@ def inspect(
     options: RunOptions = RunOptions(),
     fit: bool = False,
 ) -> Inspection:
-    """Survey scans and check them.
-
-    `sensor`: size of the range images, over whose pixels means and deviations are computed; `fit`:
-    read the scans twice, first for field of view and beams, then for their range images.
-    """
+    """Survey scans, over range images of a sensor, and check them; to fit, read them twice."""
     scans = select_scans(source, selection, space)
     if fit:
         some = ScanSample(find_scans(source), sensor).scans

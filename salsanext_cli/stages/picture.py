@@ -72,10 +72,6 @@ def picture(
 
     Pictures of results that have been made anew since are replaced, and animations always. Without
     any results, pictures are of the scans of `dataset` alone.
-
-    `colours`: of `COLOURS`, otherwise everything known of each scan; `scale`: values at the ends of
-    the colour map, the same for all scans, otherwise what most points of some scans span;
-    `animations`: of "gif" and "mp4".
     """
     results = ResultFolder(out, query.dataset)
     _require_usable(colours, scale, animations, frames_per_second, options)

@@ -150,10 +150,9 @@ def predict_scans(
     """Label scans into `OUT/sequences/<seq>/predictions`, beside their least confidence.
 
     `extras`: further results to write, of "pixel_labels", "probabilities", "votes" for `fuse`,
-    "objects", whose numbers the labels hold too, and "uncertainty/error";
-    `reject`: points whose error, 0…1, is above it are unlabelled, and the error is written too;
-    "risk": those above the threshold that `tune risk` wrote into the weights;
-    `batch`: scans computed together, halved where memory runs out; None for what suits the device.
+    "objects", whose numbers the labels hold too, and "uncertainty/error"; `reject`: error, 0…1,
+    above which points are unlabelled, or "risk" for the threshold in the weights; `batch`: scans
+    computed together, None for what suits the device.
     """
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
@@ -231,10 +230,7 @@ def predict_range_images(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Label range images that `project` wrote into `OUT/sequences/<seq>/pixel_labels`.
-
-    `knn_refine_scans` makes point labels of them, the same as `predict_scans` does.
-    """
+    """Label range images that `project` wrote into `OUT/sequences/<seq>/pixel_labels`."""
     loaded = network.load()
     projected = projected_sensor(folder)
     if projected is not None:

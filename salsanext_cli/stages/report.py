@@ -91,11 +91,7 @@ class Report:
 
 
 def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice]) -> Report:
-    """Write `OUT/report.html`: what was run, the numbers of all scans, and some scans to look at.
-
-    `scans`: names of those to show point by point, ``08/000000``; without any, up to four that are
-    worth looking at; all else as for `read_run`.
-    """
+    """Write `OUT/report.html`: what was run, all numbers, and the scans that are named, or some."""
     page = out / PAGE
     OwnedFolder(out).require_own([page])
     run, unread = read_run(out, **choice)
@@ -162,11 +158,7 @@ def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[
 
 
 class View(PageServer):
-    """Server of a run's page; `serve_forever` answers, and leaving the context closes the port.
-
-    `scans`: number of scans that can be looked at; `missing`: scans without results, left out;
-    `failures`: scans that could not be read.
-    """
+    """Server of a run's page; `scans` can be looked at, others are `missing` or `failures`."""
 
     def __init__(self, port: int) -> None:
         super().__init__(port)
@@ -217,10 +209,7 @@ class View(PageServer):
 
 
 def view(out: Path, *, port: int = 0, **choice: Unpack[RunChoice]) -> View:
-    """Read the results of a run, and open a port on which a browser can look at them.
-
-    `port`: port on the loopback interface, 0 for any free one; all else as for `read_run`.
-    """
+    """Read the results of a run, and open a loopback port, any free one if 0, for a browser."""
     server = View(port)
     try:
         server.take(*read_run(out, **choice))
@@ -237,10 +226,7 @@ def read_run(
     by_distance: bool = False,
     options: RunOptions = RunOptions(),
 ) -> tuple[RunResults, tuple[Failure, ...]]:
-    """Read the results of all scans of a run, and name the scans that cannot be read.
-
-    `by_distance`: score rings of distance too, for which all labelled scans are read.
-    """
+    """Read the results of all scans of a run, and name the scans that cannot be read."""
     results = ResultFolder(out, query.dataset)
     asked, results_space = results.predicted(query.selection, query.label_space, query.classes)
     results.require_same_weights()

@@ -110,11 +110,7 @@ class ScanRow:
 def read_row(
     file: ScanFile, reader: RunReader, by_distance: bool = False, trained_on: Collection[str] = ()
 ) -> tuple[ScanRow, ScanCounts | None]:
-    """Read the results of a scan, and compare them with its labels.
-
-    `by_distance`, `trained_on`: as for `count_scan`, whose counts are None without labels or
-    without predictions.
-    """
+    """Read the results of a scan, and count them against its labels if there are both."""
     out, space = reader.out, reader.space
     path_of = partial(output_path, out, file.sequence, stem=file.stem)
     class_points, points = None, 0
@@ -227,10 +223,7 @@ def leading_kind(rows: Sequence[ScanRow]) -> str | None:
 
 
 def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, str]:
-    """Choose the most uncertain scan, the most wrong, that of the worst class, and one at random.
-
-    Returns the reasons by the scan's name; one or two for each.
-    """
+    """Choose the most uncertain, most wrong, worst-class and a random scan; return why, by name."""
     reasons: dict[str, list[str]] = {}
 
     def add_largest(values: Sequence[float], reason: Callable[[float], str]) -> None:

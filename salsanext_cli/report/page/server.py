@@ -24,10 +24,7 @@ read the scans.
 
 
 class PageServer(ThreadingHTTPServer):
-    """Server of a page, and of the clouds that a subclass gives, on the loopback interface.
-
-    The port, any free one if 0, is taken at once; requests wait until `serve_forever`.
-    """
+    """Server, on the loopback interface, of a page and of the clouds that a subclass gives."""
 
     page = b""
 
