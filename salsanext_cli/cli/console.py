@@ -177,16 +177,16 @@ class Lines:
         self.last = now
         each = (now - self.start) / (done - self.before)
         left = f"{each * (total - done) / 60:.0f} min left"
-        rate = words_of_rate(1 / each, self.unit)
+        rate = rate_text(1 / each, self.unit)
         tell(f"{self.label}: {done}/{total} {self.unit}, {rate}, {left}")
 
 
-def words_of_rate(rate: float, unit: str) -> str:
+def rate_text(rate: float, unit: str) -> str:
     """Give units per second, or seconds per unit where that reads better."""
     return f"{rate:.1f} {unit}/s" if rate >= 1 else f"{1 / rate:.1f} s/{unit[:-1]}"
 
 
-def words_of_seconds(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """Give a duration in the units that read best: "53 ms", "12.3 s", "12 min 5 s"."""
     if seconds < 1:
         return f"{1000 * seconds:.0f} ms"
@@ -204,7 +204,7 @@ def _bar(unit: str) -> "Bar":
     class RateColumn(progress.ProgressColumn):
         def render(self, task: progress.Task) -> text.Text:
             speed = task.finished_speed or task.speed
-            return text.Text(words_of_rate(speed, unit) if speed else "")
+            return text.Text(rate_text(speed, unit) if speed else "")
 
     done, left = progress.MofNCompleteColumn(), progress.TimeRemainingColumn()
     columns = ("{task.description}", progress.BarColumn(), done, RateColumn(), left)

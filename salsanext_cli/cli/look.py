@@ -14,6 +14,7 @@ from salsanext_cli.cli.console import over_scans, progress
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import counted
 from salsanext_cli.interruption import ARRIVED
+from salsanext_cli.options import names_in
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
@@ -158,7 +159,7 @@ def report(
     with over_scans("report", running, output.quiet) as run:
         made = stage(
             results.folder(),
-            scans=[name.strip() for name in (scans or "").split(",") if name.strip()],
+            scans=names_in(scans, "--scans", "08/000000,08/000010"),
             query=query,
             by_distance=by_distance,
             options=run,

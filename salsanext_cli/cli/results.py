@@ -9,8 +9,8 @@ import typer
 from salsanext_cli.cli import console, options, run_end
 from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.option_groups import Without
-from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.options import FusionReach
+from salsanext_cli.errors import counted
+from salsanext_cli.options import FusionReach, names_in
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
@@ -56,14 +56,6 @@ def fuse(
     run_end.finish("fuse", outcome, target, output, split=query.selection.split, strict=strict)
 
 
-def class_names(text: str | None) -> list[str]:
-    """Return the names in a list such as person,vehicle."""
-    names = [name.strip() for name in (text or "").split(",") if name.strip()]
-    if text is not None and not names:
-        raise UsageError("--drop and --keep", repr(text), "names of classes, such as car,person")
-    return names
-
-
 def filter_command(
     out: options.Out = Path("out"),
     *,
@@ -99,8 +91,8 @@ def filter_command(
         outcome = filter_scans(
             out,
             to,
-            drop=class_names(drop),
-            keep=class_names(keep),
+            drop=names_in(drop, "--drop", "car,person"),
+            keep=names_in(keep, "--keep", "car,person"),
             max_error=max_error,
             split=split,
             indices=indices,

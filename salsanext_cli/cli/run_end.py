@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 
-from salsanext_cli.cli.console import DONE, FAILED, Output, tell, words_of_seconds
+from salsanext_cli.cli.console import DONE, FAILED, Output, tell, duration_text
 from salsanext_cli.errors import counted, first_few
 
 if TYPE_CHECKING:
@@ -40,8 +40,8 @@ def finish(
     already = f", {outcome.skipped} done already" if outcome.skipped else ""
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
     others = left_out(missing) if missing else ""
-    took = f" in {words_of_seconds(output.seconds)}"
-    took += "" if each is None else f", {words_of_seconds(each)} per scan"
+    took = f" in {duration_text(output.seconds)}"
+    took += "" if each is None else f", {duration_text(each)} per scan"
     output.say(f"{stage}: {counted(outcome.done, 'scan')}{already}{failed}{took}{others} → {out}")
     if (rejected := outcome.rejected_points) is not None:
         before = f", besides {counted(outcome.skipped, 'scan')} before" if outcome.skipped else ""

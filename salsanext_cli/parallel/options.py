@@ -18,7 +18,6 @@ from salsanext_cli.options import option, option_group
 if TYPE_CHECKING:
     from salsanext_cli.results.layout import ScanFile
 
-BACKENDS = ("loky", "threading", "dask", "ray")
 CLUSTERS = ("dask", "ray")
 """Backends whose workers may be on other machines."""
 Progress = Callable[[int, int], None]
@@ -167,10 +166,6 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         worker_count(1 if self.jobs is None else self.jobs)
-        if self.on_error not in ("skip", "stop"):
-            raise UsageError("--on-error", self.on_error, "skip or stop")
-        if self.backend not in BACKENDS:
-            raise UsageError("--backend", self.backend, f"one of {', '.join(BACKENDS)}")
         is_cluster = self.backend in CLUSTERS
         if self.scheduler is not None and not is_cluster:
             raise UsageError(

@@ -340,11 +340,6 @@ def overlapping(
                 ahead = read_next()
                 if error is None:
                     file, _, error = _step(file, steps)
-            except Exception:
-                # A bug at this scan comes after what has become of the one before.
-                if last:
-                    yield last.result()
-                raise
             except BaseException:
                 # No error may hide an interrupt, but the scan before may have its results.
                 if last and last.exception() is None and last.result()[2] is None:

@@ -115,7 +115,6 @@ class ChosenResults:
     # Meaning of the raw ids of the truth, which may have its own for these classes
     labels: LabelSpace
     missing: MissingResults  # The other scans of the selection
-    recorded: list[ScanFile]  # All scans of the sequences that there are results of
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,23 +206,22 @@ class ResultFolder(StageRecords):
             members = set(space.split(selection.split))
             sequences = {scan.sequence for scan in chosen}
             if absent := sorted(members - sequences if members & sequences else ()):
-                log.warning("no predictions for %s of split %s", ", ".join(absent), selection.split)
+                log.warning("no results for %s of split %s", ", ".join(absent), selection.split)
         return chosen, space
 
     def chosen(self, query: ResultQuery) -> ChosenResults:
         """Choose among the scans of which any stage left results; log how many lack them."""
-        recorded, selection = self.scans(), query.selection
-        space = self.compared_space(recorded, query.label_space, query.classes, own_ids=True)
+        limit, unlimited = query.selection.limit, replace(query.selection, limit=None)
+        chosen, space = self.predicted(unlimited, query.label_space, query.classes)
         self.require_same_weights()
-        chosen = choose(recorded, replace(selection, limit=None), space, self.root)
-        scans = self.with_results(chosen)[: selection.limit]
-        if len(scans) == selection.limit:
+        scans = self.with_results(chosen)[:limit]
+        if len(scans) == limit:
             # What comes after the last that is wanted is not looked at.
             chosen = chosen[: chosen.index(scans[-1]) + 1]
         missing = self.missing_results(set(chosen) - set(scans))
         missing.log_error(len(chosen), "results")
-        labels = space_of_labels(recorded, space, query.label_space)
-        return ChosenResults(scans, space, labels, missing, recorded)
+        labels = space_of_labels(scans, space, query.label_space)
+        return ChosenResults(scans, space, labels, missing)
 
     def provenance(self, selection: ScanSelection) -> dict[str, Any]:
         """Return, as plain data, what was chosen and which stage and weights predicted it."""
@@ -291,8 +289,6 @@ class ResultFolder(StageRecords):
 
     def require_column(self, column: str, scans: Sequence[ScanFile]) -> None:
         """Refuse a column that is known of none of the scans, with `missing_column`."""
-        if not scans:
-            raise NoInputError(self.root, "no scans", f"some of which the {column} is known")
         if not self.with_column(column, scans):
             raise self.missing_column(column, scans[0])
 

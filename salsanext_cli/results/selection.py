@@ -12,14 +12,13 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, is_merged
-from salsanext_cli.errors import NOTICE, NoInputError, UsageError, first_few, warn_once
+from salsanext_cli.errors import NOTICE, NoInputError, UsageError, warn_once
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import (
     SCAN_FOLDER,
     ScanFile,
-    by_suffix,
     counted_by_suffix,
     find_scans,
     of_sequences,
@@ -70,7 +69,7 @@ def scans_of(source: Path | Sequence[Path]) -> list[ScanFile]:
 
 
 def _log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[str]) -> None:
-    """Log how many files beside scans of some names are passed over; in detail their names."""
+    """Log how many files beside scans of some names are passed over."""
     left = []
     for folder in folders:
         with os.scandir(folder) as entries:
@@ -80,8 +79,6 @@ def _log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[st
             left += [folder / e.name for e in others if not is_folder(e)]
     if left:
         log.log(NOTICE, "%s: passed over %s", source, counted_by_suffix(left))
-    for suffix, paths in by_suffix(left).items():
-        log.info("passed over, %s: %s", suffix, first_few(paths))
 
 
 def select_scans(

@@ -192,7 +192,7 @@ class StageRecords:
     def weights(self, folder: str) -> str | None:
         """Return the SHA-256 of the weights behind a folder of results, if one is recorded."""
         settings = self._settings_of_network(folder)
-        digest = settings.get("adapted", settings.get("weights"))
+        digest = settings.get("weights")
         return None if digest is None else str(digest)
 
     def trained_on(self) -> frozenset[str]:

@@ -50,7 +50,7 @@ def export_rrd(
     colourings = {
         name: PointColours(name, scales.get(name, (0, 1)), space, dark=True) for name in known
     }
-    numbers = _numbers(chosen.recorded)
+    numbers = _numbers(results.scans())
     log_scan: dict[str, LogScan] = {}
     with ExitStack() as held:
 

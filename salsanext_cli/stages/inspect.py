@@ -138,18 +138,12 @@ def _require_fit(name: str, found: Survey) -> None:
     """Refuse to fit a sensor to scans that do not show its field of view."""
     measured = found.points - found.invalid
     up, down = found.field_of_view()
-    if measured < MIN_POINTS_OF_FIT:
+    if measured < MIN_POINTS_OF_FIT or up - down < MIN_FIELD_OF_VIEW_DEG:
+        view = f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°"
         raise NoInputError(
             name,
-            f"{counted(measured, 'point')} with a measurement",
-            f"{MIN_POINTS_OF_FIT} or more",
-            "fit a sensor to whole scans",
-        )
-    if up - down < MIN_FIELD_OF_VIEW_DEG:
-        raise NoInputError(
-            name,
-            f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°",
-            f"{MIN_FIELD_OF_VIEW_DEG:g}° or more",
+            f"{counted(measured, 'point')} with a measurement, {view}",
+            f"{MIN_POINTS_OF_FIT} or more, {MIN_FIELD_OF_VIEW_DEG:g}° or more",
             "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor",
         )
 

@@ -144,7 +144,7 @@ def _scans_alone(out: Path, query: ResultQuery) -> ChosenResults:
     space = results.compared_space(found_scans, own, classes, own_ids=True)
     scans = choose(found_scans, query.selection, space, dataset or out)
     labels = space_of_labels(found_scans, space, own)
-    return ChosenResults(scans, space, labels, MissingResults(), found_scans)
+    return ChosenResults(scans, space, labels, MissingResults())
 
 
 def _sensor_of(scans: Sequence[ScanFile], earlier: RecordedSettings | None) -> Sensor:

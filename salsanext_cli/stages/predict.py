@@ -82,13 +82,12 @@ class LabelWriter:
         values = {"least_confidence": doubt}
         if "pixel_labels" in output.folders:
             output.write_array(file, "pixel_labels", most_probable(softmax))
-        if "probabilities" in output.folders:
+        if {"probabilities", "votes"} & {*output.folders}:
             none = np.eye(1, space.class_count)  # certainly unlabelled
             of_points = points_from_pixels(softmax, image.pixel_of_point, none)
+        if "probabilities" in output.folders:
             output.write_array(file, "probabilities", of_points.astype(np.float16))
         if "votes" in output.folders:
-            none = np.eye(1, space.class_count)
-            of_points = points_from_pixels(softmax, image.pixel_of_point, none)
             output.write_array(file, "votes", top_classes(of_points))
         if ERROR in output.folders:
             values["error"] = label_error(network, image, softmax, labels)

@@ -34,7 +34,7 @@ from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile, drive_order
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.selection import MissingResults, evenly_spaced, space_of_labels
+from salsanext_cli.results.selection import MissingResults, evenly_spaced
 from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.export_ply import map_of_drive
 
@@ -228,17 +228,11 @@ def read_run(
 ) -> tuple[RunResults, tuple[Failure, ...]]:
     """Read the results of all scans of a run, and name the scans that cannot be read."""
     results = ResultFolder(out, query.dataset)
-    asked, results_space = results.predicted(query.selection, query.label_space, query.classes)
-    results.require_same_weights()
-    files = results.with_results(asked)
-    missing = results.missing_results(set(asked) - set(files))
-    missing.log_error(len(asked), "results")
-    labels = space_of_labels(files, results_space, query.label_space)
-    merging = results.merging_into(results_space)
-    sensor = results.sensor()
-    reader = RunReader(out, results_space, labels, merging, sensor, StageRecords(out).rejection())
-    rows, counts, failures = _rows(files, reader, by_distance, options)
-    return RunResults(reader, rows, counts, missing), failures
+    chosen = results.chosen(query)
+    merging, sensor = results.merging_into(chosen.space), results.sensor()
+    reader = RunReader(out, chosen.space, chosen.labels, merging, sensor, results.rejection())
+    rows, counts, failures = _rows(chosen.scans, reader, by_distance, options)
+    return RunResults(reader, rows, counts, chosen.missing), failures
 
 
 def _rows(
