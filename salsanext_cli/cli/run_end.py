@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 
-from salsanext_cli.cli.console import DONE, FAILED, Output, tell, duration_text
+from salsanext_cli.cli.console import DONE, FAILED, Output, duration_text, tell
 from salsanext_cli.errors import counted, first_few
 
 if TYPE_CHECKING:
