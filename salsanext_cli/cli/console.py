@@ -33,7 +33,6 @@ SCHEMA = 1
 USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__base__)
 """Errors of the command line, of which typer names only one kind."""
 FILE_WIDTH_COLUMNS = 120
-"""Width of a table that does not go to a terminal."""
 
 Parameters = ParamSpec("Parameters")
 output_option = partial(option, "Output")

@@ -16,7 +16,7 @@ from salsanext_cli.errors import counted
 from salsanext_cli.interruption import ARRIVED
 from salsanext_cli.options import names_in
 from salsanext_cli.parallel.options import RunOptions
-from salsanext_cli.results.query import ResultQuery
+from salsanext_cli.results.query import ResultQuery, named_label_space
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
 
 
@@ -111,7 +111,7 @@ def demo(
         folder,
         scans=scans,
         samples=samples,
-        network=replace(network, classes=options.label_space(classes)),
+        network=replace(network, classes=named_label_space(classes)),
         options=RunOptions(jobs=jobs, overwrite=overwrite),
         bars=lambda step: progress(step, output.quiet),
     )

@@ -10,6 +10,7 @@ from salsanext_cli.cli import console, options
 from salsanext_cli.engines.settings import DEFAULT_WEIGHTS, weights_file
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.options import ScanSelection
+from salsanext_cli.results.query import named_label_space
 
 
 def models(
@@ -76,7 +77,7 @@ def import_weights(
     stage(
         source,
         target,
-        space=options.label_space(label_space),
+        space=named_label_space(label_space),
         view=options.sensor(sensor),
         dropout=dropout,
         description=description,

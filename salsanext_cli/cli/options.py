@@ -17,7 +17,6 @@ from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.results.query import ResultQuery
 
 if TYPE_CHECKING:
-    from salsanext_cli.classes.label_space import LabelSpace
     from salsanext_cli.sensors.sensor import Sensor
 
 OUT_VARIABLE = "SALSANEXT_OUT"
@@ -123,13 +122,6 @@ class Results:
 def sensor(name: str | None) -> "Sensor | None":
     """Look up a sensor, None where none was named."""
     from salsanext_cli.sensors.sensor import sensor as find
-
-    return None if name is None else find(name)
-
-
-def label_space(name: str | None) -> "LabelSpace | None":
-    """Look up a label space, None where none was named."""
-    from salsanext_cli.classes.label_space import label_space as find
 
     return None if name is None else find(name)
 

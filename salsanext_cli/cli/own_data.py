@@ -13,6 +13,7 @@ from salsanext_cli.cli.option_groups import Shown
 from salsanext_cli.engines.settings import with_columns
 from salsanext_cli.errors import counted, printable
 from salsanext_cli.options import ScanSelection
+from salsanext_cli.results.query import named_label_space
 
 
 def inspect(
@@ -49,7 +50,7 @@ def inspect(
         found = stage(
             options.source(scans, dataset, topic),
             sensor=view,
-            space=options.label_space(label_space),
+            space=named_label_space(label_space),
             selection=selection,
             options=run,
             fit=fit is not None,
@@ -208,7 +209,7 @@ def import_labels(
             *(edited, dataset),
             scalar=scalar,
             ids=ids,
-            space=options.label_space(label_space),
+            space=named_label_space(label_space),
             sensor=with_columns(sensor("hdl64"), columns),
             overwrite=overwrite,
             progress=bar,
@@ -293,7 +294,7 @@ def submit(
             out,
             target,
             dataset=dataset,
-            space=options.label_space(label_space),
+            space=named_label_space(label_space),
             description=description,
             overwrite=overwrite,
             progress=on_progress,

@@ -15,7 +15,7 @@ from salsanext_cli.engines.settings import AUTO, COLUMNS_HELP, with_columns
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.options import RunOptions
-from salsanext_cli.results.query import ResultQuery
+from salsanext_cli.results.query import ResultQuery, named_label_space
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Outcome
@@ -127,7 +127,7 @@ def predict(
         _require_fusable(source, out, running, objects=objects, reject=reject is not None)
     wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}
     wanted |= {"votes": fuse and not probabilities, "objects": objects}
-    network = replace(network, classes=options.label_space(classes))
+    network = replace(network, classes=named_label_space(classes))
     with over_scans("predict", running, output.quiet) as run:
         if not isinstance(source, Path) or projected_sensor(source) is None:
             outcome: Outcome = predict_scans(
@@ -247,7 +247,7 @@ def knn_refine(
             labels=labels,
             dataset=dataset,
             sensor=seen,
-            space=options.label_space(label_space),
+            space=named_label_space(label_space),
             knn=knn,
             selection=selection,
             options=run,
@@ -295,7 +295,7 @@ def uncertainty(
         outcome = stage(
             source,
             out,
-            network=replace(network, classes=options.label_space(classes)),
+            network=replace(network, classes=named_label_space(classes)),
             knn=knn,
             method=UncertaintyMethod(method, samples, seed, aleatoric),
             selection=selection,

@@ -33,7 +33,6 @@ from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, counted_by_suffix
 
 EDITED_SUFFIXES = (*READERS, ".label", ".npy")
-"""Suffixes of files with labels, upper or lower case."""
 MAX_UNMATCHED = 0.01
 """Largest share of the points of a cloud that may be none of the scan's."""
 ROUNDED_M = 0.05

@@ -22,7 +22,6 @@ from salsanext_cli.parallel.worker import CHUNKS_IN_FLIGHT, WorkerPool
 CONNECT_TIMEOUT_S = 15
 """Time for a scheduler to answer, and for a first worker to come; Ray itself waits for minutes."""
 RESULT_TIMEOUT_S = 3.0
-"""Time for the threads of Ray's pool to end."""
 
 
 @contextmanager

@@ -27,7 +27,6 @@ CHUNKS_IN_FLIGHT = 2
 """Chunks sent for each worker, so that the next one is there when one is done."""
 POLL_INTERVAL_S = 1.0
 THREAD_TIMEOUT_S = 10.0
-"""Time for an idle thread of joblib's to end."""
 
 Chunk = tuple[ScanFile, ...]
 """Scans that a worker is sent together."""
@@ -196,7 +195,6 @@ class Worker:
 
 
 WORKER = Worker()
-"""State of this process."""
 
 
 def attempt_chunk(context: WorkerContext, task: Task, scans: Chunk) -> list[Attempt]:

@@ -28,7 +28,6 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 if TYPE_CHECKING:
     from PIL.Image import Image
 LARGEST_PX = (1280, 1080)
-"""Width and height that a frame is reduced to."""
 PNG = "a picture", "draw it again: delete it, or --overwrite"
 """What a picture must be, and what to do if it is not."""
 PALETTE, MOST_KEPT = 256, 192

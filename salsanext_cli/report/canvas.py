@@ -32,7 +32,6 @@ PALE = "#c9ced6"
 MARGIN_PX = 28
 LEGEND_STEP_PX = 165
 LEGEND_ROW_PX = 26
-"""Size of an entry of a legend."""
 SWATCH_PX = (22, 14)
 
 

@@ -38,7 +38,6 @@ TITLE_PX, HEAD_PX, BAR_PX = 34, 44, 200
 MAX_ON_SHEET = 200
 """Scans of a sheet; the picture would be too high for its format with many more."""
 NO_CLASS = 255
-"""Train id of an empty pixel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

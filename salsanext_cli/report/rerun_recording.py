@@ -18,9 +18,7 @@ from salsanext_cli.records import Float
 from salsanext_cli.report.colours import EMPTY, PointColours, screen_colours
 
 TIMELINE, POINTS, TEXT = "scan", "points", "text"
-"""Timeline, and entities on it."""
 SCANS_PER_SECOND = 10.0
-"""Speed at which the viewer plays a recording."""
 BLOCK_BYTES = 1 << 16
 """Written to a file that is not whole, so that the system says why."""
 

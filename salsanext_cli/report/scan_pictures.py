@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH_PX, NARROW_PX = 2048, 1024
-"""Width of a strip, and beside a single view."""
 HEAD_PX = 56
 VIEW_TITLE_PX, STRIP_TITLE_PX = 40, 34
 """Pixels above each view and each strip for its title."""
@@ -53,13 +52,10 @@ STRIP_HEIGHT_PX = 128
 MAX_IN_A_ROW = 4
 OVERSAMPLING = 2
 REACH_M = 45.0
-"""Distance from the sensor to the edge of a view from above."""
 GRID_M = 10.0
-"""Metres between two circles."""
 SAMPLE_ROW_PX = 3
 """Height of a row of `draw_sample`; beams are farther apart than columns."""
 SAMPLE_GAP_PX = 6
-"""White rows between its strips."""
 TITLES = {
     "label": "prediction",
     "wrong": "errors of the prediction",

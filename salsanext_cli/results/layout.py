@@ -19,11 +19,9 @@ from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
 """Tables that `eval`, `train` and `pick` write, which are no scans unless they are named."""
 FUSED_STAGES = ("predict", "knn-refine", "uncertainty")
-"""The stages whose labels are fused."""
 LABELLING_STAGES = (*FUSED_STAGES, "fuse")
 """The stages whose results later ones read."""
 ERROR = "uncertainty/error"
-"""Folder of the probability that a label is wrong."""
 LEAST_CONFIDENCE = "uncertainty/least_confidence"
 """Folder of 1 − the largest probability, which `predict` always writes."""
 DISAGREEMENT = "uncertainty/disagreement"

@@ -20,7 +20,6 @@ from salsanext_cli.version import __version__
 
 SHOWN_CHARACTERS_OF_VALUE = 40
 MAX_PATH_CHARACTERS = 500
-"""Characters of a folder's name that an error shows."""
 RESULT_STAGES = (
     *("project", "predict", "knn-refine", "uncertainty", "fuse", "picture", "export-ply"),
     *(f"export-ply-{colour}" for colour in COLOURINGS),

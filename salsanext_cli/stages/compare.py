@@ -37,7 +37,6 @@ from salsanext_cli.sensors.sensor import Sensor
 
 FILES = ("compare.json", "compare.html")
 SHOWN = 4
-"""Scans of which the page has pictures."""
 
 log = logging.getLogger(__name__)
 

@@ -24,7 +24,6 @@ from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
 FOLDER = "rrd"
-"""Folder of the recordings in the output folder."""
 VIEWS = ("label", "truth", "wrong", *UNCERTAINTY)
 
 log = logging.getLogger(__name__)

@@ -15,7 +15,6 @@ from salsanext_cli.network.weights import load_tensors, read_weights, save_weigh
 from salsanext_cli.sensors.sensor import Sensor, sensor
 
 DROPOUT = 0.2
-"""The rate of the published training."""
 
 
 def import_weights(

@@ -39,7 +39,6 @@ from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.export_ply import map_of_drive
 
 PAGE = "report.html"
-"""Name of the page in the output folder."""
 MAP_SCANS = 400
 """Scans of a drive on its map, evenly spaced."""
 SAMPLED = 5
