@@ -59,6 +59,7 @@ def names_in(text: str | None, option: str, example: str) -> tuple[str, ...]:
     return names
 
 
+own_option = partial(option, "Options")
 selection_option = partial(option, "Selection")
 network_option = partial(option, "Network")
 

@@ -42,7 +42,7 @@ output_option = partial(option, "Output")
 class Output:
     """Amount and form of what a command prints."""
 
-    json: bool = output_option("Print one JSON object on stdout.", "--json", default=False)
+    json: bool = output_option("Print one JSON object on stdout.", default=False)
     verbose: bool = output_option(
         "Print more messages on stderr.", "--verbose", "-v", default=False
     )

@@ -14,36 +14,34 @@ from salsanext_cli.cli.console import over_scans, progress
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import counted
 from salsanext_cli.interruption import ARRIVED
-from salsanext_cli.options import names_in
+from salsanext_cli.options import names_in, option_group, own_option
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.results.query import ResultQuery, named_label_space
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
 
 
+@option_group
+class PictureOptions:
+    """Colours and animations of `picture`."""
+
+    colour: list[str] | None = own_option(
+        f"{COLOUR_HELP}; may be given several times.",
+        *("--colour", "--color"),
+        show_default="everything known",
+    )
+    scale: tuple[float, float] | None = own_option(
+        "Values at the two ends of the colour map, for a single --colour.",
+        show_default="range of most of the values",
+    )
+    gif: bool = own_option("Animate each sequence as GIF.", default=False)
+    mp4: bool = own_option("Animate each sequence as MP4; needs ffmpeg.", default=False)
+    fps: float = own_option("Scans per second of the animations.", default=5.0)
+
+
 def picture(
     *,
     results: options.Results,
-    colour: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--colour",
-            "--color",
-            help=f"{COLOUR_HELP}; may be given several times.",
-            show_default="everything known",
-        ),
-    ] = None,
-    scale: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            help="Values at the two ends of the colour map, for a single --colour.",
-            show_default="range of most of the values",
-        ),
-    ] = None,
-    gif: Annotated[bool, typer.Option("--gif", help="Animate each sequence as GIF.")] = False,
-    mp4: Annotated[
-        bool, typer.Option("--mp4", help="Animate each sequence as MP4; needs ffmpeg.")
-    ] = False,
-    fps: Annotated[float, typer.Option(help="Scans per second of the animations.")] = 5.0,
+    drawn: PictureOptions,
     query: ResultQuery,
     running: RunOptions,
     output: console.Output,
@@ -58,10 +56,10 @@ def picture(
     with over_scans("picture", running, output.quiet) as run:
         outcome = stage(
             out,
-            colours=colour or (),
-            scale=scale,
-            animations=[form for form, wanted in (("gif", gif), ("mp4", mp4)) if wanted],
-            frames_per_second=fps,
+            colours=drawn.colour or (),
+            scale=drawn.scale,
+            animations=[form for form in ("gif", "mp4") if getattr(drawn, form)],
+            frames_per_second=drawn.fps,
             query=query,
             options=run,
         )

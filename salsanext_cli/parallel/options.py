@@ -157,7 +157,7 @@ class RunOptions:
         metavar="I/N",
         show_default="the share of this Slurm array task, else 1/1",
     )
-    overwrite: bool = running_option("Replace existing results.", "--overwrite", default=False)
+    overwrite: bool = running_option("Replace existing results.", default=False)
     on_error: Literal["skip", "stop"] = running_option(
         "Skip a scan that fails, or stop at the first.", default="skip"
     )
