@@ -40,7 +40,7 @@ class LabelImport:
     space: LabelSpace  # Classes of the labels
     class_points: Counts  # (C,) int64: number of imported points by train id
     # Of each imported scan: `scan` as sequence/stem, its `files`, `scalar`, number of `points`,
-    # `labelled`, `unlabelled`, `ambiguous`, `missing` and `unmatched`, as `EditedLabels` has them
+    # `labelled`, `unlabelled`, `ambiguous`, `missing` and `unmatched`, as `edited_labels` has them
     scans: list[dict[str, Any]] = field(default_factory=list)
     # What was not imported: `files`, `reason` and `code` of the error
     failures: list[dict[str, Any]] = field(default_factory=list)
