@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 LARGEST_PX = (1280, 1080)
 PNG = "a picture", "draw it again: delete it, or --overwrite"
-"""What a picture must be, and what to do if it is not."""
+"""Expectation of a picture, and the remedy if it is broken."""
 PALETTE, MOST_KEPT = 256, 192
 """Colours of a GIF, and how many of them may be chosen beforehand."""
 
