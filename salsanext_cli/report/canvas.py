@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Figures measured in pixels, their axes, text and legend, and PNG files of them.
-
-Figures are made and saved as objects, without pyplot or another global state, so that drawing
-works in any thread or process and without a display.
-"""
+"""Figures measured in pixels, without pyplot's global state: axes, text, legend, PNG files."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from salsanext_cli.errors import counted, printable
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import in_sensor_frame, pixels_from_points, project
-from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.records import Float
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import (
@@ -236,7 +236,8 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     labels = network.labels(image, network.probabilities(image))
     of_classes = screen_colours(space)
     outcomes = OUTCOMES[np.where(space.scored[truth], 1 + (truth != labels), 0)]
-    strips = [_range_picture(image)]
+    ranges = np.where(image.point_of_pixel >= 0, image.channels[0], np.nan)
+    strips = [value_colours(ranges, 0.0, value_range(ranges)[1])]
     for colours in (of_classes[truth], of_classes[labels], outcomes):
         strips.append(pixels_from_points(colours, image.point_of_pixel, EMPTY))
     gap = np.full((SAMPLE_GAP_PX, sensor.width, 3), 255, np.uint8)
@@ -244,9 +245,3 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     picture = np.concatenate(rows)
     imsave(out, picture, format="png")
     return picture
-
-
-def _range_picture(image: RangeImage) -> Colours:
-    """Colour the distance of every pixel, (H, W, 3), from 0 m to that of most."""
-    ranges = np.where(image.point_of_pixel >= 0, image.channels[0], np.nan)
-    return value_colours(ranges, 0.0, value_range(ranges)[1])

@@ -211,7 +211,7 @@ def problems(
     for stem in stems:
         if stem in files:
             try:
-                ids = _ids_of(files[stem], _point_count(scans[stem]) if stem in scans else None)
+                ids = _ids_of(files[stem], scans.get(stem))
                 refused_ids["unknown-id"].append(ids - space.learning_map.keys())
                 refused_ids["moving"].append(ids & moving_ids)
             except SalsanextError as error:
@@ -232,12 +232,11 @@ def problems(
             yield Problem(code, sequence, count, f"sequence {sequence} · {found} · {remedy}")
 
 
-def _point_count(scan: Path) -> int:
-    return count_points(scan) if scan_suffix(scan.name) == ".bin" else len(read_scan(scan))
-
-
-def _ids_of(path: Path, count: int | None) -> set[int]:
+def _ids_of(path: Path, scan: Path | None) -> set[int]:
     """Read the ids of labels of four bytes, which the benchmark counts; others are refused."""
+    count = None
+    if scan:
+        count = count_points(scan) if scan_suffix(scan.name) == ".bin" else len(read_scan(scan))
     raw = read_labels(path, count)
     with reading(path) as file:
         size = size_of(file)

@@ -18,9 +18,7 @@ from salsanext_cli.errors import SalsanextError, UsageError
 
 LOOPBACK = "127.0.0.1"
 OWN_NAMES = (LOOPBACK, "localhost")
-"""Hosts that a browser may ask for: a page of another name that resolves to this machine may not
-read the scans.
-"""
+"""Hosts that a browser may ask for, so that no page of another name here can read the scans."""
 
 
 class PageServer(ThreadingHTTPServer):
