@@ -162,14 +162,14 @@ def report(
             by_distance=by_distance,
             options=run,
         )
-    output.result(made.to_dict())
+    found, missing = made.to_dict(), made.run.missing
+    output.result(found)
     run_end.name_failures(made.failures)
     for name, reason in made.shown.items():
         output.say(f"  {name}: {reason}")
-    left_out = run_end.left_out(made.missing)
-    size = f"{made.bytes / 1e6:.1f} MB"
-    output.say(f"report: {counted(made.scans, 'scan')}{left_out} → {made.page} ({size})")
-    run_end.leave(made.failures, made.missing)
+    scans = f"{counted(found['scans'], 'scan')}{run_end.left_out(missing)}"
+    output.say(f"report: {scans} → {made.page} ({found['bytes'] / 1e6:.1f} MB)")
+    run_end.leave(made.failures, missing)
 
 
 def view(

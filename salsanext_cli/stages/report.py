@@ -20,6 +20,7 @@ from salsanext_cli.report.colours import PointColours, legend_of, map_on_dark
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import (
+    Comparison,
     RunReader,
     RunResults,
     ScanRow,
@@ -58,33 +59,27 @@ class Report:
     """Page that was written."""
 
     page: Path
-    bytes: int  # Its size
-    scans: int  # Number of scans of which it gives the numbers
-    # Number of labelled scans left out of the scores since the weights were trained on them
-    trained_on: int
-    # Whether the weights were trained on every labelled scan, so that all are scored
-    on_training_scans: bool
+    run: RunResults  # Numbers of all scans that it tells of
+    compared: Comparison | None  # Scores of the labelled scans, if there are any
     shown: dict[str, str]  # Scans that it shows point by point, and why
-    accuracy: float | None  # Scores of the labelled scans, 0…1; None without labels
-    iou_mean_present: float | None
-    sentence: str | None  # Sentence on risk; None without labels or uncertainty
-    missing: MissingResults  # Scans without results, left out
     failures: tuple[Failure, ...]  # Scans that could not be read, left out
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
+        counts, scores = self.run.counts, self.compared and self.compared.scores
+        kept = self.compared and self.compared.uncertainty.kept
         return {
             "stage": "report",
             "page": str(self.page),
-            "bytes": self.bytes,
-            "scans": self.scans,
-            "trained_on": self.trained_on,
-            "on_training_scans": self.on_training_scans,
+            "bytes": self.page.stat().st_size,
+            "scans": len(self.run.rows),
+            "trained_on": counts.left_out if counts else 0,
+            "on_training_scans": bool(counts and counts.trained_on),
             "shown": self.shown,
-            "accuracy": plain(self.accuracy),
-            "iou_mean_present": plain(self.iou_mean_present),
-            "sentence": self.sentence,
-            **self.missing.to_dict(),
+            "accuracy": scores and plain(scores.accuracy),
+            "iou_mean_present": scores and plain(scores.iou_mean_present),
+            "sentence": kept and kept.sentence,
+            **self.run.missing.to_dict(),
             "failures": [failure.to_dict() for failure in self.failures],
         }
 
@@ -103,20 +98,7 @@ def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice])
     reasons += unmapped
     written = html_of(run, compared, shown, scales_of(shown), reasons, maps).encode()
     OwnedFolder(out).replace({page: written})
-    kept = compared.uncertainty.kept if compared else None
-    return Report(
-        page=page,
-        bytes=len(written),
-        scans=len(run.rows),
-        trained_on=run.counts.left_out if run.counts else 0,
-        on_training_scans=bool(run.counts and run.counts.trained_on),
-        shown={each.name: each.reason for each in shown},
-        accuracy=compared.scores.accuracy if compared else None,
-        iou_mean_present=compared.scores.iou_mean_present if compared else None,
-        sentence=kept.sentence if kept else None,
-        missing=run.missing,
-        failures=failures,
-    )
+    return Report(page, run, compared, {each.name: each.reason for each in shown}, failures)
 
 
 def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[str]]:
