@@ -49,14 +49,15 @@ def argument(text: str, **shown: Any) -> Any:
     return field(default=None, metadata={"argument": {"help": text, **shown}})
 
 
-def _sequences(text: str | None) -> tuple[str, ...]:
-    """Return the names in a list such as 00,08."""
+def names_in(text: str | None, option: str, example: str) -> tuple[str, ...]:
+    """Return the names in a list, such as 00,08, that an option was given."""
     names = tuple(name.strip() for name in (text or "").split(",") if name.strip())
     if text is not None and not names:
-        raise UsageError("--sequences", repr(text), "names of sequences, such as 00,08")
+        raise UsageError(option, repr(text), f"names such as {example}")
     return names
 
 
+own_option = partial(option, "Options")
 selection_option = partial(option, "Selection")
 network_option = partial(option, "Network")
 
@@ -67,7 +68,9 @@ class ScanSelection:
 
     split: str | None = selection_option("Only the sequences of this split: train, valid or test.")
     sequences: tuple[str, ...] = selection_option(
-        "Only these sequences, such as 00,08.", default=(), parse=_sequences
+        "Only these sequences, such as 00,08.",
+        default=(),
+        parse=partial(names_in, option="--sequences", example="00,08"),
     )
     limit: int | None = selection_option("At most this number of scans, the first ones.")
 

@@ -33,7 +33,6 @@ SCHEMA = 1
 USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__base__)
 """Errors of the command line, of which typer names only one kind."""
 FILE_WIDTH_COLUMNS = 120
-"""Width of a table that does not go to a terminal."""
 
 Parameters = ParamSpec("Parameters")
 output_option = partial(option, "Output")
@@ -43,7 +42,7 @@ output_option = partial(option, "Output")
 class Output:
     """Amount and form of what a command prints."""
 
-    json: bool = output_option("Print one JSON object on stdout.", "--json", default=False)
+    json: bool = output_option("Print one JSON object on stdout.", default=False)
     verbose: bool = output_option(
         "Print more messages on stderr.", "--verbose", "-v", default=False
     )
@@ -134,11 +133,7 @@ LINE_INTERVAL_S = 30.0
 
 
 def tell(text: str) -> None:
-    """Write a line on stderr, above the bar if there is one.
-
-    While a bar is shown, rich stands in for `sys.stderr`. `typer.echo` would go past it, to the
-    file behind it, and write into the bar.
-    """
+    """Write a line on stderr, or through rich's stand-in for it, above the bar if there is one."""
     sys.stderr.write(f"{text}\n")
 
 
@@ -181,16 +176,16 @@ class Lines:
         self.last = now
         each = (now - self.start) / (done - self.before)
         left = f"{each * (total - done) / 60:.0f} min left"
-        rate = words_of_rate(1 / each, self.unit)
+        rate = rate_text(1 / each, self.unit)
         tell(f"{self.label}: {done}/{total} {self.unit}, {rate}, {left}")
 
 
-def words_of_rate(rate: float, unit: str) -> str:
+def rate_text(rate: float, unit: str) -> str:
     """Give units per second, or seconds per unit where that reads better."""
     return f"{rate:.1f} {unit}/s" if rate >= 1 else f"{1 / rate:.1f} s/{unit[:-1]}"
 
 
-def words_of_seconds(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """Give a duration in the units that read best: "53 ms", "12.3 s", "12 min 5 s"."""
     if seconds < 1:
         return f"{1000 * seconds:.0f} ms"
@@ -208,7 +203,7 @@ def _bar(unit: str) -> "Bar":
     class RateColumn(progress.ProgressColumn):
         def render(self, task: progress.Task) -> text.Text:
             speed = task.finished_speed or task.speed
-            return text.Text(words_of_rate(speed, unit) if speed else "")
+            return text.Text(rate_text(speed, unit) if speed else "")
 
     done, left = progress.MofNCompleteColumn(), progress.TimeRemainingColumn()
     columns = ("{task.description}", progress.BarColumn(), done, RateColumn(), left)

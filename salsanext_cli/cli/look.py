@@ -14,35 +14,34 @@ from salsanext_cli.cli.console import over_scans, progress
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import counted
 from salsanext_cli.interruption import ARRIVED
+from salsanext_cli.options import names_in, option_group, own_option
 from salsanext_cli.parallel.options import RunOptions
-from salsanext_cli.results.query import ResultQuery
+from salsanext_cli.results.query import ResultQuery, named_label_space
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
+
+
+@option_group
+class PictureOptions:
+    """Colours and animations of `picture`."""
+
+    colour: list[str] | None = own_option(
+        f"{COLOUR_HELP}; may be given several times.",
+        *("--colour", "--color"),
+        show_default="everything known",
+    )
+    scale: tuple[float, float] | None = own_option(
+        "Values at the two ends of the colour map, for a single --colour.",
+        show_default="range of most values; fixed for error",
+    )
+    gif: bool = own_option("Animate each sequence as GIF.", default=False)
+    mp4: bool = own_option("Animate each sequence as MP4; needs ffmpeg.", default=False)
+    fps: float = own_option("Scans per second of the animations.", default=5.0)
 
 
 def picture(
     *,
     results: options.Results,
-    colour: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--colour",
-            "--color",
-            help=f"{COLOUR_HELP}; may be given several times.",
-            show_default="everything known",
-        ),
-    ] = None,
-    scale: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            help="Values at the two ends of the colour map, for a single --colour.",
-            show_default="range of most values; fixed for error",
-        ),
-    ] = None,
-    gif: Annotated[bool, typer.Option("--gif", help="Animate each sequence as GIF.")] = False,
-    mp4: Annotated[
-        bool, typer.Option("--mp4", help="Animate each sequence as MP4; needs ffmpeg.")
-    ] = False,
-    fps: Annotated[float, typer.Option(help="Scans per second of the animations.")] = 5.0,
+    drawn: PictureOptions,
     query: ResultQuery,
     running: RunOptions,
     output: console.Output,
@@ -57,10 +56,10 @@ def picture(
     with over_scans("picture", running, output.quiet) as run:
         outcome = stage(
             out,
-            colours=colour or (),
-            scale=scale,
-            animations=[form for form, wanted in (("gif", gif), ("mp4", mp4)) if wanted],
-            frames_per_second=fps,
+            colours=drawn.colour or (),
+            scale=drawn.scale,
+            animations=[form for form in ("gif", "mp4") if getattr(drawn, form)],
+            frames_per_second=drawn.fps,
             query=query,
             options=run,
         )
@@ -82,11 +81,7 @@ def export_rrd(
 
     out = results.folder()
     with over_scans("export-rrd", running, output.quiet) as run:
-        outcome = stage(
-            out,
-            query=query,
-            options=run,
-        )
+        outcome = stage(out, query=query, options=run)
     run_end.finish("export-rrd", outcome, out, output)
 
 
@@ -114,7 +109,7 @@ def demo(
         folder,
         scans=scans,
         samples=samples,
-        network=replace(network, classes=options.label_space(classes)),
+        network=replace(network, classes=named_label_space(classes)),
         options=RunOptions(jobs=jobs, overwrite=overwrite),
         bars=lambda step: progress(step, output.quiet),
     )
@@ -162,19 +157,19 @@ def report(
     with over_scans("report", running, output.quiet) as run:
         made = stage(
             results.folder(),
-            scans=[name.strip() for name in (scans or "").split(",") if name.strip()],
+            scans=names_in(scans, "--scans", "08/000000,08/000010"),
             query=query,
             by_distance=by_distance,
             options=run,
         )
-    output.result(made.to_dict())
+    found, missing = made.to_dict(), made.run.missing
+    output.result(found)
     run_end.name_failures(made.failures)
     for name, reason in made.shown.items():
         output.say(f"  {name}: {reason}")
-    left_out = run_end.left_out(made.missing)
-    size = f"{made.bytes / 1e6:.1f} MB"
-    output.say(f"report: {counted(made.scans, 'scan')}{left_out} → {made.page} ({size})")
-    run_end.leave(made.failures, made.missing)
+    scans = f"{counted(found['scans'], 'scan')}{run_end.left_out(missing)}"
+    output.say(f"report: {scans} → {made.page} ({found['bytes'] / 1e6:.1f} MB)")
+    run_end.leave(made.failures, missing)
 
 
 def view(
@@ -196,11 +191,7 @@ def view(
 
     with over_scans("view", running, output.quiet) as run:
         server = stage(
-            results.folder(),
-            port=port,
-            query=query,
-            by_distance=by_distance,
-            options=run,
+            results.folder(), port=port, query=query, by_distance=by_distance, options=run
         )
     run_end.name_failures(server.failures)
     scans, left_out = counted(server.scans, "scan"), run_end.left_out(server.missing)
@@ -218,10 +209,7 @@ def view(
 
 
 def _forwarding(port: int, connection: str) -> str:
-    """Return the command that brings a port of this machine to where an SSH session comes from.
-
-    `connection` is the environment variable SSH_CONNECTION: client, its port, server, its port.
-    """
+    """Return the command that forwards a port to where SSH_CONNECTION comes from, if to any."""
     match connection.split():
         case [_, _, host, ssh_port]:
             user = f"{name}@" if (name := os.environ.get("USER")) else ""

@@ -10,12 +10,12 @@ from salsanext_cli.cli import console, options
 from salsanext_cli.engines.settings import DEFAULT_WEIGHTS, weights_file
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.options import ScanSelection
+from salsanext_cli.results.query import named_label_space
 
 
 def models(
     weights: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Weights files to describe.", show_default="default"),
+        list[Path] | None, typer.Argument(help="Weights files to describe.", show_default="default")
     ] = None,
     *,
     output: console.Output,
@@ -77,7 +77,7 @@ def import_weights(
     stage(
         source,
         target,
-        space=options.label_space(label_space),
+        space=named_label_space(label_space),
         view=options.sensor(sensor),
         dropout=dropout,
         description=description,
@@ -96,8 +96,7 @@ def export_onnx(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="ONNX model to write (.onnx).")],
     *,
     sensor: Annotated[
-        str | None,
-        typer.Option(help=options.SENSOR_HELP, show_default="the sensor of the weights"),
+        str | None, typer.Option(help=options.SENSOR_HELP, show_default="the sensor of the weights")
     ] = None,
     dynamic_width: Annotated[
         bool,

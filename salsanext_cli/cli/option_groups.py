@@ -125,7 +125,10 @@ def _group(kind: type, marks: list[Any]) -> Group:
         if "argument" in declared:
             shown = typer.Argument(**declared["argument"])
         else:
-            shown = typer.Option(*declared["names"], **declared["option"] | changed.get(name, {}))
+            # A flag of one name, without its contrary.
+            flag = [f"--{name.replace('_', '-')}"] if field.type is bool else []
+            names = declared["names"] or flag
+            shown = typer.Option(*names, **declared["option"] | changed.get(name, {}))
         if declared.get("parse"):
             default, typed = None, str | None
         offered[name] = inspect.Parameter(

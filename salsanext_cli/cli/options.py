@@ -17,7 +17,6 @@ from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.results.query import ResultQuery
 
 if TYPE_CHECKING:
-    from salsanext_cli.classes.label_space import LabelSpace
     from salsanext_cli.sensors.sensor import Sensor
 
 OUT_VARIABLE = "SALSANEXT_OUT"
@@ -42,8 +41,7 @@ Scans = Annotated[
 ]
 SEVERAL_HELP = f"{SCANS_HELP} Several may be given, before OUT."
 SeveralScans = Annotated[
-    Path | None,
-    typer.Argument(metavar="SCANS...", help=SEVERAL_HELP, show_default="the data set"),
+    Path | None, typer.Argument(metavar="SCANS...", help=SEVERAL_HELP, show_default="the data set")
 ]
 RequiredScans = Annotated[Path, typer.Argument(metavar="SCANS", help=SCANS_HELP)]
 LabelledDataSet = Annotated[
@@ -124,13 +122,6 @@ class Results:
 def sensor(name: str | None) -> "Sensor | None":
     """Look up a sensor, None where none was named."""
     from salsanext_cli.sensors.sensor import sensor as find
-
-    return None if name is None else find(name)
-
-
-def label_space(name: str | None) -> "LabelSpace | None":
-    """Look up a label space, None where none was named."""
-    from salsanext_cli.classes.label_space import label_space as find
 
     return None if name is None else find(name)
 

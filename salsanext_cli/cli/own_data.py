@@ -2,6 +2,7 @@
 """Commands of the panel Your own data: any scans to data sets, their labels, a submission."""
 
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,7 +13,8 @@ from salsanext_cli.cli.console import over_scans, progress, tell
 from salsanext_cli.cli.option_groups import Shown
 from salsanext_cli.engines.settings import with_columns
 from salsanext_cli.errors import counted, printable
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.options import ScanSelection, option_group, own_option
+from salsanext_cli.results.query import named_label_space
 
 
 def inspect(
@@ -49,7 +51,7 @@ def inspect(
         found = stage(
             options.source(scans, dataset, topic),
             sensor=view,
-            space=options.label_space(label_space),
+            space=named_label_space(label_space),
             selection=selection,
             options=run,
             fit=fit is not None,
@@ -99,36 +101,35 @@ def convert(
     run_end.finish("convert", outcome, folder, output)
 
 
+@option_group
+class PickOptions:
+    """Number and kind of the scans that `pick` takes."""
+
+    count: int = own_option("Number of scans to pick.", default=10)
+    strategy: Literal["both", "uncertainty", "diverse", "random"] = own_option(
+        "Pick what is uncertain, what is unlike the rest, both, or any.", default="both"
+    )
+    seed: int = own_option("Seed of dropout masks and of random picks.", default=0)
+    labelled: list[Path] | None = own_option(
+        "Data set of scans that are labelled already: others are picked, unlike them; may be given "
+        "several times.",
+        metavar="DATASET",
+    )
+    disagreement: Path | None = own_option(
+        "Folder of `fuse`: the disagreement of its views, mean over a scan, counts as the scan's "
+        "uncertainty.",
+        metavar="RESULTS",
+        show_default="that of the network",
+    )
+
+
 def pick(
     scans: options.RequiredScans,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Root of the data set to write.")],
     *,
-    count: Annotated[int, typer.Option(help="Number of scans to pick.")] = 10,
-    strategy: Annotated[
-        Literal["both", "uncertainty", "diverse", "random"],
-        typer.Option(help="Pick what is uncertain, what is unlike the rest, both, or any."),
-    ] = "both",
-    seed: Annotated[int, typer.Option(help="Seed of dropout masks and of random picks.")] = 0,
-    labelled: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="DATASET",
-            help="Data set of scans that are labelled already: others are picked, unlike them; may "
-            "be given several times.",
-        ),
-    ] = None,
-    disagreement: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="RESULTS",
-            help="Folder of `fuse`: the disagreement of its views, mean over a scan, counts as the "
-            "scan's uncertainty.",
-            show_default="that of the network",
-        ),
-    ] = None,
+    choice: PickOptions,
     selection: Annotated[
-        ScanSelection,
-        Shown(limit={"help": "Look at this number of scans only, evenly spaced."}),
+        ScanSelection, Shown(limit={"help": "Look at this number of scans only, evenly spaced."})
     ],
     topic: options.Topic = None,
     network: options.Network,
@@ -147,16 +148,12 @@ def pick(
         found = stage(
             options.in_topic(scans, topic),
             out,
-            count=count,
-            strategy=strategy,
-            seed=seed,
+            **asdict(choice) | {"labelled": choice.labelled or ()},
             network=network,
             selection=selection,
             options=run,
-            labelled=labelled or (),
-            disagreement=disagreement,
         )
-    unit = "nats" if disagreement is None else "share"
+    unit = "nats" if choice.disagreement is None else "share"
     table = picked_table(found.picked, unit) if found.picked else None
     output.result(found.to_dict() | {"out": str(out)}, table)
     outcome, doubted = found.outcome, found.warnings
@@ -220,7 +217,7 @@ def import_labels(
             *(edited, dataset),
             scalar=scalar,
             ids=ids,
-            space=options.label_space(label_space),
+            space=named_label_space(label_space),
             sensor=with_columns(sensor("hdl64"), columns),
             overwrite=overwrite,
             progress=bar,
@@ -235,21 +232,25 @@ def import_labels(
     raise typer.Exit(console.FAILED if made.failures else console.DONE)
 
 
+@option_group
+class Streets:
+    """Numbers of the streets of `synth`."""
+
+    train: int = own_option("Number of sequences for training.", default=8)
+    valid: int = own_option("Number of sequences for validation.", default=2)
+    test: int = own_option("Number of sequences for testing.", default=0)
+    scans: int = own_option("Scans per sequence.", default=20)
+    spacing: float = own_option("Distance driven between two scans, in metres.", default=3.0)
+    sensor: Literal["hdl64", "random"] = own_option(
+        "An HDL-64E, or a random sensor for each sequence.", default="hdl64"
+    )
+    seed: int = own_option("The same seed gives the same bytes.", default=0)
+
+
 def synth(
     out: Annotated[Path, typer.Argument(metavar="DATASET", help="Root of the new data set.")],
     *,
-    train: Annotated[int, typer.Option(help="Number of sequences for training.")] = 8,
-    valid: Annotated[int, typer.Option(help="Number of sequences for validation.")] = 2,
-    test: Annotated[int, typer.Option(help="Number of sequences for testing.")] = 0,
-    scans: Annotated[int, typer.Option(help="Scans per sequence.")] = 20,
-    spacing: Annotated[
-        float, typer.Option(help="Distance driven between two scans, in metres.")
-    ] = 3.0,
-    sensor: Annotated[
-        Literal["hdl64", "random"],
-        typer.Option(help="An HDL-64E, or a random sensor for each sequence."),
-    ] = "hdl64",
-    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 0,
+    streets: Streets,
     jobs: options.Jobs = 1,
     overwrite: options.Overwrite = False,
     output: console.Output,
@@ -262,17 +263,7 @@ def synth(
 
     with progress("synth", output.quiet) as on_progress:
         made = synthesise(
-            out,
-            train=train,
-            valid=valid,
-            test=test,
-            scans=scans,
-            seed=seed,
-            spacing=spacing,
-            sensor=sensor,
-            jobs=jobs,
-            overwrite=overwrite,
-            progress=on_progress,
+            out, **asdict(streets), jobs=jobs, overwrite=overwrite, progress=on_progress
         )
     output.result(made)
     output.say(
@@ -305,7 +296,7 @@ def submit(
             out,
             target,
             dataset=dataset,
-            space=options.label_space(label_space),
+            space=named_label_space(label_space),
             description=description,
             overwrite=overwrite,
             progress=on_progress,

@@ -13,9 +13,9 @@ from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.engines.settings import AUTO, COLUMNS_HELP, with_columns
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.options import KnnParameters, ScanSelection, option_group, own_option
 from salsanext_cli.parallel.options import RunOptions
-from salsanext_cli.results.query import ResultQuery
+from salsanext_cli.results.query import ResultQuery, named_label_space
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Outcome
@@ -56,48 +56,39 @@ def project(
     run_end.finish("project", outcome, out, output, *more, strict=strict)
 
 
+@option_group
+class Extras:
+    """Results that `predict` writes besides the labels, and labels that it does not give."""
+
+    pixel_labels: bool = own_option("Also write the label of every pixel.", default=False)
+    probabilities: bool = own_option(
+        "Also write the class probabilities of every point.", default=False
+    )
+    error: bool = own_option(
+        "Also write the probability that each label is wrong, if the weights know it.",
+        default=False,
+    )
+    fuse: bool = own_option(
+        "Then fuse the scans of each sequence, as `fuse` does, into OUT/fused.", default=False
+    )
+    objects: bool = own_option(
+        "Number the vehicles, people and riders in the upper 16 bits of the labels, and write "
+        "their boxes.",
+        default=False,
+    )
+    reject: str | None = own_option(
+        "Leave points unlabelled whose label is wrong with a higher probability; risk: by the "
+        "threshold that `tune risk` chose.",
+        metavar="ERROR",
+    )
+
+
 def predict(
     context: typer.Context,
     scans: options.SeveralScans = None,
     out: options.Out = Path("out"),
     *,
-    pixel_labels: Annotated[
-        bool, typer.Option("--pixel-labels", help="Also write the label of every pixel.")
-    ] = False,
-    probabilities: Annotated[
-        bool,
-        typer.Option("--probabilities", help="Also write the class probabilities of every point."),
-    ] = False,
-    error: Annotated[
-        bool,
-        typer.Option(
-            "--error",
-            help="Also write the probability that each label is wrong, if the weights know it.",
-        ),
-    ] = False,
-    fuse: Annotated[
-        bool,
-        typer.Option(
-            "--fuse",
-            help="Then fuse the scans of each sequence, as `fuse` does, into OUT/fused.",
-        ),
-    ] = False,
-    objects: Annotated[
-        bool,
-        typer.Option(
-            "--objects",
-            help="Number the vehicles, people and riders in the upper 16 bits of the labels, and "
-            "write their boxes.",
-        ),
-    ] = False,
-    reject: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ERROR",
-            help="Leave points unlabelled whose label is wrong with a higher probability; risk: by "
-            "the threshold that `tune risk` chose.",
-        ),
-    ] = None,
+    extras: Extras,
     dataset: options.DataSet = None,
     selection: ScanSelection,
     topic: options.Topic = None,
@@ -124,11 +115,13 @@ def predict(
     from salsanext_cli.stages.predict import predict_range_images, predict_scans
 
     source, out = options.sources(context, scans, out, dataset, topic)
-    if fuse:
-        _require_fusable(source, out, running, objects=objects, reject=reject is not None)
-    wanted = {"pixel_labels": pixel_labels, "probabilities": probabilities, ERROR: error}
-    wanted |= {"votes": fuse and not probabilities, "objects": objects}
-    network = replace(network, classes=options.label_space(classes))
+    rejects, reject = extras.reject is not None, extras.reject
+    if extras.fuse:
+        _require_fusable(source, out, running, objects=extras.objects, reject=rejects)
+    wanted = {"pixel_labels": extras.pixel_labels, "probabilities": extras.probabilities}
+    wanted |= {ERROR: extras.error, "votes": extras.fuse and not extras.probabilities}
+    wanted |= {"objects": extras.objects}
+    network = replace(network, classes=named_label_space(classes))
     with over_scans("predict", running, output.quiet) as run:
         if not isinstance(source, Path) or projected_sensor(source) is None:
             outcome: Outcome = predict_scans(
@@ -142,16 +135,15 @@ def predict(
                 options=run,
             )
         else:
-            of_points = {"--probabilities": probabilities, "--error": error, "--fuse": fuse}
-            of_points |= {"--objects": objects, "--reject": reject is not None}
-            _require_no_scans(knn, batch, of_points)
+            names = ("probabilities", "error", "fuse", "objects")
+            of_points = {f"--{name}": getattr(extras, name) for name in names}
+            _require_no_scans(knn, batch, of_points | {"--reject": rejects})
             outcome = predict_range_images(
                 source, out, network=network, selection=selection, options=run
             )
-    results = out
-    if fuse and outcome.done + outcome.skipped:
+    results, split = out, selection.split
+    if extras.fuse and outcome.done + outcome.skipped:
         outcome, results = _then_fused(outcome, out, selection, running, output)
-    split = selection.split
     run_end.finish("predict", outcome, out, output, split=split, strict=strict, results=results)
 
 
@@ -226,8 +218,7 @@ def knn_refine(
     columns: Annotated[
         str | None,
         options.network_option(
-            help=COLUMNS_HELP,
-            show_default="those of the earlier stages, else x,y,z,intensity",
+            help=COLUMNS_HELP, show_default="those of the earlier stages, else x,y,z,intensity"
         ),
     ] = None,
     knn: KnnParameters,
@@ -251,7 +242,7 @@ def knn_refine(
             labels=labels,
             dataset=dataset,
             sensor=seen,
-            space=options.label_space(label_space),
+            space=named_label_space(label_space),
             knn=knn,
             selection=selection,
             options=run,
@@ -299,7 +290,7 @@ def uncertainty(
         outcome = stage(
             source,
             out,
-            network=replace(network, classes=options.label_space(classes)),
+            network=replace(network, classes=named_label_space(classes)),
             knn=knn,
             method=UncertaintyMethod(method, samples, seed, aleatoric),
             selection=selection,

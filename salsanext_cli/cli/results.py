@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Commands that work on results: they fuse, filter, compare, evaluate and export them."""
 
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +12,7 @@ from salsanext_cli.cli import console, options, run_end
 from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.options import FusionReach
+from salsanext_cli.options import FusionReach, names_in, option_group, own_option
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
@@ -52,47 +54,34 @@ def fuse(
 
     target = target or out / FUSED
     with over_scans("fuse", running, output.quiet) as run:
-        outcome = fuse_results(
-            out,
-            target,
-            poses=poses,
-            reach=reach,
-            query=query,
-            options=run,
-        )
+        outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=run)
     run_end.finish("fuse", outcome, target, output, split=query.selection.split, strict=strict)
 
 
-def class_names(text: str | None) -> list[str]:
-    """Return the names in a list such as person,vehicle."""
-    names = [name.strip() for name in (text or "").split(",") if name.strip()]
-    if text is not None and not names:
-        raise UsageError("--drop and --keep", repr(text), "names of classes, such as car,person")
-    return names
+@option_group
+class PointChoice:
+    """Choice of the points that `filter` writes."""
+
+    drop: tuple[str, ...] = own_option(
+        "Leave out these classes, such as person,vehicle; coarse names too, and moving for all "
+        "that may move.",
+        parse=partial(names_in, option="--drop", example="car,person"),
+    )
+    keep: tuple[str, ...] = own_option(
+        "Keep these classes only.",
+        parse=partial(names_in, option="--keep", example="car,person"),
+        show_default="all",
+    )
+    max_error: float | None = own_option("Leave out points whose error is above this, 0 to 1.")
+    split: bool = own_option("Write a file for each class.", default=False)
+    indices: bool = own_option("Write masks of the points that stay (.npy).", default=False)
 
 
 def filter_command(
     out: options.Out = Path("out"),
     *,
     to: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder to write.")],
-    drop: Annotated[
-        str | None,
-        typer.Option(
-            help="Leave out these classes, such as person,vehicle; coarse names too, and "
-            "moving for all that may move."
-        ),
-    ] = None,
-    keep: Annotated[
-        str | None, typer.Option(help="Keep these classes only.", show_default="all")
-    ] = None,
-    max_error: Annotated[
-        float | None,
-        typer.Option(help="Leave out points whose error is above this, 0 to 1."),
-    ] = None,
-    split: Annotated[bool, typer.Option("--split", help="Write a file for each class.")] = False,
-    indices: Annotated[
-        bool, typer.Option("--indices", help="Write masks of the points that stay (.npy).")
-    ] = False,
+    points: PointChoice,
     query: Annotated[ResultQuery, Without({"split", "label_space", "classes"})],
     running: RunOptions,
     output: console.Output,
@@ -104,17 +93,7 @@ def filter_command(
     from salsanext_cli.stages.filter import filter_scans
 
     with over_scans("filter", running, output.quiet) as run:
-        outcome = filter_scans(
-            out,
-            to,
-            drop=class_names(drop),
-            keep=class_names(keep),
-            max_error=max_error,
-            split=split,
-            indices=indices,
-            query=query,
-            options=run,
-        )
+        outcome = filter_scans(out, to, **asdict(points), query=query, options=run)
     run_end.finish("filter", outcome, to, output)
 
 
@@ -138,13 +117,7 @@ def compare(
     from salsanext_cli.stages.compare import compare as stage
 
     with over_scans("compare", running, output.quiet) as run:
-        found, failures = stage(
-            before,
-            after,
-            by_distance=by_distance,
-            query=query,
-            options=run,
-        )
+        found, failures = stage(before, after, by_distance=by_distance, query=query, options=run)
     failed = [failure.to_dict() for failure in failures]
     output.result(
         {"stage": "compare", **found.to_dict(), "failures": failed}, comparison_tables(found)
@@ -216,31 +189,27 @@ def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
     return Group(*shown)
 
 
+@option_group
+class CloudOptions:
+    """Colours and format of the clouds of `export-ply`."""
+
+    colour: str = own_option(f"{COLOUR_HELP}.", "--colour", "--color", default="label")
+    scale: tuple[float, float] | None = own_option(
+        "Values at the two ends of the colour map.",
+        show_default="range of most values; fixed for error",
+    )
+    max_error: float | None = own_option(
+        "Write points as unlabelled whose error is above this, 0 to 1."
+    )
+    form: str = own_option(
+        "ply, or las or laz with the classes of the ASPRS.", "--format", default="ply"
+    )
+
+
 def export_ply(
     *,
     results: options.Results,
-    colour: Annotated[
-        str,
-        typer.Option(
-            "--colour",
-            "--color",
-            help=f"{COLOUR_HELP}.",
-        ),
-    ] = "label",
-    scale: Annotated[
-        tuple[float, float] | None,
-        typer.Option(
-            help="Values at the two ends of the colour map.",
-            show_default="range of most values; fixed for error",
-        ),
-    ] = None,
-    max_error: Annotated[
-        float | None,
-        typer.Option(help="Write points as unlabelled whose error is above this, 0 to 1."),
-    ] = None,
-    form: Annotated[
-        str, typer.Option("--format", help="ply, or las or laz with the classes of the ASPRS.")
-    ] = "ply",
+    clouds: CloudOptions,
     as_map: Annotated[
         bool, typer.Option("--map", help="Write one cloud of each drive with labels of `fuse`.")
     ] = False,
@@ -266,14 +235,6 @@ def export_ply(
         raise UsageError("--map-voxel", "without --map", "both, or neither")
     out = results.folder()
     with over_scans("export-ply", running, output.quiet) as run:
-        outcome = stage(
-            out,
-            colour=colour,
-            scale=scale,
-            max_error=max_error,
-            form=form,
-            voxel=(0.1 if voxel is None else voxel) if as_map else None,
-            query=query,
-            options=run,
-        )
+        map_voxel = (0.1 if voxel is None else voxel) if as_map else None
+        outcome = stage(out, **asdict(clouds), voxel=map_voxel, query=query, options=run)
     run_end.finish("export-ply", outcome, out, output)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 
-from salsanext_cli.cli.console import DONE, FAILED, Output, tell, words_of_seconds
+from salsanext_cli.cli.console import DONE, FAILED, Output, duration_text, tell
 from salsanext_cli.errors import counted, first_few
 
 if TYPE_CHECKING:
@@ -32,11 +32,9 @@ def finish(
     strict: bool = False,
     results: object = None,
 ) -> NoReturn:
-    """Say what became of a run over scans and leave with the exit status for it.
+    """Say what became of a run and leave with its exit status.
 
-    `more`: options that the command to type next needs as well; `split`: the split that the scans
-    are of, if one was named; `strict`: whether warnings about scans count as failures; `results`:
-    folder for that command, if not `out`.
+    `more`: options to type next; `results`: folder for the next command, if not `out`.
     """
     name_failures(outcome.failures)
     following = next_command(stage, outcome, str(results or out), more, split)
@@ -46,8 +44,8 @@ def finish(
     already = f", {outcome.skipped} done already" if outcome.skipped else ""
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
     others = left_out(missing) if missing else ""
-    took = f" in {words_of_seconds(output.seconds)}"
-    took += "" if each is None else f", {words_of_seconds(each)} per scan"
+    took = f" in {duration_text(output.seconds)}"
+    took += "" if each is None else f", {duration_text(each)} per scan"
     output.say(f"{stage}: {counted(outcome.done, 'scan')}{already}{failed}{took}{others} → {out}")
     if (rejected := outcome.rejected_points) is not None:
         before = f", besides {counted(outcome.skipped, 'scan')} before" if outcome.skipped else ""

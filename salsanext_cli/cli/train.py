@@ -13,6 +13,7 @@ from salsanext_cli.cli.option_groups import Only
 from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, weights_file, with_columns
 from salsanext_cli.errors import counted
 from salsanext_cli.options import network_option, option_group
+from salsanext_cli.results.query import named_label_space
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Progress
@@ -98,7 +99,7 @@ def train(
             run,
             recipe=start.plan(),
             sensor=start.seen(),
-            space=options.label_space(label_space),
+            space=named_label_space(label_space),
             device=network.device,
             jobs=jobs,
             weights=start.weights and weights_file(start.weights),

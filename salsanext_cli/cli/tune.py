@@ -151,10 +151,7 @@ def _tuned(
     output: console.Output,
     **numbers: float | None,
 ) -> dict[str, Any]:
-    """Fit a part of the weights while a bar shows how far it is; return plain data.
-
-    To the scans for validation, unless others are named.
-    """
+    """Fit a part of the weights, to the scans for validation by default; return plain data."""
     from salsanext_cli.stages.tune import tune
 
     if not (selection.split or selection.sequences):

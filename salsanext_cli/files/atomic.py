@@ -32,12 +32,10 @@ def writing(
     durable: bool = False,
     before_rename: Callable[[os.stat_result], object] | None = None,
 ) -> Iterator[BinaryIO]:
-    """Open a file for writing that appears under its name only when it is complete.
+    """Open a file for writing that gets its name, or replaces an older file, only when it is whole.
 
-    Parent folders are made. If the body raises, Ctrl-C included, nothing is left behind and an
-    older file of that name stays as it was. A `durable` file survives a power cut, for some
-    milliseconds; another of the last half minute may be empty or cut off then. `before_rename` is
-    called with the status of the complete file.
+    A `durable` file survives a power cut; `before_rename` is called with the status of the whole
+    file.
     """
     path = Path(path)
     # A process id would not do: machines of a cluster share the folder, not the ids.
@@ -122,10 +120,7 @@ def sweep(folder: Path, mark: str) -> None:
 
 
 def sweep_stale(folder: Path) -> None:
-    """Remove the temporary files that nobody has touched for a day; others may be writing here.
-
-    Both times are of the disk, whose clock may not be ours.
-    """
+    """Remove the temporary files that nobody has touched for a day, by the clock of the disk."""
     with suppress(OSError):
         found = [path for path in folder.iterdir() if TEMPORARY.fullmatch(path.name)]
         if not found:

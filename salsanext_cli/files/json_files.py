@@ -32,17 +32,12 @@ def read_json(path: Path) -> dict[str, Any] | None:
     with reading(path) as file:
         text = file.read()
     try:
-        data = json.loads(text, parse_constant=_refuse_constant)
+        data = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise OutputError(path, "damaged", "JSON", "delete it or use another folder") from error
     if not isinstance(data, dict):
         raise OutputError(path, "damaged", "a JSON object", "delete it or use another folder")
     return data
-
-
-def _refuse_constant(name: str) -> None:
-    """Refuse NaN and infinities, which `write_json` never writes."""
-    raise ValueError(f"{name} is no JSON")
 
 
 class RecordedSettings(dict[str, Any]):

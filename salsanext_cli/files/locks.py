@@ -21,11 +21,9 @@ log = logging.getLogger(__name__)
 
 @contextmanager
 def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[None]:
-    """Hold a lock while the body runs; where the file system has none, run it all the same.
+    """Hold the system's lock on a file, made and removed here, while the body runs.
 
-    The lock is the system's, on an empty file that is made and removed here. It is released when
-    the process dies; its file may stay then, and means nothing. A `stage` whose run holds it while
-    it fills the folder of the file is named in the error.
+    Without locks in the file system it runs all the same. A `stage` that fills the folder is named.
     """
     lock = FileLock(path, timeout=timeout_s, fallback_to_soft=False)
     try:

@@ -9,8 +9,7 @@ from typing import Any
 
 from salsanext_cli.errors import MissingDependency
 
-ROSBAGS = (0, 11)
-"""Oldest version of rosbags."""
+MIN_ROSBAGS_VERSION = (0, 11)
 
 
 def import_open3d() -> Any:
@@ -41,8 +40,8 @@ def require_rosbags() -> None:
     """Require `rosbags` in a version that reads single files of a ROS 2 bag."""
     import_extra("rosbags", "ros")
     found = version("rosbags")
-    if tuple(map(int, re.findall(r"\d+", found)[:2])) < ROSBAGS:
-        expected = f"{'.'.join(map(str, ROSBAGS))} or newer"
+    if tuple(map(int, re.findall(r"\d+", found)[:2])) < MIN_ROSBAGS_VERSION:
+        expected = f"{'.'.join(map(str, MIN_ROSBAGS_VERSION))} or newer"
         remedy = "pip install 'salsanext[ros]', in another environment than ouster-sdk"
         raise MissingDependency("rosbags", f"version {found}", expected, remedy)
 

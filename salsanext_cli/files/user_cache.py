@@ -34,11 +34,7 @@ def cache_folder() -> str:
 
 
 def cached(name: str, make: Callable[[], bytes]) -> bytes:
-    """Return the content of a file of the cache; it is made if it is missing or damaged.
-
-    Several processes may make it at once. Without a cache folder that can be written, it is made
-    each time, which is said once.
-    """
+    """Return the content of a file of the cache; it is made if it is missing or damaged."""
     folder = cache_folder()
     content = read_checked(Path(folder, name)) if folder else None
     return store(name, make()) if content is None else content

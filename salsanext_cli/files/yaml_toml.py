@@ -26,10 +26,7 @@ YAML_ERRORS = (
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Loader of plain values without references.
-
-    A few lines of references to references would stand for billions of values.
-    """
+    """Loader of plain values; a few lines of references to references would stand for billions."""
 
     def fetch_flow_collection_start(self, kind: Any) -> None:
         """Refuse brackets in too many brackets."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +33,6 @@ from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, counted_by_suffix
 
 EDITED_SUFFIXES = (*READERS, ".label", ".npy")
-"""Suffixes of files with labels, upper or lower case."""
 MAX_UNMATCHED = 0.01
 """Largest share of the points of a cloud that may be none of the scan's."""
 ROUNDED_M = 0.05
@@ -82,11 +81,10 @@ class ScanNames:
 
 
 def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
-    """Return the scan that an edited file belongs to; `source` is the file or folder named for it.
+    """Return the scan of an edited file: the only one, or that of its stem or of a word in it.
 
-    It is the only scan there is, if a single file was named; or the only one of that stem, or else
-    whose stem is a whole word of the file's name, as in ``000010 - Cloud.ply``. If a folder tells
-    the sequence, only its scans count; so it is if the name has that of a sequence as a word.
+    `source`: the file or folder that was named. If a folder above or a word of the name tells the
+    sequence, only its scans count.
     """
     if not is_folder(source) and len(names.scans) == 1:
         return names.scans[0]
@@ -139,33 +137,10 @@ class UnknownIds(LabelError):  # noqa: N818 - the name says what is wrong
         self.points = points
 
 
-@dataclass(frozen=True, slots=True)
-class EditedLabels:
-    """Labels of the points of a scan."""
-
-    raw: RawIds  # (N,) uint32: raw ids, with instances; the unlabelled one where there is no label
-    labelled: int  # Number of points of a class that counts
-    unlabelled: int  # Number of points that were left unlabelled, or given another ignored class
-    # Number of points with several labels, and of those that the files lack; together the four
-    # numbers are N
-    ambiguous: int
-    missing: int
-    unmatched: int  # Number of points of the files that are none of the scan's
-    contradicted: int  # Number of ambiguous points that each file has one label of
-    scalar: str  # Scalar that held the labels, or several
-
-    def numbers(self) -> dict[str, int | str]:
-        """Return all but the labels, as records and JSON have it."""
-        return {each.name: getattr(self, each.name) for each in fields(self) if each.name != "raw"}
-
-
 def read_file_labels(
     path: Path, points: Float, meanings: LabelIds, scalar: str | None = None
 ) -> tuple[LabelTransfer, str]:
-    """Read the labels that a tool wrote for points (N, 3), matched by place or by order.
-
-    Returns them and the name of the scalar that holds them.
-    """
+    """Read the labels of points (N, 3), matched by place or order, and the name of their scalar."""
     has_points = path.suffix.lower() in READERS
     cloud = read_labelled_cloud(path, scalar) if has_points else _of_all_points(path, points)
     if unknown := meanings.unknown(cloud.ids):
@@ -181,8 +156,13 @@ def read_file_labels(
 
 def edited_labels(
     parts: Mapping[Path, tuple[LabelTransfer, str]], space: LabelSpace, unlabelled: int
-) -> EditedLabels:
-    """Return the labels that files hold of a scan; points without one get the unlabelled raw id."""
+) -> tuple[RawIds, dict[str, Any]]:
+    """Return the raw ids (N,) uint32 that files hold of a scan, with instances, and numbers of it.
+
+    Points without a label get the unlabelled raw id. Those `labelled`, with a class that counts,
+    `unlabelled`, `ambiguous` and `missing` are N; `unmatched` ones of the files are none of the
+    scan's, and each file has one label of `contradicted` ones.
+    """
     transfers = [transfer for transfer, _ in parts.values()]
     merged = merged_transfers(transfers, unlabelled)
     in_one_file = np.any([transfer.ambiguous for transfer in transfers], axis=0)
@@ -193,16 +173,15 @@ def edited_labels(
         text = f"{scalar}: none of the {counted(len(raw), 'point')} has a class that counts"
         remedy = "label some, or name the scalar with --scalar"
         raise LabelError(first_few([*parts]), text, "at least one", remedy)
-    return EditedLabels(
-        raw=raw,
-        labelled=labelled,
-        unlabelled=int(merged.known.sum()) - labelled,
-        ambiguous=int(merged.ambiguous.sum()),
-        missing=int(merged.missing.sum()),
-        unmatched=len(merged.unmatched),
-        contradicted=int((merged.ambiguous & ~in_one_file).sum()),
-        scalar=scalar,
-    )
+    return raw, {
+        "labelled": labelled,
+        "unlabelled": int(merged.known.sum()) - labelled,
+        "ambiguous": int(merged.ambiguous.sum()),
+        "missing": int(merged.missing.sum()),
+        "unmatched": len(merged.unmatched),
+        "contradicted": int((merged.ambiguous & ~in_one_file).sum()),
+        "scalar": scalar,
+    }
 
 
 def _of_all_points(path: Path, points: Float) -> LabelledCloud:

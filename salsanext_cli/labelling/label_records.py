@@ -40,7 +40,7 @@ class LabelImport:
     space: LabelSpace  # Classes of the labels
     class_points: Counts  # (C,) int64: number of imported points by train id
     # Of each imported scan: `scan` as sequence/stem, its `files`, `scalar`, number of `points`,
-    # `labelled`, `unlabelled`, `ambiguous`, `missing` and `unmatched`, as `EditedLabels` has them
+    # `labelled`, `unlabelled`, `ambiguous`, `missing` and `unmatched`, as `edited_labels` has them
     scans: list[dict[str, Any]] = field(default_factory=list)
     # What was not imported: `files`, `reason` and `code` of the error
     failures: list[dict[str, Any]] = field(default_factory=list)
@@ -111,8 +111,7 @@ class LabelRecords:
     def is_replaceable(self, scan: ScanFile, edited: Iterable[Path], contradicted: int = 0) -> bool:
         """Say whether the label file of a scan, if there is one, may give way to edited files.
 
-        It may if it is as salsanext wrote it, and was imported from no file of another name, which
-        may hold other points, nor from files that contradicted each other in fewer points.
+        It may if it is as salsanext wrote it, from no other file and with as many contradictions.
         """
         path, earlier = scan.label_path, self._imported.get(scan.name, {"files": []})
         # Files that are not recorded may be any.

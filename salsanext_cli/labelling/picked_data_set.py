@@ -27,7 +27,6 @@ from salsanext_cli.version import __version__
 STAGE = "pick"
 LABEL_SPACE, TABLE, SHEET = "labels.yaml", "picked.csv", "picked.png"
 COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
-"""Columns of `.bin` files that are copied."""
 
 log = logging.getLogger(__name__)
 

@@ -44,15 +44,10 @@ def choose_scans(
     seed: int = 0,
     labelled: Sequence[int] = (),
 ) -> list[Choice]:
-    """Choose the scans most worth labelling, the most valuable first; all if there are no more.
+    """Choose the scans most worth labelling, the most valuable first, by one of `STRATEGIES`.
 
-    "diverse" begins with the most typical scan and then takes the one farthest from all chosen.
-    "uncertainty" takes the most uncertain, and "both" the one with the highest product of
-    uncertainty and distance; both leave out scans nearly equal to a chosen one. "random" draws.
-    A scan equal to a chosen one comes after all others.
-
-    `features` (S, F) of each scan weigh equally, by their standard deviation; `uncertainty` (S,)
-    is not negative; `labelled` scans count as chosen before all others, and are not returned.
+    `features` (S, F) weigh equally, by their standard deviation; `uncertainty` (S,) is at least 0;
+    `labelled` scans count as chosen before all others, and are not returned.
     """
     require_choice(count, strategy, seed)
     weights = np.asarray(uncertainty, np.float64)

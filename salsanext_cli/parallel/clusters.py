@@ -14,24 +14,20 @@ from concurrent.futures import CancelledError, Future
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from typing import Any
 
-from salsanext_cli.errors import MissingDependency, UsageError
+from salsanext_cli.errors import UsageError
+from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.parallel.worker import CHUNKS_IN_FLIGHT, WorkerPool
 
 CONNECT_TIMEOUT_S = 15
 """Time for a scheduler to answer, and for a first worker to come; Ray itself waits for minutes."""
 RESULT_TIMEOUT_S = 3.0
-"""Time for the threads of Ray's pool to end."""
 
 
 @contextmanager
 def dask_pool(options: RunOptions) -> Iterator[WorkerPool]:
     """Connect to the workers of a scheduler."""
-    try:
-        import distributed
-        from distributed.scheduler import KilledWorker
-    except ImportError as error:
-        raise _not_installed("dask") from error
+    distributed = import_extra("distributed", "dask")
     with _connected_to_dask(distributed, options.scheduler) as client:
         slots = sum(client.nthreads().values())
         limit = options.workers_of_cluster()
@@ -41,7 +37,7 @@ def dask_pool(options: RunOptions) -> Iterator[WorkerPool]:
             workers,
             limit or CHUNKS_IN_FLIGHT * workers,
             max(1, slots // workers),
-            (KilledWorker, CancelledError),
+            (distributed.scheduler.KilledWorker, CancelledError),
         )
 
 
@@ -83,10 +79,7 @@ def _connected_to_dask(distributed: Any, address: str | None) -> Iterator[Any]:
 @contextmanager
 def ray_pool(options: RunOptions) -> Iterator[WorkerPool]:
     """Connect to the workers of a cluster, unless the program that calls us has done so."""
-    try:
-        import ray
-    except ImportError as error:
-        raise _not_installed("ray") from error
+    ray = import_extra("ray", "ray")
     # Ray tells on stdout that a worker died.
     with redirect_stdout(sys.stderr), _connected_to_ray(ray, options.scheduler):
         cpus, gpus = _resources(ray, "CPU"), _resources(ray, "GPU")
@@ -162,12 +155,6 @@ def _join_result_threads() -> None:
     for thread in threading.enumerate():
         if isinstance(thread, ResultThread):
             thread.join(max(0.0, end - time.monotonic()))
-
-
-def _not_installed(backend: str) -> MissingDependency:
-    remedy = f"pip install 'salsanext[{backend}]'"
-    absent = f"{backend.capitalize()} is not installed"
-    return MissingDependency(f"--backend {backend}", absent, remedy=remedy)
 
 
 def _first_line(error: Exception) -> str:

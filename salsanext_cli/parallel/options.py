@@ -18,7 +18,6 @@ from salsanext_cli.options import option, option_group
 if TYPE_CHECKING:
     from salsanext_cli.results.layout import ScanFile
 
-BACKENDS = ("loky", "threading", "dask", "ray")
 CLUSTERS = ("dask", "ray")
 """Backends whose workers may be on other machines."""
 Progress = Callable[[int, int], None]
@@ -43,10 +42,7 @@ def worker_count(jobs: int) -> int:
 
 
 def use_threads(count: int) -> None:
-    """Let torch and our kernels use so many threads, in this thread and those started later.
-
-    What is not loaded yet will not be used: work brings what it needs when it is unpickled.
-    """
+    """Let torch and our kernels, where loaded, use so many threads, here and in new threads."""
     if torch := _if_loaded("torch"):
         torch.set_num_threads(count)
     if numba := _if_loaded("numba"):
@@ -54,20 +50,13 @@ def use_threads(count: int) -> None:
 
 
 def _if_loaded(name: str) -> Any:
-    """Return a module that was imported before, complete; None for another.
-
-    Importing it waits for another thread that is just importing it.
-    """
+    """Return a module that was imported before, complete; None for another."""
     return import_module(name) if name in sys.modules else None
 
 
 @contextmanager
 def threads_of_workers(count: int) -> Iterator[None]:
-    """Let threads that are started in the body use so many each, and afterwards as before.
-
-    Torch keeps the number for each thread by itself; a new one begins with what was set last,
-    wherever that was.
-    """
+    """Let threads that are started in the body use so many each, and afterwards as before."""
     torch, numba = _if_loaded("torch"), _if_loaded("numba")
     of_torch = torch.get_num_threads() if torch else 0
     of_kernels = numba.config.NUMBA_NUM_THREADS if numba else 0
@@ -115,10 +104,7 @@ class Shard:
 
     @classmethod
     def of_slurm(cls, environment: Mapping[str, str]) -> "Shard | None":
-        """Return the shard of a task of a Slurm array, None outside of one.
-
-        Arrays begin where their user likes, at 0 or 1, and may count in steps.
-        """
+        """Return the shard of a task of a Slurm array, which may start and step anyhow."""
         names = [SLURM_PREFIX + name for name in ("ID", "MIN", "COUNT")]
         if any(name not in environment for name in names):
             return None
@@ -136,11 +122,7 @@ class Shard:
         return cls(index + 1, count)
 
     def of(self, scans: "Sequence[ScanFile]") -> "list[ScanFile]":
-        """Return this shard's scans, neighbours of each other, in order of sequence and stem.
-
-        All shards together have every scan once, and differ in size by one at most, if all are
-        given the same scans, in any order.
-        """
+        """Return this shard's scans, neighbours by sequence and stem; sizes differ by one."""
         if self.count == 1:
             return list(scans)
         ordered = sorted(scans)
@@ -166,8 +148,7 @@ class RunOptions:
         "Processes (loky), threads, or workers of a Dask or Ray cluster.", default="loky"
     )
     scheduler: str | None = running_option(
-        "Address of the running cluster, which dask and ray need.",
-        metavar="ADDRESS",
+        "Address of the running cluster, which dask and ray need.", metavar="ADDRESS"
     )
     shard: Shard = running_option(
         "Only share I of N shares of the scans, from 1/N to N/N.",
@@ -176,7 +157,7 @@ class RunOptions:
         metavar="I/N",
         show_default="the share of this Slurm array task, else 1/1",
     )
-    overwrite: bool = running_option("Replace existing results.", "--overwrite", default=False)
+    overwrite: bool = running_option("Replace existing results.", default=False)
     on_error: Literal["skip", "stop"] = running_option(
         "Skip a scan that fails, or stop at the first.", default="skip"
     )
@@ -185,10 +166,6 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         worker_count(1 if self.jobs is None else self.jobs)
-        if self.on_error not in ("skip", "stop"):
-            raise UsageError("--on-error", self.on_error, "skip or stop")
-        if self.backend not in BACKENDS:
-            raise UsageError("--backend", self.backend, f"one of {', '.join(BACKENDS)}")
         is_cluster = self.backend in CLUSTERS
         if self.scheduler is not None and not is_cluster:
             raise UsageError(

@@ -116,12 +116,7 @@ def run_over_scans(
     is_done: Callable[[ScanFile], bool] = lambda scan: False,
     on_result: Callable[[Any], object] = lambda result: None,
 ) -> Outcome:
-    """Run a task, which writes results and returns something small, over scans.
-
-    `scans`: the same for every shard; `is_done`: tells of a scan if it has its results; then it is
-    skipped, unless overwriting; `on_result`: is given what the task returns, in no particular
-    order, in this process.
-    """
+    """Run a task over this shard's scans that are not done; results go to `on_result`, here."""
     start = time.monotonic()
     mine = options.shard.of(scans)
     todo = [scan for scan in mine if options.overwrite or not is_done(scan)]
@@ -191,11 +186,7 @@ def _attempts(
 
 
 def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS) -> list[Chunk]:
-    """Cut scans into chunks, in order; each holds neighbours of one sequence.
-
-    They have at most `most` scans, and those of a sequence differ by one at most; each worker has
-    at least `MIN_CHUNKS_PER_WORKER` if there are so many scans.
-    """
+    """Cut scans, in order, into chunks of one sequence and at most `most`, of similar sizes."""
     size = max(1, min(most, len(scans) // (MIN_CHUNKS_PER_WORKER * workers)))
     cut: list[Chunk] = []
     for _, group in groupby(scans, key=lambda scan: scan.sequence):
@@ -207,10 +198,7 @@ def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS)
 
 
 def _of_chunks(
-    attempt: Callable[[Chunk], list[Attempt]],
-    cut: Iterable[Chunk],
-    pool: WorkerPool,
-    backend: str,
+    attempt: Callable[[Chunk], list[Attempt]], cut: Iterable[Chunk], pool: WorkerPool, backend: str
 ) -> Generator[Attempt, None, None]:
     import joblib
 
@@ -307,10 +295,7 @@ def _step(file: ScanFile, steps: ScanSteps, softmax: Float | None = None) -> Att
 def softmax_in_batches(
     begin: Callable[[ScanFile], ScanSteps], network: Network, size: int, files: Iterable[ScanFile]
 ) -> Iterator[Attempt]:
-    """Attempt so many scans at a time, their softmax computed together if there is memory for it.
-
-    `begin`: returns the steps of a scan, which takes its softmax and computes it without.
-    """
+    """Attempt so many scans at a time, their softmax computed together if memory suffices."""
     waiting = iter(files)
     while batch := tuple(islice(waiting, size)):
         begun, images = [], []
@@ -333,10 +318,7 @@ def softmax_in_batches(
 def overlapping(
     begin: Callable[[ScanFile], ScanSteps], files: Iterable[ScanFile]
 ) -> Iterator[Attempt]:
-    """Attempt scans in order; while one is computed, a thread writes the last and reads the next.
-
-    `begin`: returns the steps of a scan, of which the second is done in this thread.
-    """
+    """Attempt scans in order; meanwhile a thread writes the last and reads the next."""
     pool = ThreadPoolExecutor(1, "salsanext-files")
     waiting = iter(files)
 
@@ -358,11 +340,6 @@ def overlapping(
                 ahead = read_next()
                 if error is None:
                     file, _, error = _step(file, steps)
-            except Exception:
-                # A bug at this scan comes after what has become of the one before.
-                if last:
-                    yield last.result()
-                raise
             except BaseException:
                 # No error may hide an interrupt, but the scan before may have its results.
                 if last and last.exception() is None and last.result()[2] is None:

@@ -27,7 +27,6 @@ CHUNKS_IN_FLIGHT = 2
 """Chunks sent for each worker, so that the next one is there when one is done."""
 POLL_INTERVAL_S = 1.0
 THREAD_TIMEOUT_S = 10.0
-"""Time for an idle thread of joblib's to end."""
 
 Chunk = tuple[ScanFile, ...]
 """Scans that a worker is sent together."""
@@ -101,11 +100,7 @@ def local_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
 
 @contextmanager
 def signals_blocked(*signals: signal.Signals) -> Generator[None, None, None]:
-    """Start threads and processes that signals do not reach, since this thread ends them.
-
-    A process inherits the signals that the thread which starts it has blocked, so that holds too
-    for workers that joblib starts later, from a thread of its own.
-    """
+    """Start threads and processes that signals do not reach, since this thread ends them."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -122,10 +117,7 @@ def signals_blocked(*signals: signal.Signals) -> Generator[None, None, None]:
 
 
 def end_with_parent(parent: int) -> None:
-    """Let this process end within seconds of its parent, a process id, even while it is idle.
-
-    A parent that is killed cannot end its workers.
-    """
+    """End this process within seconds of its parent, a process id, which may be killed."""
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -147,11 +139,7 @@ class WorkerContext:
 
 
 class Worker:
-    """State of a process that works on chunks.
-
-    `run`, `ended`: the run that it works for, empty where it works for none, and the last one that
-    it ended.
-    """
+    """State of a process that works on chunks: `run`, which it serves, and the last it `ended`."""
 
     def __init__(self) -> None:
         self.run = self.ended = ""
@@ -162,10 +150,7 @@ class Worker:
 
     @contextmanager
     def serving(self, context: WorkerContext, task: Task) -> Iterator[AttemptFunction]:
-        """Give the opened task of a run, in its folder.
-
-        The threads of a process share both, so they serve one run at a time.
-        """
+        """Give the opened task of a run, in its folder; all threads serve one run at a time."""
         with self._changed:
             self._changed.wait_for(lambda: self.run == context.run or not self._busy)
             attempts = self._opened(context, task)
@@ -197,10 +182,7 @@ class Worker:
         return self._attempts
 
     def end(self, run: str) -> None:
-        """End a run in this process: let each thread finish its scan, and wait for them to end.
-
-        What belongs to a thread, such as tensors, must not be freed while Python shuts down.
-        """
+        """End a run: wait for its threads, as tensors must not be freed while Python shuts down."""
         with self._changed:
             self.ended = run
             if self.run != run:
@@ -213,7 +195,6 @@ class Worker:
 
 
 WORKER = Worker()
-"""State of this process."""
 
 
 def attempt_chunk(context: WorkerContext, task: Task, scans: Chunk) -> list[Attempt]:
@@ -230,10 +211,7 @@ def attempt_chunk(context: WorkerContext, task: Task, scans: Chunk) -> list[Atte
 
 
 def own_device(device: str, gpus: int) -> str:
-    """Return the device for this process: in a worker, "auto" and "cuda" become a GPU of its own.
-
-    Workers beyond the number of visible GPUs share them evenly. A device that was named stays.
-    """
+    """Return the device: in a worker, "auto" and "cuda" become a GPU of its own, or shared."""
     if not WORKER.run or device not in ("auto", "cuda") or gpus < 2:
         return device
     return f"cuda:{_worker_number()[0] % gpus}"
@@ -241,10 +219,7 @@ def own_device(device: str, gpus: int) -> str:
 
 @cache
 def _worker_number() -> tuple[int, object]:
-    """Take the lowest number that no other worker of this machine holds, and the lock on it.
-
-    The system releases the lock when the process ends, however that ends.
-    """
+    """Take the lowest number that no live worker of this machine holds, and the lock on it."""
     from filelock import FileLock, Timeout
 
     try:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import logging
 import shutil
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, BinaryIO, cast
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import NOTICE, FormatError, OutputError, UsageError, counted
+from salsanext_cli.errors import NOTICE, OutputError, UsageError, counted
+from salsanext_cli.files.reading import refusing_damage
 from salsanext_cli.report.canvas import NIGHT
 from salsanext_cli.report.colours import OUTCOMES, Colours, map_on_dark, screen_colours
 from salsanext_cli.results.layout import ScanFile
@@ -27,7 +28,8 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 if TYPE_CHECKING:
     from PIL.Image import Image
 LARGEST_PX = (1280, 1080)
-"""Width and height that a frame is reduced to."""
+PNG = "a picture", "draw it again: delete it, or --overwrite"
+"""Expectation of a picture, and the remedy if it is broken."""
 PALETTE, MOST_KEPT = 256, 192
 """Colours of a GIF, and how many of them may be chosen beforehand."""
 
@@ -78,32 +80,25 @@ def find_ffmpeg() -> str:
 
 
 def frames(pictures: Sequence[Path]) -> Iterator[Image]:
-    """Yield pictures reduced to frames of one size, even in width and height.
-
-    Smaller ones than the largest are at the upper left of a frame.
-    """
+    """Yield pictures reduced to frames of one size, even in width and height, at the upper left."""
     from PIL import Image
 
     sizes = []
     for path in pictures:
-        with _opened(path) as picture:
+        with refusing_damage(path, *PNG), Image.open(path) as picture:
             sizes.append(picture.size)
     width, height = np.max(sizes, axis=0).tolist()
     share = min(1.0, LARGEST_PX[0] / width, LARGEST_PX[1] / height)
     size = (_even(width * share), _even(height * share))
     for path in pictures:
         whole = Image.new("RGB", (width, height), NIGHT)
-        with _opened(path) as picture:
+        with refusing_damage(path, *PNG), Image.open(path) as picture:
             whole.paste(picture.convert("RGB"), (0, 0))
         yield whole.resize(size, Image.Resampling.LANCZOS, reducing_gap=3.0)
 
 
 def encode_gif(pictures: Sequence[Path], frames_per_second: float, kept: Colours) -> bytes:
-    """Return pictures as the content of a GIF file that repeats without end.
-
-    `kept` (N, 3): colours that mean something, however rare: the first 192 stay as they are. The
-    others are those of the first picture, as far as a palette of 256 has them.
-    """
+    """Return pictures as the content of a GIF file that repeats; colours `kept` (N, 3) stay."""
     from PIL import Image
 
     exact = list(dict.fromkeys(map(tuple, kept.tolist())))[:MOST_KEPT]
@@ -143,19 +138,6 @@ def encode_mp4(pictures: Sequence[Path], frames_per_second: float) -> bytes:
             found = f"ffmpeg ended with status {ffmpeg.returncode}: {' '.join(lines[:1])}"
             raise OutputError(made.name, found, remedy="use --gif")
         return made.read_bytes()
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Image]:
-    """Open a picture; a file that is none, or is cut off, is an error that names it."""
-    from PIL import Image
-
-    try:
-        with Image.open(path) as picture:
-            yield picture
-    except (OSError, SyntaxError, ValueError) as error:
-        found = "no picture, or cut off"
-        raise FormatError(path, found, remedy="draw it again: delete it, or --overwrite") from error
 
 
 def _even(pixels: float) -> int:

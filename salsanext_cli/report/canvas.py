@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Figures measured in pixels, their axes, text and legend, and PNG files of them.
-
-Figures are made and saved as objects, without pyplot or another global state, so that drawing
-works in any thread or process and without a display.
-"""
+"""Figures measured in pixels, without pyplot's global state: axes, text, legend, PNG files."""
 
 from __future__ import annotations
 
@@ -32,7 +28,6 @@ PALE = "#c9ced6"
 MARGIN_PX = 28
 LEGEND_STEP_PX = 165
 LEGEND_ROW_PX = 26
-"""Size of an entry of a legend."""
 SWATCH_PX = (22, 14)
 
 
@@ -46,10 +41,7 @@ def new_figure(width: int, height: int, background: str = NIGHT) -> Figure:
 def new_picture(
     width: int, height: int, legend: Legend, legend_width: int, absent: Container[str] = ()
 ) -> Figure:
-    """Return an empty figure of a size in pixels with a legend below it, if that has entries.
-
-    An absent entry has its place and its name, faintly.
-    """
+    """Return an empty figure, in pixels, above a legend in which absent entries are faint."""
     columns = max(1, legend_width // LEGEND_STEP_PX)
     rows = -(-len(legend) // columns)
     figure = new_figure(width, height + (rows * LEGEND_ROW_PX + MARGIN_PX) * bool(legend))
@@ -93,10 +85,7 @@ def axes_at(figure: Figure, left: int, top: int, width: int, height: int) -> Axe
 
 
 def text_at(figure: Figure, left: int, top: int, text: str, size: int, colour: str = INK) -> None:
-    """Write text whose middle line is at `top`, in pixels from the upper left corner.
-
-    Names come from files and may hold a dollar sign, which does not start mathematics.
-    """
+    """Write text, a dollar sign too, with its middle at `top`, in pixels from the upper left."""
     width, height = figure.get_size_inches() * DPI
     figure.text(
         left / width,

@@ -38,7 +38,6 @@ TITLE_PX, HEAD_PX, BAR_PX = 34, 44, 200
 MAX_ON_SHEET = 200
 """Scans of a sheet; the picture would be too high for its format with many more."""
 NO_CLASS = 255
-"""Train id of an empty pixel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,10 +73,7 @@ def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) 
 
 
 def reason(choice: Choice, rank: int, strategy: str, scans: int, nearest: str | None) -> str:
-    """Say in words why a scan was picked at a rank, from 1, out of some number of scans.
-
-    `nearest`: name of the nearest scan picked before.
-    """
+    """Say why a scan was picked at a rank, from 1, of so many; `nearest`: scan picked before."""
     if scans == 1:
         return "the only scan"
     if strategy == "random":

@@ -41,9 +41,7 @@ PICTURES = {
 }
 """All plots, by the name of the file, in words."""
 ROW_PX, CELL_PX = 28, 46
-"""Height of a class in the bar plot, and side of a cell of the matrix."""
 NAMES_PX = 150
-"""Space for the names of classes."""
 SMALLEST_SHARE = 0.005
 """Shares below this round to 0 % and are not written into their cell."""
 DASHED = (0, (5, 2))
@@ -56,7 +54,6 @@ LINES = {
 PLOT_PX = 720, 560
 """Width and height of every plot here, so that their text is of one size on a page."""
 LEFT, TOP, WIDTH, TITLE_TOP = 80, 60, 600, 30
-"""Place of the main axes and of the title, in pixels."""
 HEIGHT, HEIGHT_ABOVE = 430, 330
 """Height of the main axes, and of those that have a legend or other axes below them."""
 BELOW_PX = 90
@@ -130,10 +127,7 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
 
 
 def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
-    """Draw the confusion matrix, each row in percent of its true class, as a PNG.
-
-    Ignored classes have a column, but no row.
-    """
+    """Draw the confusion matrix, each row in percent of its true class, as a PNG."""
     import matplotlib
 
     matrix = confusion.counted(space.scored)
@@ -318,10 +312,7 @@ def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
 
 
 def _name_dots(axes: Axes, dots: Ratios, names: Sequence[str]) -> None:
-    """Write a name beside each dot (N, 2), or farther away with a line to it if there is no room.
-
-    The axes have their final limits and scales.
-    """
+    """Write a name beside each dot (N, 2), or farther away with a line to it for want of room."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.lines import Line2D
     from matplotlib.transforms import Bbox, IdentityTransform

@@ -18,9 +18,7 @@ from salsanext_cli.records import Float
 from salsanext_cli.report.colours import EMPTY, PointColours, screen_colours
 
 TIMELINE, POINTS, TEXT = "scan", "points", "text"
-"""Timeline, and entities on it."""
 SCANS_PER_SECOND = 10.0
-"""Speed at which the viewer plays a recording."""
 BLOCK_BYTES = 1 << 16
 """Written to a file that is not whole, so that the system says why."""
 
@@ -40,11 +38,7 @@ def import_rerun() -> Any:
 def recording(
     file: BinaryIO, name: str, colourings: Mapping[str, PointColours], space: LabelSpace
 ) -> Iterator[LogScan]:
-    """Write a recording to a new file, which is open, while the body logs scans.
-
-    `name`: name of the recording in the viewer; `colourings`: views, by the scalar column that is
-    coloured.
-    """
+    """Write a recording of a name to a new, open file while the body logs scans, by colouring."""
     rerun = import_rerun()
     stream = rerun.RecordingStream("salsanext", send_properties=False)
     if not rerun.is_enabled(stream):
@@ -146,10 +140,7 @@ def _chunk_count(rerun: Any, file: BinaryIO) -> int:
 
 
 def _failure(file: BinaryIO) -> OSError:
-    """Raise the reason why a file is not whole by writing on, or return an error without one.
-
-    rerun-sdk logs an error of its thread that writes, but does not raise it.
-    """
+    """Raise the reason why a file is not whole, which rerun-sdk logs only, or return an error."""
     file.seek(0, os.SEEK_END)
     file.write(bytes(BLOCK_BYTES))
     file.flush()

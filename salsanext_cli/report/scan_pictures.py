@@ -15,7 +15,7 @@ from salsanext_cli.errors import counted, printable
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import in_sensor_frame, pixels_from_points, project
-from salsanext_cli.records import Float, RangeImage
+from salsanext_cli.records import Float
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import (
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH_PX, NARROW_PX = 2048, 1024
-"""Width of a strip, and beside a single view."""
 HEAD_PX = 56
 VIEW_TITLE_PX, STRIP_TITLE_PX = 40, 34
 """Pixels above each view and each strip for its title."""
@@ -54,13 +53,10 @@ STRIP_HEIGHT_PX = 128
 MAX_IN_A_ROW = 4
 OVERSAMPLING = 2
 REACH_M = 45.0
-"""Distance from the sensor to the edge of a view from above."""
 GRID_M = 10.0
-"""Metres between two circles."""
 SAMPLE_ROW_PX = 3
 """Height of a row of `draw_sample`; beams are farther apart than columns."""
 SAMPLE_GAP_PX = 6
-"""White rows between its strips."""
 TITLES = {
     "label": "prediction",
     "wrong": "errors of the prediction",
@@ -87,11 +83,7 @@ def picture_of_results(
     views: Collection[str],
     strips: Collection[str],
 ) -> bytes:
-    """Draw a scan and its results, as a PNG.
-
-    `sensor`: sensor of the range image; `views`, `strips`: of `COLOURINGS`, all known: those seen
-    from above, and those of the range image.
-    """
+    """Draw a scan and its results, as a PNG: `views` from above and `strips`, of `COLOURINGS`."""
     columns = scalar_columns(results, space)
     image = project(results.scan, sensor)
     shown = dict.fromkeys((*views, *strips))
@@ -122,10 +114,7 @@ def picture_of_results(
 
 
 def known_views(columns: Collection[str]) -> list[str]:
-    """Return what a picture shows from above, out of all columns known of a scan: 2 to 4 of them.
-
-    These are labels, errors and an uncertainty; measurements where there are too few of those.
-    """
+    """Return 2 to 4 columns to show from above: labels, errors, uncertainty, measurements."""
     views = [colour for colour in ("truth", "label", "wrong") if colour in columns]
     views += [kind for kind in ("error", "entropy", *UNCERTAINTY) if kind in columns][:1]
     return (views + ["intensity", "range"])[: max(2, len(views))]
@@ -144,8 +133,8 @@ def scan_picture(
     """Draw a scan from above and its strips below that, as a PNG.
 
     `points` (N, 3) float32, metres, sensor frame; `views`: colours of the points (N, 3) by title;
-    `absent`: entries of the legend at the bottom that the picture does not show; `reach`: metres
-    from the middle to an edge of a view; `way` (S, 3): of a drive, instead of the sensor's place.
+    `absent`: entries of the legend that are not shown; `reach`: metres from the middle to an edge;
+    `way` (S, 3): of a drive, instead of the sensor's place.
     """
     width = NARROW_PX if len(views) == 1 else WIDTH_PX
     in_row = max(1, min(len(views), MAX_IN_A_ROW))
@@ -188,12 +177,10 @@ def _draw_bar(figure: Figure, scale: Scale, unit: str, left: int, top: int) -> N
 
 
 def raster(points: Float, colours: Colours, reach: float, size: int, spread: int = 1) -> Colours:
-    """Draw points (N, 3) in metres as seen from above; a higher point hides a lower one.
+    """Draw points (N, 3), metres, from above, higher ones over lower ones: (size, size, 3) uint8.
 
-    `reach`: metres from the sensor, in the middle, to an edge; `size`: height and width in pixels;
-    `spread`: those of a point.
-
-    Returns (size, size, 3) uint8; x, forward, points up, y to the left.
+    x, forward, points up, y left; `reach`: metres from the middle to an edge; `spread`: size in
+    pixels of a point.
     """
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     order = finite[np.argsort(points[finite, 2], kind="stable")]
@@ -241,10 +228,7 @@ def _draw_from_above(
 
 
 def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
-    """Draw range, truth, prediction and errors of a labelled scan, as PNG of strips without text.
-
-    Returns (4·3·H + gaps, W, 3) uint8, the picture.
-    """
+    """Draw range, truth, prediction and errors as PNG; return it, (4·3·H + gaps, W, 3) uint8."""
     from matplotlib.image import imsave  # a second to import, and only this needs it
 
     space, sensor = network.space, network.sensor
@@ -254,7 +238,8 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     labels = network.labels(image, network.probabilities(image))
     of_classes = screen_colours(space)
     outcomes = OUTCOMES[np.where(space.scored[truth], 1 + (truth != labels), 0)]
-    strips = [_range_picture(image)]
+    ranges = np.where(image.point_of_pixel >= 0, image.channels[0], np.nan)
+    strips = [value_colours(ranges, 0.0, value_range(ranges)[1])]
     for colours in (of_classes[truth], of_classes[labels], outcomes):
         strips.append(pixels_from_points(colours, image.point_of_pixel, EMPTY))
     gap = np.full((SAMPLE_GAP_PX, sensor.width, 3), 255, np.uint8)
@@ -262,9 +247,3 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     picture = np.concatenate(rows)
     imsave(out, picture, format="png")
     return picture
-
-
-def _range_picture(image: RangeImage) -> Colours:
-    """Colour the distance of every pixel, (H, W, 3), from 0 m to that of most."""
-    ranges = np.where(image.point_of_pixel >= 0, image.channels[0], np.nan)
-    return value_colours(ranges, 0.0, value_range(ranges)[1])

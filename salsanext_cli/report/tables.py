@@ -46,11 +46,7 @@ def table_of(
     title: str = "",
     caption: str = "",
 ) -> Table:
-    """Return a table of names, of numbers, which are never broken, and of further texts.
-
-    `totals`: rows below a line; `texts`: headings of the columns that hold texts, as the first
-    does.
-    """
+    """Return a table of names, of numbers and of `texts`, with `totals` below a line."""
     table = Table(title=Text(title) if title else None, caption=caption or None)
     table.title_justify = table.caption_justify = "left"
     for heading in headings:

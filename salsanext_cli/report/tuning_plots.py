@@ -12,10 +12,8 @@ from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
 
 CHOSEN = "#b3472f"
-"""Colour of what was chosen."""
 DASHES = (0, (4, 3))
 SIZE, PLACE = (760, 460), (90, 50, 640, 340)
-"""Pixels of a plot, and of its axes."""
 
 
 def rate_curve(path: Path, report: Mapping[str, Any]) -> None:

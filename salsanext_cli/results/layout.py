@@ -3,8 +3,8 @@
 
 import os
 import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -13,27 +13,15 @@ from typing import Any
 from salsanext_cli.errors import NoInputError, OutputError, first_few
 from salsanext_cli.files.reading import is_folder, present, reason
 from salsanext_cli.formats import CLOUD_SUFFIXES, SCAN_SUFFIXES, TABLE_SUFFIXES, scan_suffix
-from salsanext_cli.formats.recordings import (
-    is_recording,
-    recorded_paths,
-    recording_of,
-    sequence_of,
-)
+from salsanext_cli.formats.recordings import is_recording, recorded_paths, recording_of, sequence_of
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
-MAX_LINE_BYTES = 200
-OWN_TABLES = {
-    "scores.txt": b"accuracy_mean:",
-    "log.csv": b"epoch,learning_rate,",
-    "picked.csv": b"rank,sequence,scan,",
-}
-"""Tables that `eval`, `train` and `pick` write, and how their first line but a comment begins."""
+OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
+"""Tables that `eval`, `train` and `pick` write, which are no scans unless they are named."""
 FUSED_STAGES = ("predict", "knn-refine", "uncertainty")
-"""The stages whose labels are fused."""
 LABELLING_STAGES = (*FUSED_STAGES, "fuse")
 """The stages whose results later ones read."""
 ERROR = "uncertainty/error"
-"""Folder of the probability that a label is wrong."""
 LEAST_CONFIDENCE = "uncertainty/least_confidence"
 """Folder of 1 − the largest probability, which `predict` always writes."""
 DISAGREEMENT = "uncertainty/disagreement"
@@ -69,29 +57,10 @@ def names_in(folder: Path) -> list[str]:
         return [e.name for e in entries if not e.name.startswith(".") and not is_folder(e)]
 
 
-def _is_own_table(path: Path) -> bool:
-    """Say whether a file is a table that `eval`, `train` or `pick` has written."""
-    if path.name not in OWN_TABLES or not path.is_file():
-        return False
-    # Who reads it as a scan says why that fails.
-    with suppress(OSError), path.open("rb") as file:
-        lines = (file.readline(MAX_LINE_BYTES) for _ in range(2))
-        line = next((line for line in lines if not line.startswith(b"#")), b"")
-        return line.startswith(OWN_TABLES[path.name])
-    return False
-
-
 def counted_by_suffix(paths: Iterable[Path]) -> str:
     """Return the numbers of files by suffix, in words."""
-    return ", ".join(f"{len(group)} {suffix}" for suffix, group in by_suffix(paths).items())
-
-
-def by_suffix(paths: Iterable[Path]) -> dict[str, list[Path]]:
-    """Return files by suffix, sorted."""
-    groups: dict[str, list[Path]] = {}
-    for path in sorted(paths, key=os.fspath):
-        groups.setdefault(path.suffix.lower(), []).append(path)
-    return {suffix or "without a suffix": groups[suffix] for suffix in sorted(groups)}
+    counts = Counter(path.suffix.lower() for path in paths)
+    return ", ".join(f"{counts[each]} {each or 'without a suffix'}" for each in sorted(counts))
 
 
 def _nothing_in(source: Path, others: list[Path]) -> NoInputError:
@@ -136,12 +105,7 @@ def drive_order(file: ScanFile) -> tuple[Any, ...]:
 
 
 def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[ScanFile]:
-    """Find scans, sorted by sequence and stem.
-
-    `source`: a scan, a folder of scans, a sequence folder (holding ``velodyne/``), a data set root
-    (holding ``sequences/``), that ``sequences`` folder itself, a recording, or a topic in one.
-    Hidden files are left out. `sequences`: names of those wanted; "8" also means "08".
-    """
+    """Find the scans of a file, folder, data set or recording, sorted by sequence and stem."""
     try:
         is_file = present(source) and not source.is_dir()
         if is_file and not scan_suffix(source.name) and not recording_of(_absolute(source)):
@@ -217,7 +181,7 @@ def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
 
 def _scans_in(folder: Path) -> Iterator[ScanFile]:
     names = names_in(folder) if folder.is_dir() else []
-    suffix_of = {name: scan_suffix(name) for name in names if not _is_own_table(folder / name)}
+    suffix_of = {name: scan_suffix(name) for name in names if name not in OWN_TABLES}
     known, sequence = {*suffix_of.values()}, _sequence_of(folder)
     # Tables are often something else: they count where there are no clouds, and of one kind only.
     table = next((suffix for suffix in TABLE_SUFFIXES if suffix in known), "")

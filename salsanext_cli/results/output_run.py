@@ -73,10 +73,7 @@ class OutputRun(OwnedFolder):
         self.write_result(file, "predictions", encode_labels(raw))
 
     def claim(self, wanted: StageRecord) -> StageRecord:
-        """Bring record and results to what the run wants; the records must be locked.
-
-        Results of other settings or stages are removed if the run overwrites, else it is refused.
-        """
+        """Bring the records, which are locked, and the results to what the run wants, or refuse."""
         known = StageRecords(self.root).records()
         recorded = known.pop(self.stage, None)
         before = recorded or StageRecord(self.stage, wanted.settings)
@@ -113,10 +110,7 @@ class OutputRun(OwnedFolder):
         return merged
 
     def _take_over(self, other: StageRecord, folders: Collection[str]) -> list[Path]:
-        """Remove the results of another stage from folders, which are this stage's from now on.
-
-        With labels goes what is known against them.
-        """
+        """Remove the results of another stage from folders, and what is known of its labels."""
         taken = {*folders, ERROR, DISAGREEMENT, "views"} if "predictions" in folders else {*folders}
         kept = self.remove_own(self._results_in(each for each in other.folders if each in taken))
         left = tuple(name for name in other.folders if name not in taken)
@@ -187,12 +181,10 @@ def output_run(
     overwrite: bool,
     record_scans: bool = True,
 ) -> Iterator[OutputRun]:
-    """Record what a stage does in `OUT/<stage>.json`, or refuse to mix results.
+    """Record what a stage does in `OUT/<stage>.json`, or refuse to mix it with other results.
 
-    While the body runs, other runs with the same settings may work beside it, and none with others
-    may remove its results. `settings`, JSON-able, decide what the results are; `overwrite`: whether
-    they may replace others, whose results are removed if unchanged since; `record_scans`: not for a
-    stage that works on what an earlier one recorded.
+    Runs with the same settings may work beside it, and none with others may remove its results.
+    `record_scans`: not for a stage that works on what an earlier one recorded.
     """
     # A contradiction of the scans themselves is an error before a folder is made.
     sources = _scan_sources(out, scans) if record_scans else {}

@@ -60,10 +60,7 @@ class OwnedFolder:
 
     @contextmanager
     def open(self, *, shared: bool = False) -> Iterator[None]:
-        """Keep other runs of the stage out of the folder while the body runs, unless it is shared.
-
-        Temporary files of killed runs are removed before, those of killed workers afterwards.
-        """
+        """Keep other runs of the stage out of the folder, unless it is shared; sweep it."""
         mark = uuid4().hex
         # Runs of other threads of this process keep their temporary files.
         token = MARK.set(mark)
@@ -115,10 +112,7 @@ class OwnedFolder:
             raise OutputError(self.root, "holds something else", "a new or empty folder")
 
     def begin(self, record: Mapping[str, Any], replaced: Iterable[Path] = ()) -> None:
-        """Remove what earlier runs wrote, then record what is written from now on.
-
-        A run that is killed in between finds the earlier record, and may go on or begin anew.
-        """
+        """Remove what earlier runs wrote, and only then record what is written from now on."""
         self.remove_own(replaced)
         # JSON has lists for tuples.
         if self.recorded() != json.loads(json.dumps(record)):
@@ -156,11 +150,10 @@ class OwnedFolder:
         self._list(path, path.lstat())
 
     def others(self, paths: Iterable[Path], states: States | None = None) -> list[Path]:
-        """Return those of some files that are there and not as salsanext wrote them.
+        """Return those of some files that are there and changed, not listed, or behind a link.
 
-        They were changed since, are not listed, or are reached through a link below the folder. An
-        empty file, as a power cut leaves it, counts as one of ours. `states`: read once by a caller
-        who asks often.
+        An empty file, as a power cut leaves it, is one of ours. `states`: for a caller who asks
+        often.
         """
         there = {path: path.lstat() for path in paths if os.path.lexists(path)}
         if states is None:

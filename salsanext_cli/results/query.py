@@ -10,7 +10,8 @@ if TYPE_CHECKING:
     from salsanext_cli.classes.label_space import LabelSpace
 
 
-def _label_space(name: str | None) -> "LabelSpace | None":
+def named_label_space(name: str | None) -> "LabelSpace | None":
+    """Look up a label space, None where none was named."""
     from salsanext_cli.classes.label_space import label_space
 
     return None if name is None else label_space(name)
@@ -29,12 +30,12 @@ class ResultQuery:
     label_space: "LabelSpace | None" = selection_option(
         "Name of a built-in label space, or a .yaml file in SemanticKITTI's format.",
         show_default="that of the data set, else semantic-kitti",
-        parse=_label_space,
+        parse=named_label_space,
     )
     # Into whose classes those of both labels and predictions are merged
     classes: "LabelSpace | None" = selection_option(
         "Merge the classes into those of a label space: coarse, or a .yaml file. "
         "Probabilities of merged classes are added.",
         show_default="not merged",
-        parse=_label_space,
+        parse=named_label_space,
     )

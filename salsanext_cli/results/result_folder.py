@@ -116,7 +116,6 @@ class ChosenResults:
     # Meaning of the raw ids of the truth, which may have its own for these classes
     labels: LabelSpace
     missing: MissingResults  # The other scans of the selection
-    recorded: list[ScanFile]  # All scans of the sequences that there are results of
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,11 +125,7 @@ class ResultFolder(StageRecords):
     dataset: Path | None = None  # Where scans and labels are, if not where the scans came from
 
     def scans(self, sequence: str | None = None) -> list[ScanFile]:
-        """Find the scans whose results lie here, of all sequences or one; log those that are gone.
-
-        Where it is not recorded where scans came from, or that place is gone, they are looked for
-        in the folder that `DATASET_VARIABLE` names, else in the working folder.
-        """
+        """Find the scans that have results, of all sequences or one; log those that are gone."""
         self._require_current()
         there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(self.root, folder)}
         wanted = {key for key in there if sequence in (None, key[0])}
@@ -207,10 +202,7 @@ class ResultFolder(StageRecords):
         space: LabelSpace | None = None,
         classes: LabelSpace | None = None,
     ) -> tuple[list[ScanFile], LabelSpace]:
-        """Choose among the scans, and return the classes in which their labels are compared.
-
-        `space`, `classes`: as for `compared_space`.
-        """
+        """Choose among the scans; return them and the classes to compare, as `compared_space`."""
         scans = self.scans()
         space = self.compared_space(scans, space, classes, own_ids=True)
         if selection.split:
@@ -220,26 +212,22 @@ class ResultFolder(StageRecords):
             members = set(space.split(selection.split))
             sequences = {scan.sequence for scan in chosen}
             if absent := sorted(members - sequences if members & sequences else ()):
-                log.warning("no predictions for %s of split %s", ", ".join(absent), selection.split)
+                log.warning("no results for %s of split %s", ", ".join(absent), selection.split)
         return chosen, space
 
     def chosen(self, query: ResultQuery) -> ChosenResults:
-        """Choose among the scans of which any stage left results; log how many lack them.
-
-        A limit is of scans with results.
-        """
-        recorded, selection = self.scans(), query.selection
-        space = self.compared_space(recorded, query.label_space, query.classes, own_ids=True)
+        """Choose among the scans of which any stage left results; log how many lack them."""
+        limit, unlimited = query.selection.limit, replace(query.selection, limit=None)
+        chosen, space = self.predicted(unlimited, query.label_space, query.classes)
         self.require_same_weights()
-        chosen = choose(recorded, replace(selection, limit=None), space, self.root)
-        scans = self.with_results(chosen)[: selection.limit]
-        if len(scans) == selection.limit:
+        scans = self.with_results(chosen)[:limit]
+        if len(scans) == limit:
             # What comes after the last that is wanted is not looked at.
             chosen = chosen[: chosen.index(scans[-1]) + 1]
         missing = self.missing_results(set(chosen) - set(scans))
         missing.log_error(len(chosen), "results")
-        labels = space_of_labels(recorded, space, query.label_space)
-        return ChosenResults(scans, space, labels, missing, recorded)
+        labels = space_of_labels(scans, space, query.label_space)
+        return ChosenResults(scans, space, labels, missing)
 
     def provenance(self, selection: ScanSelection) -> dict[str, Any]:
         """Return, as plain data, what was chosen and which stage and weights predicted it."""
@@ -268,8 +256,8 @@ class ResultFolder(StageRecords):
     ) -> ScanResults:
         """Read a scan and all that is known about it here and in its data set.
 
-        Predicted classes that are merged into `classes` get their raw ids. The truth is read if
-        `truth_in` has the label space of its ids and that to show it in, whose raw ids it gets.
+        `classes`: those that predicted ones are merged into; `truth_in`: label space of the ids of
+        the truth, and that to show it in.
         """
         scan = read_scan(file.path, sensor)
         count = len(scan)
@@ -311,8 +299,6 @@ class ResultFolder(StageRecords):
 
     def require_column(self, column: str, scans: Sequence[ScanFile]) -> None:
         """Refuse a column that is known of none of the scans, with `missing_column`."""
-        if not scans:
-            raise NoInputError(self.root, "no scans", f"some of which the {column} is known")
         if not self.with_column(column, scans):
             raise self.missing_column(column, scans[0])
 
@@ -328,10 +314,7 @@ class ResultFolder(StageRecords):
         return output_path(self.root, file.sequence, FOLDER_OF_COLUMN[column], file.stem)
 
     def meant_uncertainty(self, scans: Sequence[ScanFile]) -> str:
-        """Return what "uncertainty" means.
-
-        The error where all scans have it, else the first of `MEANT_BY_UNCERTAINTY` that is known.
-        """
+        """Return the kind that is meant: the error, if all scans have it, else the first known."""
         if len(self.with_column("error", scans)) == len(scans):
             return "error"
         known = (kind for kind in MEANT_BY_UNCERTAINTY if self.with_column(kind, scans))

@@ -12,14 +12,13 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, is_merged
-from salsanext_cli.errors import NOTICE, NoInputError, UsageError, first_few, warn_once
+from salsanext_cli.errors import NOTICE, NoInputError, UsageError, warn_once
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import (
     SCAN_FOLDER,
     ScanFile,
-    by_suffix,
     counted_by_suffix,
     find_scans,
     of_sequences,
@@ -70,7 +69,7 @@ def scans_of(source: Path | Sequence[Path]) -> list[ScanFile]:
 
 
 def _log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[str]) -> None:
-    """Log how many files beside scans of some names are passed over; in detail their names."""
+    """Log how many files beside scans of some names are passed over."""
     left = []
     for folder in folders:
         with os.scandir(folder) as entries:
@@ -80,21 +79,15 @@ def _log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[st
             left += [folder / e.name for e in others if not is_folder(e)]
     if left:
         log.log(NOTICE, "%s: passed over %s", source, counted_by_suffix(left))
-    for suffix, paths in by_suffix(left).items():
-        log.info("passed over, %s: %s", suffix, first_few(paths))
 
 
 def select_scans(
-    source: Path,
-    selection: ScanSelection,
-    space: LabelSpace | None = None,
-    *,
-    evenly: bool = False,
+    source: Path, selection: ScanSelection, space: LabelSpace | None = None, *, evenly: bool = False
 ) -> list[ScanFile]:
     """Find the scans of a source and choose among them.
 
-    `space`: whose splits count if the source does not bring its own label space; `evenly`: whether
-    a limit takes evenly spaced scans, not the first ones.
+    `space`: of a source that has none of its own; `evenly`: whether a limit takes evenly spaced
+    scans.
     """
     scans = scans_of(source)
     unlimited = replace(selection, limit=None) if evenly else selection
@@ -105,11 +98,7 @@ def select_scans(
 def choose(
     scans: list[ScanFile], selection: ScanSelection, space: LabelSpace, source: object
 ) -> list[ScanFile]:
-    """Choose among scans by sequences, split and limit.
-
-    A split cannot choose where no split names any of the sequences, as in a folder of one's own:
-    then all stay, and a warning says so.
-    """
+    """Choose scans by sequences, split and limit; all, with a warning, if no split names any."""
     if selection.sequences:
         scans = of_sequences(scans, selection.sequences, source)
     if selection.split is not None:
@@ -148,7 +137,7 @@ def data_set_label_space(root: Path) -> LabelSpace | None:
 def with_splits(
     space: LabelSpace, root: Path | None = None, *, alternatives: bool = False
 ) -> LabelSpace:
-    """Return a label space that has splits: its own, else the data set's, else SemanticKITTI's.
+    """Return a label space with splits: its own, else the data set's, else SemanticKITTI's.
 
     `alternatives`: whether it gets the data set's alternatives of merged classes too.
     """
@@ -168,11 +157,7 @@ def with_splits(
 
 
 def space_of(scans: Sequence[ScanFile], fallback: LabelSpace | None = None) -> LabelSpace:
-    """Return the label space of the data set that scans lie in.
-
-    One that does not describe its own has SemanticKITTI's, with its splits and ignored classes,
-    unless the fallback, that of the weights say, has other classes.
-    """
+    """Return the label space of the scans' data set, else SemanticKITTI's or one that differs."""
     root = data_set_of(scans[0]) if scans else None
     if root and (own := data_set_label_space(root)):
         return own
@@ -190,9 +175,6 @@ def evenly_spaced(files: Sequence[Item], count: int) -> list[Item]:
 def space_of_labels(
     scans: Sequence[ScanFile], space: LabelSpace, labels: LabelSpace | None = None
 ) -> LabelSpace:
-    """Return the meaning of the raw ids of labels that are compared in the classes of a space.
-
-    `labels`: their own label space, with the same names, if it is not that of the scans' data set.
-    """
+    """Return the meaning of the raw ids of labels, or of those of the same names as the space."""
     own = labels or space_of(scans, space)
     return own if own.names == space.names else space

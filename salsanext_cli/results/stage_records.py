@@ -23,7 +23,6 @@ from salsanext_cli.version import __version__
 
 SHOWN_CHARACTERS_OF_VALUE = 40
 MAX_PATH_CHARACTERS = 500
-"""Characters of a folder's name that an error shows."""
 RESULT_STAGES = (
     *("project", "predict", "knn-refine", "uncertainty", "fuse", "picture", "export-ply"),
     *(f"export-ply-{colour}" for colour in COLOURINGS),
@@ -144,19 +143,13 @@ class StageRecords:
         return next((s for s in made if s is not None and s.get("weights") == weights), None)
 
     def origins(self, stages: Iterable[str]) -> dict[str, str]:
-        """Return a digest of the settings of each of the stages that ran here.
-
-        A stage that reads their results records it, so as not to keep what it made of older ones.
-        """
+        """Return a digest of the settings of each of the stages that ran, for later records."""
         records = filter(None, map(self.record, stages))
         texts = {each.stage: json.dumps(each.settings, sort_keys=True) for each in records}
         return {s: hashlib.sha256(text.encode()).hexdigest()[:12] for s, text in texts.items()}
 
     def label_space(self, *folders: str) -> LabelSpace | None:
-        """Return the classes of the first of the folders that a stage fills, else None.
-
-        It is of the predictions by default.
-        """
+        """Return the classes of the first folder that a stage fills, of predictions by default."""
         settings = self.settings_of(*(folders or ("predictions", "pixel_labels")))
         if not settings:
             return None
@@ -170,13 +163,12 @@ class StageRecords:
         *,
         own_ids: bool = False,
     ) -> LabelSpace:
-        """Return the classes in which predictions and labels are compared.
+        """Return the classes in which predictions and labels are compared, with the labels' splits.
 
-        They are those of both, or those of the predictions where these are merged ones of the
-        labels', or those that both are to be merged into. The splits are those of the labels; there
-        may be none, as `selection.with_splits` mends. `space`: of the labels, else that of the
-        scans' data set, else the recorded one; `classes`: into whose classes both are merged;
-        `own_ids`: whether labels may have raw ids of their own for classes of the same names.
+        They are those of both, or those of the predictions if these are merged ones of the labels',
+        or `classes`, into which both are merged. `space`: of the labels, else the data set's, else
+        the recorded one; `own_ids`: whether labels may have other raw ids for classes of the same
+        names.
         """
         recorded = self.label_space()
         space = space or space_of(scans, recorded)
@@ -198,10 +190,7 @@ class StageRecords:
         return replace(target, splits=space.splits or (classes or space).splits)
 
     def merging_into(self, space: LabelSpace) -> ClassMerging | None:
-        """Return the merging of the classes of the probabilities into others, if needed.
-
-        Probabilities of unknown origin are those of the other classes.
-        """
+        """Return the merging of the classes of the probabilities into others, if one is needed."""
         own = self.label_space("probabilities")
         return None if own is None or own.fits(space) else ClassMerging.between(own, space)
 
@@ -217,12 +206,9 @@ class StageRecords:
         return self.known_sensor() or sensor("hdl64")
 
     def weights(self, folder: str) -> str | None:
-        """Return the SHA-256 of the weights behind a folder of results, if one is recorded.
-
-        A folder of an earlier version may be of weights that were adapted in it to the scans.
-        """
+        """Return the SHA-256 of the weights behind a folder of results, if one is recorded."""
         settings = self._settings_of_network(folder)
-        digest = settings.get("adapted", settings.get("weights"))
+        digest = settings.get("weights")
         return None if digest is None else str(digest)
 
     def trained_on(self) -> frozenset[str]:

@@ -37,7 +37,6 @@ from salsanext_cli.sensors.sensor import Sensor
 
 FILES = ("compare.json", "compare.html")
 SHOWN = 4
-"""Scans of which the page has pictures."""
 
 log = logging.getLogger(__name__)
 
@@ -91,11 +90,7 @@ def compare(
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> tuple[RunComparison, tuple[Failure, ...]]:
-    """Compare two output folders; write `compare.json` and `compare.html` into the second one.
-
-    Scans that the weights of either run were trained on have no part in the scores. `by_distance`:
-    score rings of distance too, for which the scans are read.
-    """
+    """Compare two output folders; write `compare.json` and `compare.html` into the second one."""
     if before.resolve() == after.resolve():
         raise UsageError("OUT_B", f"{after}, as OUT_A", "the folder of another run")
     runs = ResultFolder(before, query.dataset), ResultFolder(after, query.dataset)

@@ -28,13 +28,10 @@ def convert(
     limit: int | None = None,
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Write `FOLDER/sequences/NAME/velodyne/<time>.bin` and `times.txt`.
+    """Write `FOLDER/sequences/NAME/velodyne/<time>.bin`, but of empty scans, and `times.txt`.
 
-    The times of `times.txt` are seconds since the first scan, a line for each scan that is there. A
-    scan without points is left out, since a `.bin` file of it would be one without content.
-    Intensities are those that stages read: bytes divided by 255, others as they are.
-
-    `recording`: a recording, or a topic in it.
+    Times are seconds since the first scan. Intensities are those that stages read: bytes divided by
+    255, others as they are.
     """
     for name, value in {"--every": every, "--limit": 1 if limit is None else limit}.items():
         if value < 1:

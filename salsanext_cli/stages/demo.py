@@ -49,10 +49,7 @@ def demo(
     options: RunOptions,
     bars: StepProgress,
 ) -> Demonstration:
-    """Run every stage on a synthetic drive, in ``data/`` and ``out/`` of a folder.
-
-    Existing results are kept unless overwriting.
-    """
+    """Run every stage on a synthetic drive, in ``data/`` and ``out/`` of a folder."""
     data, out = folder / "data", folder / "out"
     method, valid = UncertaintyMethod(samples=samples), ScanSelection(split="valid")
 

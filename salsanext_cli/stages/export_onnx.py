@@ -43,18 +43,10 @@ def export_onnx(
     selection: ScanSelection = ScanSelection(),
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Write weights as an ONNX model that takes normalised range images and returns logits.
+    """Write weights as an ONNX model of normalised range images to logits; compare it with torch.
 
-    It is computed by ONNX Runtime and compared with torch before it is written.
-
-    `view`: origin of the range images, if not the sensor that the weights name; its intensity is
-    matched to that of their training; `dynamic_width`: take every width that the network's stride
-    divides; `calibrate`: scans, without labels, for quantisation to int8. The model sees them as in
-    `predict`: without `view`, the sensor is fitted to them.
-
-    Returns plain data: `opset`, `bytes`, shapes of `input` and `output`, the largest `difference`
-    from torch relative to the largest logit; for int8 the number of `scans` and the share of pixels
-    with a point on which the label is that of float32, `equal_labels`.
+    `view`: sensor of the images, if not that of the weights, its intensity matched to theirs;
+    `calibrate`: scans for int8, seen as `predict` sees them.
     """
     for package in ("onnx", "onnxruntime"):
         import_extra(package, "onnx")

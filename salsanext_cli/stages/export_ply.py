@@ -98,14 +98,9 @@ def export_ply(
 ) -> Outcome:
     """Write `OUT/sequences/<seq>/ply/*.ply` or the like: positions, colours and every known scalar.
 
-    The first colouring of a folder goes there, each further one to `ply/<colour>/*.ply`. Clouds of
-    results that have been made anew since are replaced.
-
-    `colour`: one of `COLOURS`; `scale`: values at the ends of the colour map, the same for all
-    scans, otherwise as `common_scales` finds it; `max_error`: points whose error, 0…1,
-    is above it are written as unlabelled; `form`: of `FORMATS`; `voxel`: instead of scans, the
-    map of each drive with fused labels goes to `OUT/sequences/<seq>/map.ply`, with one point in
-    each voxel of such an edge in metres, in the frame of the poses.
+    The first colouring of a folder goes there, each further one to `ply/<colour>/*.ply`; with
+    `voxel`, an edge in metres, the map of each drive with fused labels to
+    `OUT/sequences/<seq>/map.ply`.
     """
     results = ResultFolder(out, query.dataset)
     require_colouring([colour], scale)
@@ -151,9 +146,7 @@ def export_ply(
     rejected = list[int]()
     colours = PointColours(colour, marks, space)
     with output_run(
-        *(out, stage, settings, (folder,), scans),
-        overwrite=overwrite,
-        record_scans=False,
+        *(out, stage, settings, (folder,), scans), overwrite=overwrite, record_scans=False
     ) as output:
         task = partial(export_scan, colours=colours, sensor=sensor, output=output)
         task = partial(task, classes=query.classes, labels=chosen.labels, max_error=max_error)

@@ -24,22 +24,15 @@ from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
 FOLDER = "rrd"
-"""Folder of the recordings in the output folder."""
 VIEWS = ("label", "truth", "wrong", *UNCERTAINTY)
 
 log = logging.getLogger(__name__)
 
 
 def export_rrd(
-    out: Path,
-    *,
-    query: ResultQuery = ResultQuery(),
-    options: RunOptions = RunOptions(),
+    out: Path, *, query: ResultQuery = ResultQuery(), options: RunOptions = RunOptions()
 ) -> Outcome:
-    """Write `OUT/rrd/<seq>.rrd`: points, classes, uncertainties and every other known scalar.
-
-    Recordings of earlier runs are replaced. A sequence gets none if none of its scans can be read.
-    """
+    """Write `OUT/rrd/<seq>.rrd`: points, classes, uncertainties and every other known scalar."""
     results = ResultFolder(out, query.dataset)
     import_rerun()
     try:
@@ -56,7 +49,7 @@ def export_rrd(
     colourings = {
         name: PointColours(name, scales.get(name, (0, 1)), space, dark=True) for name in known
     }
-    numbers = _numbers(chosen.recorded)
+    numbers = _numbers(results.scans())
     log_scan: dict[str, LogScan] = {}
     with ExitStack() as held:
 

@@ -146,9 +146,8 @@ def filter_scans(
 ) -> Outcome:
     """Write `FOLDER/sequences/<seq>/velodyne/`: the scans as they are, without some points.
 
-    `drop`, `keep`: names as `named_classes` takes them; `max_error`: points whose error, 0…1, is
-    above it go too; `split`: a folder of each class in the place of `velodyne`; `indices`: which
-    points stay, (N,) bool, as `.npy`, in the place of scans.
+    `drop`, `keep`: names as `named_classes` takes them; `indices`: masks (N,) bool, as `.npy`, of
+    the points that stay, in the place of scans.
     """
     if not (drop or keep or split or max_error is not None):
         raise UsageError("--drop, --keep, --max-error, --split", "none given", "one of them")
@@ -200,15 +199,9 @@ def filter_scans(
 
 
 def _filter_bags(
-    task: PointFilter,
-    scans: list[ScanFile],
-    options: RunOptions,
-    counts: list[Count],
+    task: PointFilter, scans: list[ScanFile], options: RunOptions, counts: list[Count]
 ) -> Outcome:
-    """Write the bag of each sequence, whole or not at all; add to the counts of its clouds.
-
-    A bag that fails is one failure, of its first scan.
-    """
+    """Write the bag of each sequence, whole or not at all; one that fails is a single failure."""
     start, before, done, skipped = time.monotonic(), 0, 0, 0
     failures, progress = list[Failure](), options.progress or (lambda done, total: None)
     for _, group in groupby(scans, lambda file: file.sequence):

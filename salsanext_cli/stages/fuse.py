@@ -67,8 +67,8 @@ from salsanext_cli.sensors.sensor import Sensor
 FUSED = "fused"
 """Folder of the fused labels in that of the labels of single scans."""
 SOFTMAX_FOLDERS = ("probabilities", "votes")
-ABOUT_THE_NETWORK = ("weights", "adapted", "trained_on", "temperature")
-"""Settings of `predict` that the record of fused labels repeats; "adapted" is of old folders."""
+ABOUT_THE_NETWORK = ("weights", "trained_on", "temperature")
+"""Settings of `predict` that the record of fused labels repeats."""
 
 Found = TypeVar("Found")
 

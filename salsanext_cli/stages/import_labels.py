@@ -60,12 +60,10 @@ def import_labels(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> LabelImport:
-    """Write label files of the scans of a data set from what a labelling tool wrote.
+    """Write label files of the scans of a data set from files that a labelling tool wrote.
 
-    `edited`: a file, or a folder of files, which `scan_of_edited` matches to scans; those of one
-    scan are merged; `ids`: YAML file that maps the tool's ids to names or raw ids; `space`: by
-    default the classes of the data set; `overwrite`: whether label files that were changed, or not
-    written by salsanext, may be replaced.
+    `ids`: YAML file that maps the tool's ids to names or raw ids; `overwrite`: whether label files
+    that were changed, or not written by salsanext, may be replaced.
     """
     scans = find_scans(dataset)
     if recording_of(scans[0].path) is not None:
@@ -166,29 +164,29 @@ class _Work:
             for path, part in read.items()
             if self.is_named or not is_guess(part[0].filled(none))
         }
-        labels = edited_labels(edited, space, none) if edited else None
-        if labels and is_guess(labels.raw):
-            if self.is_named:
-                log.warning("%s: holds the first guess, all of it", paths[0])
-            else:
-                # Parts of it that nobody corrected.
-                edited = {}
+        if edited:
+            raw, numbers = edited_labels(edited, space, none)
+            if is_guess(raw):
+                if self.is_named:
+                    log.warning("%s: holds the first guess, all of it", paths[0])
+                else:
+                    # Parts of it that nobody corrected.
+                    edited = {}
         imported.unedited += [str(path) for path in paths if path not in edited]
-        if not (edited and labels):
+        if not edited:
             return
-        if labels.contradicted:
-            points_of = counted(labels.contradicted, "point")
+        if contradicted := numbers["contradicted"]:
             text = "%s: %s left unlabelled, of different labels in %s"
-            log.warning(text, scan.name, points_of, first_few([*edited]))
-        by_these = records.is_replaceable(scan, paths, labels.contradicted)
+            log.warning(text, scan.name, counted(contradicted, "point"), first_few([*edited]))
+        by_these = records.is_replaceable(scan, paths, contradicted)
         kept = [*paths] != [scan.label_path] and not by_these
         if kept and not self.overwrite:
             self.refused.update(dict.fromkeys(edited, scan.label_path))
             return
-        about = {"files": [*map(str, edited)], "points": len(points), **labels.numbers()}
-        records.write(scan, encode_labels(labels.raw), about)
+        about = {"files": [*map(str, edited)], "points": len(points), **numbers}
+        records.write(scan, encode_labels(raw), about)
         imported.scans.append({"scan": scan.name, **about})
-        train = space.to_train(labels.raw, strict=False)
+        train = space.to_train(raw, strict=False)
         imported.class_points += np.bincount(train, minlength=space.class_count)
 
     def fail_together(self, imported: LabelImport) -> None:

@@ -15,7 +15,6 @@ from salsanext_cli.network.weights import load_tensors, read_weights, save_weigh
 from salsanext_cli.sensors.sensor import Sensor, sensor
 
 DROPOUT = 0.2
-"""The rate of the published training."""
 
 
 def import_weights(
@@ -29,10 +28,9 @@ def import_weights(
     half: bool = False,
     overwrite: bool = False,
 ) -> WeightsCard:
-    """Write a weights file from a published checkpoint, or again from one of ours.
+    """Write a weights file from a checkpoint of ``torch.save``, or again from one of ours.
 
-    A published checkpoint, saved with ``torch.save``, is of SemanticKITTI's classes, the HDL-64 and
-    `DROPOUT` by default; ours know theirs, and refuse another `space` or `dropout`.
+    A checkpoint is of SemanticKITTI's classes, the HDL-64 and `DROPOUT` unless told otherwise.
     """
     require_target(target, overwrite)
     if source.suffix == WEIGHTS_SUFFIX:

@@ -56,10 +56,7 @@ class Inspection:
         }
 
     def fitted_sensor(self, name: str, *, images: bool = True) -> Sensor:
-        """Return the sensor with the field of view and normalisation of these scans.
-
-        Without `images` of its own, its view is the one for those of weights, `seen`.
-        """
+        """Return the sensor with the normalisation of these scans, and their view or `seen`."""
         _require_fit(name, self.total)
         view = _with_field_of_view(self.sensor, self.total)
         if self.seen and not images:
@@ -81,11 +78,7 @@ def inspect(
     options: RunOptions = RunOptions(),
     fit: bool = False,
 ) -> Inspection:
-    """Survey scans and check them.
-
-    `sensor`: size of the range images, over whose pixels means and deviations are computed; `fit`:
-    read the scans twice, first for field of view and beams, then for their range images.
-    """
+    """Survey scans, over range images of a sensor, and check them; to fit, read them twice."""
     scans = select_scans(source, selection, space)
     if fit:
         some = ScanSample(find_scans(source), sensor).scans
@@ -145,18 +138,12 @@ def _require_fit(name: str, found: Survey) -> None:
     """Refuse to fit a sensor to scans that do not show its field of view."""
     measured = found.points - found.invalid
     up, down = found.field_of_view()
-    if measured < MIN_POINTS_OF_FIT:
+    if measured < MIN_POINTS_OF_FIT or up - down < MIN_FIELD_OF_VIEW_DEG:
+        view = f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°"
         raise NoInputError(
             name,
-            f"{counted(measured, 'point')} with a measurement",
-            f"{MIN_POINTS_OF_FIT} or more",
-            "fit a sensor to whole scans",
-        )
-    if up - down < MIN_FIELD_OF_VIEW_DEG:
-        raise NoInputError(
-            name,
-            f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°",
-            f"{MIN_FIELD_OF_VIEW_DEG:g}° or more",
+            f"{counted(measured, 'point')} with a measurement, {view}",
+            f"{MIN_POINTS_OF_FIT} or more, {MIN_FIELD_OF_VIEW_DEG:g}° or more",
             "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor",
         )
 

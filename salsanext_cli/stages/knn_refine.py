@@ -97,12 +97,7 @@ def knn_refine_scans(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Refine labels into `OUT/sequences/<seq>/predictions`.
-
-    `labels`: a folder of point labels to refine instead of `pixel_labels`, of any origin: `.label`
-    files in the layout of the benchmark's predictions, or directly; `sensor`, `space`: otherwise
-    those that earlier stages recorded, else the HDL-64 and the classes of the scans' data set.
-    """
+    """Refine pixel labels, or a folder of labels, into `OUT/sequences/<seq>/predictions`."""
     results = ResultFolder(out)
     if labels and labels.resolve().is_relative_to(out.resolve()):
         raise UsageError("--labels", f"{labels} inside {out}", "a folder that is only read")

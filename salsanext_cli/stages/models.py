@@ -23,12 +23,7 @@ HEIGHT, WIDTH = 64, 2048
 
 
 def models() -> list[dict[str, Any]]:
-    """Build every network, without its numbers; return what it costs and what papers print.
-
-    Numbers of plain data are those of 20 classes and an image of 64×2048: `parameters`,
-    `multiply_accumulates` of the convolutions, `receptive_field` in rows and columns, figures of
-    the `paper`, and whether its number of parameters `agrees` to the digit.
-    """
+    """Return, as plain data, what every network costs on 64×2048 pixels, and what papers print."""
     costs = []
     for name in ARCHITECTURES:
         with torch.device("meta"):

@@ -72,10 +72,6 @@ def picture(
 
     Pictures of results that have been made anew since are replaced, and animations always. Without
     any results, pictures are of the scans of `dataset` alone.
-
-    `colours`: of `COLOURS`, otherwise everything known of each scan; `scale`: values at the ends of
-    the colour map, the same for all scans, otherwise as `common_scales` finds it;
-    `animations`: of "gif" and "mp4".
     """
     results = ResultFolder(out, query.dataset)
     _require_usable(colours, scale, animations, frames_per_second, options)
@@ -89,7 +85,10 @@ def picture(
     made_of, earlier = results.origins(LABELLING_STAGES), results.settings(STAGE)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
     going_on = None if overwrite else earlier
-    seen = results.known_sensor() or _sensor_of(scans, going_on)
+    seen = results.known_sensor()
+    if seen is None and going_on is not None:
+        seen = Sensor.from_dict(going_on.table("sensor"), going_on.path)
+    seen = seen or fitted_view(scans, sensor("hdl64"))
     values = [c for c in colours or COLOURINGS if c not in CLASS_COLOURS]
     scales = _scales(out, scans, values, space, seen, scale, going_on)
     settings = {
@@ -148,14 +147,7 @@ def _scans_alone(out: Path, query: ResultQuery) -> ChosenResults:
     space = results.compared_space(found_scans, own, classes, own_ids=True)
     scans = choose(found_scans, query.selection, space, dataset or out)
     labels = space_of_labels(found_scans, space, own)
-    return ChosenResults(scans, space, labels, MissingResults(), found_scans)
-
-
-def _sensor_of(scans: Sequence[ScanFile], earlier: RecordedSettings | None) -> Sensor:
-    """Return the sensor of scans if none is recorded: that of earlier pictures, else one fitted."""
-    if earlier is not None:
-        return Sensor.from_dict(earlier.table("sensor"), earlier.path)
-    return fitted_view(scans, sensor("hdl64"))
+    return ChosenResults(scans, space, labels, MissingResults())
 
 
 def _scales(

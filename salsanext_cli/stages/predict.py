@@ -88,13 +88,12 @@ class LabelWriter:
         values = {"least_confidence": doubt}
         if "pixel_labels" in output.folders:
             output.write_array(file, "pixel_labels", most_probable(softmax))
-        if "probabilities" in output.folders:
+        if {"probabilities", "votes"} & {*output.folders}:
             none = np.eye(1, space.class_count)  # certainly unlabelled
             of_points = points_from_pixels(softmax, image.pixel_of_point, none)
+        if "probabilities" in output.folders:
             output.write_array(file, "probabilities", of_points.astype(np.float16))
         if "votes" in output.folders:
-            none = np.eye(1, space.class_count)
-            of_points = points_from_pixels(softmax, image.pixel_of_point, none)
             output.write_array(file, "votes", top_classes(of_points))
         if ERROR in output.folders:
             values["error"] = label_error(network, image, softmax, labels)
@@ -156,11 +155,9 @@ def predict_scans(
     """Label scans into `OUT/sequences/<seq>/predictions`, beside their least confidence.
 
     `extras`: further results to write, of "pixel_labels", "probabilities", "votes" for `fuse`,
-    "objects", whose numbers the labels hold too, and "uncertainty/error";
-    `reject`: points whose error, 0…1, is above it are unlabelled, and the error is written too;
-    "risk": those above the threshold, of all or their class, that `tune risk` wrote into the
-    weights;
-    `batch`: scans computed together, halved where memory runs out; None for what suits the device.
+    "objects", whose numbers the labels hold too, and "uncertainty/error"; `reject`: error, 0…1,
+    above which points are unlabelled, or "risk" for the thresholds of all and of classes in the
+    weights; `batch`: scans computed together, None for what suits the device.
     """
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
@@ -244,10 +241,7 @@ def predict_range_images(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Label range images that `project` wrote into `OUT/sequences/<seq>/pixel_labels`.
-
-    `knn_refine_scans` makes point labels of them, the same as `predict_scans` does.
-    """
+    """Label range images that `project` wrote into `OUT/sequences/<seq>/pixel_labels`."""
     loaded = network.load()
     projected = projected_sensor(folder)
     if projected is not None:

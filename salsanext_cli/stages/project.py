@@ -38,11 +38,7 @@ def project_scans(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Project scans to `OUT/sequences/<seq>/range` and `pixels`.
-
-    `fit`: whether view and direction up of the sensor are those of the scans where they differ
-    much; what it does not tell of housing and vehicle is found either way.
-    """
+    """Project scans to `OUT/sequences/<seq>/range` and `pixels`, to fit with their own view."""
     listed = scans_of(source)
     scans = choose(listed, selection, space_of(listed), source)
     recorded = None if options.overwrite else StageRecords(out).settings("project")

@@ -20,6 +20,7 @@ from salsanext_cli.report.colours import PointColours, legend_of, map_on_dark
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import (
+    Comparison,
     RunReader,
     RunResults,
     ScanRow,
@@ -34,12 +35,11 @@ from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile, drive_order
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.selection import MissingResults, evenly_spaced, space_of_labels
+from salsanext_cli.results.selection import MissingResults, evenly_spaced
 from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.export_ply import map_of_drive
 
 PAGE = "report.html"
-"""Name of the page in the output folder."""
 MAP_SCANS = 400
 """Scans of a drive on its map, evenly spaced."""
 SAMPLED = 5
@@ -59,43 +59,33 @@ class Report:
     """Page that was written."""
 
     page: Path
-    bytes: int  # Its size
-    scans: int  # Number of scans of which it gives the numbers
-    # Number of labelled scans left out of the scores since the weights were trained on them
-    trained_on: int
-    # Whether the weights were trained on every labelled scan, so that all are scored
-    on_training_scans: bool
+    run: RunResults  # Numbers of all scans that it tells of
+    compared: Comparison | None  # Scores of the labelled scans, if there are any
     shown: dict[str, str]  # Scans that it shows point by point, and why
-    accuracy: float | None  # Scores of the labelled scans, 0…1; None without labels
-    iou_mean_present: float | None
-    sentence: str | None  # Sentence on risk; None without labels or uncertainty
-    missing: MissingResults  # Scans without results, left out
     failures: tuple[Failure, ...]  # Scans that could not be read, left out
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
+        counts, scores = self.run.counts, self.compared and self.compared.scores
+        kept = self.compared and self.compared.uncertainty.kept
         return {
             "stage": "report",
             "page": str(self.page),
-            "bytes": self.bytes,
-            "scans": self.scans,
-            "trained_on": self.trained_on,
-            "on_training_scans": self.on_training_scans,
+            "bytes": self.page.stat().st_size,
+            "scans": len(self.run.rows),
+            "trained_on": counts.left_out if counts else 0,
+            "on_training_scans": bool(counts and counts.trained_on),
             "shown": self.shown,
-            "accuracy": plain(self.accuracy),
-            "iou_mean_present": plain(self.iou_mean_present),
-            "sentence": self.sentence,
-            **self.missing.to_dict(),
+            "accuracy": scores and plain(scores.accuracy),
+            "iou_mean_present": scores and plain(scores.iou_mean_present),
+            "sentence": kept and kept.sentence,
+            **self.run.missing.to_dict(),
             "failures": [failure.to_dict() for failure in self.failures],
         }
 
 
 def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice]) -> Report:
-    """Write `OUT/report.html`: what was run, the numbers of all scans, and some scans to look at.
-
-    `scans`: names of those to show point by point, ``08/000000``; without any, up to four that are
-    worth looking at; all else as for `read_run`.
-    """
+    """Write `OUT/report.html`: what was run, all numbers, and the scans that are named, or some."""
     page = out / PAGE
     OwnedFolder(out).require_own([page])
     run, unread = read_run(out, **choice)
@@ -108,20 +98,7 @@ def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice])
     reasons += unmapped
     written = html_of(run, compared, shown, scales_of(shown), reasons, maps).encode()
     OwnedFolder(out).replace({page: written})
-    kept = compared.uncertainty.kept if compared else None
-    return Report(
-        page=page,
-        bytes=len(written),
-        scans=len(run.rows),
-        trained_on=run.counts.left_out if run.counts else 0,
-        on_training_scans=bool(run.counts and run.counts.trained_on),
-        shown={each.name: each.reason for each in shown},
-        accuracy=compared.scores.accuracy if compared else None,
-        iou_mean_present=compared.scores.iou_mean_present if compared else None,
-        sentence=kept.sentence if kept else None,
-        missing=run.missing,
-        failures=failures,
-    )
+    return Report(page, run, compared, {each.name: each.reason for each in shown}, failures)
 
 
 def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[str]]:
@@ -162,11 +139,7 @@ def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[
 
 
 class View(PageServer):
-    """Server of a run's page; `serve_forever` answers, and leaving the context closes the port.
-
-    `scans`: number of scans that can be looked at; `missing`: scans without results, left out;
-    `failures`: scans that could not be read.
-    """
+    """Server of a run's page; `scans` can be looked at, others are `missing` or `failures`."""
 
     def __init__(self, port: int) -> None:
         super().__init__(port)
@@ -217,10 +190,7 @@ class View(PageServer):
 
 
 def view(out: Path, *, port: int = 0, **choice: Unpack[RunChoice]) -> View:
-    """Read the results of a run, and open a port on which a browser can look at them.
-
-    `port`: port on the loopback interface, 0 for any free one; all else as for `read_run`.
-    """
+    """Read the results of a run, and open a loopback port, any free one if 0, for a browser."""
     server = View(port)
     try:
         server.take(*read_run(out, **choice))
@@ -237,29 +207,17 @@ def read_run(
     by_distance: bool = False,
     options: RunOptions = RunOptions(),
 ) -> tuple[RunResults, tuple[Failure, ...]]:
-    """Read the results of all scans of a run, and name the scans that cannot be read.
-
-    `by_distance`: score rings of distance too, for which all labelled scans are read.
-    """
+    """Read the results of all scans of a run, and name the scans that cannot be read."""
     results = ResultFolder(out, query.dataset)
-    asked, results_space = results.predicted(query.selection, query.label_space, query.classes)
-    results.require_same_weights()
-    files = results.with_results(asked)
-    missing = results.missing_results(set(asked) - set(files))
-    missing.log_error(len(asked), "results")
-    labels = space_of_labels(files, results_space, query.label_space)
-    merging = results.merging_into(results_space)
-    sensor = results.sensor()
-    reader = RunReader(out, results_space, labels, merging, sensor, StageRecords(out).rejection())
-    rows, counts, failures = _rows(files, reader, by_distance, options)
-    return RunResults(reader, rows, counts, missing), failures
+    chosen = results.chosen(query)
+    merging, sensor = results.merging_into(chosen.space), results.sensor()
+    reader = RunReader(out, chosen.space, chosen.labels, merging, sensor, results.rejection())
+    rows, counts, failures = _rows(chosen.scans, reader, by_distance, options)
+    return RunResults(reader, rows, counts, chosen.missing), failures
 
 
 def _rows(
-    files: Sequence[ScanFile],
-    reader: RunReader,
-    by_distance: bool,
-    options: RunOptions,
+    files: Sequence[ScanFile], reader: RunReader, by_distance: bool, options: RunOptions
 ) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
     """Read the results of all scans; count those with labels."""
     rows: list[ScanRow] = []

@@ -43,10 +43,7 @@ SCANS_OF_TEST = {
 }
 """Number of scans of each test sequence of SemanticKITTI, named 000000, 000001, …"""
 REFUSED_IDS = {
-    "unknown-id": (
-        "ids that {} lacks",
-        "write raw ids, not train ids, or give --label-space",
-    ),
+    "unknown-id": ("ids that {} lacks", "write raw ids, not train ids, or give --label-space"),
     "moving": (
         "classes that move, which the benchmark of single scans does not know",
         "give them the ids of their classes at rest, such as 10 instead of 252",
@@ -115,11 +112,7 @@ def submit(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Submission:
-    """Check the predictions of the test split and pack them as the benchmark wants them.
-
-    The file is written only if nothing is wrong. Without scans at hand, the numbers of labels are
-    not compared with those of points. `progress` counts the files read, twice for each scan.
-    """
+    """Check the predictions of the test split and pack them for the benchmark if all are right."""
     require_target(target, overwrite, ".zip")
     files = find_outputs(out, "predictions")
     if not files:
@@ -163,11 +156,7 @@ def submit(
 
 
 def unmerged(space: LabelSpace, scans: Sequence[ScanFile] = ()) -> LabelSpace | None:
-    """Return the classes to submit instead of merged ones, None if they are not merged.
-
-    These are the data set's, if it describes them, and for SemanticKITTI's test split the
-    benchmark's. Somebody else's may group the same raw ids.
-    """
+    """Return the data set's or the benchmark's classes that these are merged ones of, if so."""
     full = [space_of(scans, space), *([label_space()] if _of_benchmark(space) else [])]
     return next((each for each in full if is_merged(space, each)), None)
 
@@ -212,11 +201,9 @@ def problems(
     space: LabelSpace,
     advance: Callable[[], None] = lambda: None,
 ) -> Iterator[Problem]:
-    """Yield all that is wrong with the predictions of a sequence, one problem of each kind.
+    """Yield what is wrong with the predictions of a sequence, one problem of each kind.
 
-    `stems`: names of the scans that must be there; `files`, `scans`: predicted labels and scans, by
-    stem; without a scan, labels are not counted; `space`: classes that may be predicted; `advance`:
-    called for each stem.
+    `stems`: names of the scans that must be there; `files`, `scans`: labels and scans by stem.
     """
     errors: dict[str, list[str]] = {"length": [], "unreadable": []}
     refused_ids: dict[str, list[set[int]]] = {code: [] for code in REFUSED_IDS}
@@ -224,7 +211,7 @@ def problems(
     for stem in stems:
         if stem in files:
             try:
-                ids = _ids_of(files[stem], _point_count(scans[stem]) if stem in scans else None)
+                ids = _ids_of(files[stem], scans.get(stem))
                 refused_ids["unknown-id"].append(ids - space.learning_map.keys())
                 refused_ids["moving"].append(ids & moving_ids)
             except SalsanextError as error:
@@ -245,12 +232,11 @@ def problems(
             yield Problem(code, sequence, count, f"sequence {sequence} · {found} · {remedy}")
 
 
-def _point_count(scan: Path) -> int:
-    return count_points(scan) if scan_suffix(scan.name) == ".bin" else len(read_scan(scan))
-
-
-def _ids_of(path: Path, count: int | None) -> set[int]:
+def _ids_of(path: Path, scan: Path | None) -> set[int]:
     """Read the ids of labels of four bytes, which the benchmark counts; others are refused."""
+    count = None
+    if scan:
+        count = count_points(scan) if scan_suffix(scan.name) == ".bin" else len(read_scan(scan))
     raw = read_labels(path, count)
     with reading(path) as file:
         size = size_of(file)

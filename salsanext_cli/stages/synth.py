@@ -58,12 +58,7 @@ def synthesise(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Write a data set of synthetic streets: scans, labels, poses, times, `labels.yaml`.
-
-    Where a run with the same settings was interrupted, what is missing is added. The same `seed`
-    gives the same bytes, whatever `jobs` is; another number of scans or another spacing gives other
-    streets. To overwrite removes only files that were written by it, are unchanged since and are
-    not behind a link.
+    """Write what is missing of a data set of synthetic streets, the same bytes for a `seed`.
 
     Returns plain data: the number of all `scans`, the names of sequences by split, `splits`, and
     the number of points by raw id, `points`.

@@ -86,18 +86,9 @@ def train(
 ) -> TrainResult:
     """Train a network, or resume a training that was interrupted in the same folder.
 
-    With a recipe of some folds, scans without a validation split are cross-validated: that chooses
-    the number of epochs and the temperature of the weights, which are then trained on all scans.
-
-    Started by torchrun, each worker learns from its share of every batch, on its own GPU, and the
-    first writes.
-
-    `run`: gets ``best.safetensors``, ``last.safetensors``, ``log.csv``, ``curve.png``,
-    ``recipe.toml``, a picture per epoch in ``samples`` and a checkpoint to resume from; `sensor`:
-    by default that of the weights to start from, else the HDL-64; `space`: by default what the
-    data set says, else SemanticKITTI's; `jobs`: processes that prepare samples; `weights`: those to
-    start from, otherwise those that the recipe says; `also`: further data sets of the same classes,
-    from which the recipe's share `also` of the samples is drawn.
+    With a recipe of some folds, scans without a validation split are cross-validated, and then all
+    trained on. Started by torchrun, each worker learns from its share of every batch, on its own
+    GPU, and the first writes.
     """
     workers = worker_count(jobs)
     if recipe.batch < (size := group_of_environment().size):
@@ -170,11 +161,7 @@ def train(
 def _simulated_streets(
     folder: Path, count: int, classes: LabelSpace, sensor: Sensor, jobs: int
 ) -> list[Source]:
-    """Return data sets of simulated streets, one per kind of sensor, made unless they are there.
-
-    Those of another version or other settings are made anew. There are none for classes that they
-    do not tell apart.
-    """
+    """Return data sets of streets, by kind of sensor, made if need be; none for other classes."""
     if not count:
         return []
     if merged_into(label_space(), classes) is None:

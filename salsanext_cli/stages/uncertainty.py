@@ -74,8 +74,7 @@ def uncertainty(
 ) -> Outcome:
     """Estimate uncertainty into `OUT/sequences/<seq>/uncertainty/<kind>`.
 
-    The labels of the mean softmax go to `predictions`, unless another stage keeps its
-    labels there already: those stay.
+    The labels of the mean softmax go to `predictions`, unless another stage has its labels there.
     """
     loaded = network.load()
     listed = scans_of(source)
@@ -105,10 +104,7 @@ def uncertainty(
 
 
 def _require_network_of_labels(out: Path, settings: dict[str, Any]) -> None:
-    """Refuse to put the uncertainty of one network beside the labels of another.
-
-    `out`: the output folder; `settings`: of the run of `uncertainty`.
-    """
+    """Refuse to put the uncertainty of one network beside the labels of another."""
     records = StageRecords(out)
     stage = records.owner("predictions")
     recorded = records.settings(stage) if stage not in (None, "uncertainty") else None

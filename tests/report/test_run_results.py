@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: MIT
 import math
-import os
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from salsanext_cli.report.page.run_results import (
     warnings_of_run,
     worth_looking_at,
 )
-from salsanext_cli.results.layout import ScanFile, output_path
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import StageRecord
 
@@ -105,20 +104,6 @@ def test_other_weights_are_named_by_their_digest_if_it_is_recorded(tmp_path):
     facts = dict(facts_of_run(tmp_path, SMALL))
     assert facts["Weights"].startswith("SHA-256 abababababab, not the default ones")
     assert facts["Uncertainty"] == "sampling, samples 30, aleatoric copies"
-
-
-def test_the_time_per_scan_is_that_between_results(tmp_path):
-    record(tmp_path, "predict", ("predictions",))
-    begin = 1_700_000_000.0
-    for number, time in enumerate((0, 0.1, 0.3, 4000, 4000.1, 4000.4)):
-        path = output_path(tmp_path, "00", "predictions", f"{number:06}")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(b"result")
-        os.utime(path, (begin + time, begin + time))
-        OwnedFolder(tmp_path).add(path)
-    assert dict(facts_of_run(tmp_path, SMALL))["Time"] == "predict: 0.18 s per scan"
-    path.write_bytes(b"another")
-    assert "Time" not in dict(facts_of_run(tmp_path, SMALL))
 
 
 def test_findings_of_all_stages_are_one_line_for_each_kind(tmp_path):

@@ -87,13 +87,6 @@ def test_fused_labels_know_the_weights_of_the_single_ones(drive):
     own = StageRecords(drive.out).weights("predictions")
     fuse_results(drive.out)
     assert StageRecords(drive.out / "fused").weights("predictions") == own
-    # An earlier version adapted weights to the scans, and recorded the SHA-256 of both.
-    path = drive.out / "predict.json"
-    record = json.loads(path.read_text())
-    record["settings"]["adapted"] = 64 * "0"
-    path.write_text(json.dumps(record))
-    fuse_results(drive.out, options=RunOptions(overwrite=True))
-    assert StageRecords(drive.out / "fused").weights("predictions") == 64 * "0"
 
 
 def test_labels_are_those_of_the_function(drive):

@@ -65,7 +65,7 @@ def made(world, space=None, **options):
     query = ResultQuery(world.dataset, label_space=space)
     found = report(world.out, query=query, **options)
     assert found.page == world.out / "report.html"
-    assert found.bytes == found.page.stat().st_size
+    assert found.to_dict()["bytes"] == found.page.stat().st_size
     return found, Page(found.page)
 
 
@@ -74,10 +74,11 @@ def test_scores_are_those_of_eval(world):
     world.put("uncertainty/entropy", "000001", [0.1] * 4)
     found, page = made(world, by_distance=True)
     evaluated = world.evaluate()
-    assert found.accuracy == evaluated.scores.accuracy == 7 / 8
-    assert found.iou_mean_present == evaluated.scores.iou_mean_present
-    assert found.sentence == evaluated.uncertainty.kept.sentence
-    for text in ("87.5 %", found.sentence[1:], "not recorded", "0–10 m", "accuracy, 2 scans"):
+    numbers, sentence = found.to_dict(), evaluated.uncertainty.kept.sentence
+    assert numbers["accuracy"] == evaluated.scores.accuracy == 7 / 8
+    assert numbers["iou_mean_present"] == evaluated.scores.iou_mean_present
+    assert numbers["sentence"] == sentence
+    for text in ("87.5 %", sentence[1:], "not recorded", "0–10 m", "accuracy, 2 scans"):
         assert text in page.text
     assert "10–20 m" not in page.text
     assert page.source.count("data:image/png;base64,") == 2
@@ -105,7 +106,8 @@ def test_confusions_are_in_words_and_absent_classes_have_no_iou(world):
 def test_without_labels_there_are_no_scores(world):
     shutil.rmtree(world.dataset / "sequences/08/labels")
     found, page = made(world)
-    assert (found.accuracy, found.iou_mean_present, found.sentence) == (None, None, None)
+    numbers = found.to_dict()
+    assert [numbers[key] for key in ("accuracy", "iou_mean_present", "sentence")] == [None] * 3
     assert "accuracy" not in page.text
     assert "data:image" not in page.source
     assert [*found.shown.values()] == ["at random"]
@@ -116,7 +118,7 @@ def test_uncertainty_alone_is_shown(world):
     shutil.rmtree(world.out)
     write_array(output_path(world.out, "08", "uncertainty/error", "000001"), np.full(4, 0.5, "f4"))
     found, page = made(world)
-    assert found.scans == 1
+    assert len(found.run.rows) == 1
     assert "No stage has predicted labels" in page.text
     assert found.shown == {"08/000001": "most uncertain (mean error 0.5)"}
 
@@ -175,7 +177,7 @@ def test_a_scan_that_cannot_be_read_is_named(world):
     found, page = made(world)
     assert [failure.scan.stem for failure in found.failures] == ["000002"]
     assert "000002.label" in page.text
-    assert found.scans == 2
+    assert len(found.run.rows) == 2
     for stem in ("000000", "000001"):
         (world.dataset / f"sequences/08/velodyne/{stem}.bin").write_bytes(b"123")
     with pytest.raises(NoInputError, match="no scan can be shown"):
@@ -211,7 +213,7 @@ def test_labels_with_their_own_ids_are_compared_by_class(world):
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
     StageRecord("predict", settings, ("predictions",)).write(world.out)
     found, _ = made(world, space=space)
-    assert found.accuracy == 7 / 8
+    assert found.to_dict()["accuracy"] == 7 / 8
     results = [shown.results for shown in shown_of(world, space)]
     assert {int(raw) for each in results for raw in each.truth} == {CAR, ROAD}
 

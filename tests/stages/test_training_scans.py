@@ -85,8 +85,9 @@ def test_where_all_are_the_scores_are_said_to_be_that(trained, caplog):
     heading = (trained.out / "scores.txt").read_text().splitlines()[0]
     assert heading == "# scores on scans that the weights were trained on"
     made = report(trained.out)
-    assert (made.trained_on, made.on_training_scans) == (0, True)
-    assert made.accuracy == found.scores.accuracy
+    numbers = made.to_dict()
+    assert (numbers["trained_on"], numbers["on_training_scans"]) == (0, True)
+    assert numbers["accuracy"] == found.scores.accuracy
     assert "accuracy, 1 scan trained on" in made.page.read_text("utf-8")
 
 
@@ -105,8 +106,9 @@ def test_scans_of_another_size_are_not_read(trained, monkeypatch):
 def test_a_report_leaves_out_the_same(trained):
     predict(trained)
     made = report(trained.out)
-    assert (made.trained_on, made.on_training_scans) == (1, False)
-    assert made.accuracy == judged(trained).scores.accuracy
+    numbers = made.to_dict()
+    assert (numbers["trained_on"], numbers["on_training_scans"]) == (1, False)
+    assert numbers["accuracy"] == judged(trained).scores.accuracy
     assert "1 of 3 labelled scans was trained on: left out" in made.page.read_text("utf-8")
     rows, _ = read_run(trained.out)
     assert [row.confusion is None for row in rows.rows] == [False, False, True]

@@ -165,18 +165,3 @@ def test_labels_made_step_by_step_remember_their_weights(world, tmp_path):
     )
     with pytest.raises(OutputError, match="labels made with other weights"):
         run(world)
-
-
-def test_nothing_is_added_to_results_of_weights_that_were_adapted_to_the_scans(predicted):
-    """An earlier version did so, and recorded the SHA-256 of the adapted weights too."""
-    world, path = predicted, predicted.out / "predict.json"
-    record = json.loads(path.read_text())
-    record["settings"]["adapted"] = 64 * "0"
-    path.write_text(json.dumps(record))
-    before = labels_below(world.out)
-    with pytest.raises(OutputError, match=r"adapted was \S+ and is not set .*--overwrite"):
-        world.predict()
-    with pytest.raises(OutputError, match="labels made with other weights"):
-        run(world)
-    assert labels_below(world.out) == before
-    assert not list(world.out.rglob("uncertainty/total"))

@@ -45,15 +45,12 @@ def scales_of(scans: Sequence[ShownScan]) -> dict[str, Scale]:
 
 
 def encode_cloud(
-    shown: ShownScan,
-    space: LabelSpace,
-    sensor: Sensor,
-    scales: Mapping[str, Scale],
+    shown: ShownScan, space: LabelSpace, sensor: Sensor, scales: Mapping[str, Scale]
 ) -> dict[str, Any]:
-    """Return a scan as plain data: numbers of points are base64 of little-endian integers.
+    """Return a scan as plain data, numbers of points as base64 of little-endian integers.
 
-    Points are in the order of the pixels of the range image, row by row, the nearest of each pixel
-    first, those without a pixel last. So the number of points of every pixel says which are whose.
+    Points are in the order of the pixels of the range image, the nearest of each first, those
+    without a pixel last, so that the number of points of every pixel says which are whose.
     """
     points = shown.results.scan.points
     measured = np.flatnonzero((np.abs(points) <= FARTHEST_M).all(axis=1))

@@ -53,7 +53,6 @@ OUTCOME_COLOURS = {"not judged": (62, 76, 150), "right": (125, 133, 145), "wrong
 DARKEST_STEP = 48
 """Step of the colour map, of 255, where its scale begins: those below are lost on a dark view."""
 MAX_CONFUSIONS = 10
-"""Confusions that the page names."""
 
 
 def html_of(

@@ -12,9 +12,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
-from statistics import mean
 from typing import Any
 
 import numpy as np
@@ -39,7 +37,7 @@ from salsanext_cli.measures.uncertainty_evaluation import (
 )
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.records import Float
-from salsanext_cli.results.layout import ERROR, ScanFile, find_outputs, output_path
+from salsanext_cli.results.layout import ERROR, ScanFile, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
@@ -71,10 +69,6 @@ DEFAULT_LIMITS = (
 """Failures of the default weights, as docs/model-card.md has them; it does not come with a page."""
 SHOWN_DIGITS = 12
 """Hexadecimal digits of a SHA-256 that are shown."""
-LEAST_TIMED = 4
-"""Scans that it takes to say how long one takes."""
-PAUSE_S = 60.0
-"""Time between two results from which on nothing ran in between."""
 CHECKED_STAGES = ("project", "predict", "uncertainty")
 """Stages that check scans."""
 
@@ -112,11 +106,7 @@ class ScanRow:
 def read_row(
     file: ScanFile, reader: RunReader, by_distance: bool = False, trained_on: Collection[str] = ()
 ) -> tuple[ScanRow, ScanCounts | None]:
-    """Read the results of a scan, and compare them with its labels.
-
-    `by_distance`, `trained_on`: as for `count_scan`, whose counts are None without labels or
-    without predictions.
-    """
+    """Read the results of a scan, and count them against its labels if there are both."""
     out, space = reader.out, reader.space
     path_of = partial(output_path, out, file.sequence, stem=file.stem)
     class_points, points = None, 0
@@ -245,10 +235,7 @@ def leading_kind(rows: Sequence[ScanRow]) -> str | None:
 
 
 def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, str]:
-    """Choose the most uncertain scan, the most wrong, that of the worst class, and one at random.
-
-    Returns the reasons by the scan's name; one or two for each.
-    """
+    """Choose the most uncertain, most wrong, worst-class and a random scan; return why, by name."""
     reasons: dict[str, list[str]] = {}
 
     def add_largest(values: Sequence[float], reason: Callable[[float], str]) -> None:
@@ -320,10 +307,6 @@ def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
         yield "Uncertainty", ", ".join([str(settings.get("method")), *given])
     if records.owner(ERROR) == "predict":
         yield "Uncertainty", "probability of error, of predict --error"
-    folders = ("predictions", "uncertainty/epistemic")
-    for stage, folder in {records.owner(folder): folder for folder in folders}.items():
-        if stage and (seconds := _seconds_per_scan(out, folder)):
-            yield "Time", f"{stage}: {seconds:.2g} s per scan"
 
 
 def _weights(records: StageRecords) -> str:
@@ -353,19 +336,6 @@ def _labels(stage: str, settings: Mapping[str, Any]) -> str:
         kind = settings.get("reject_by", "error").replace("_", " ")
         words.append(f"points unlabelled whose {kind} is above {settings['reject']:g}")
     return ", ".join(words)
-
-
-def _seconds_per_scan(out: Path, folder: str) -> float | None:
-    """Return the mean time between two results, pauses left out.
-
-    None of a folder whose files are not those that were written there, such as a copy.
-    """
-    paths = list(find_outputs(out, folder).values())
-    if len(paths) < LEAST_TIMED or OwnedFolder(out).others(paths):
-        return None
-    written = sorted(path.stat().st_mtime_ns for path in paths)
-    gaps_s = [gap / 1e9 for a, b in pairwise(written) if (gap := b - a) < PAUSE_S * 1e9]
-    return mean(gaps_s) if gaps_s else None
 
 
 def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:

@@ -18,16 +18,11 @@ from salsanext_cli.errors import SalsanextError, UsageError
 
 LOOPBACK = "127.0.0.1"
 OWN_NAMES = (LOOPBACK, "localhost")
-"""Hosts that a browser may ask for: a page of another name that resolves to this machine may not
-read the scans.
-"""
+"""Hosts that a browser may ask for, so that no page of another name here can read the scans."""
 
 
 class PageServer(ThreadingHTTPServer):
-    """Server of a page, and of the clouds that a subclass gives, on the loopback interface.
-
-    The port, any free one if 0, is taken at once; requests wait until `serve_forever`.
-    """
+    """Server, on the loopback interface, of a page and of the clouds that a subclass gives."""
 
     page = b""
 
