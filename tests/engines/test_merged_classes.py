@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: MIT
+# ruff: noqa: F811
 """Networks whose classes are merged: the same sums by every engine and in every estimate."""
 
 import numpy as np
 import pytest
 import torch
+from narrow import narrow, weights  # noqa: F401
 from scans import SMALL, make_scan
 
 from salsanext_cli import label_space, load_network, project, sample

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+# ruff: noqa: F811
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -6,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from narrow import narrow, weights  # noqa: F401
 from scans import SMALL, make_scan, write_weights
 
 from salsanext_cli import Scan, project
@@ -36,8 +38,7 @@ def test_probabilities_are_the_softmax_of_the_module(network):
 def test_the_temperature_divides_the_logits_and_keeps_the_labels(network, temperature):
     image = project(make_scan(), SMALL)
     tempered = replace(
-        network,
-        engine=replace(network.engine, card=replace(network.card, temperature=temperature)),
+        network, engine=replace(network.engine, card=replace(network.card, temperature=temperature))
     )
     probabilities = tempered.probabilities(image)
     powers = network.probabilities(image).astype(np.float64) ** (1 / temperature)

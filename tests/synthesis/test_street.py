@@ -16,7 +16,7 @@ from salsanext_cli.synthesis.street.traffic import Mover, lanes
 from salsanext_cli.synthesis.things import furniture
 
 VEHICLES = {
-    *(surfaces.CAR, surfaces.TRUCK, surfaces.BUS, surfaces.OTHER_VEHICLE, surfaces.MOTORCYCLE),
+    *(surfaces.CAR, surfaces.TRUCK, surfaces.BUS, surfaces.OTHER_VEHICLE, surfaces.MOTORCYCLE)
 }
 NARROW = Numbers(**vars(STYLES[4]) | {"crossing_gap": (300, 900)})
 STREET = draw_plan(np.random.default_rng(0), NARROW, 120.0)

@@ -17,11 +17,7 @@ from two_workers import CASES, batch, learner, share, stepped
 
 import salsanext_cli
 from salsanext_cli.errors import UsageError
-from salsanext_cli.training.distributed import (
-    SINGLE_PROCESS,
-    ProcessGroup,
-    process_group,
-)
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, process_group
 
 SCRIPT = Path(__file__).with_name("two_workers.py")
 

@@ -12,12 +12,7 @@ from salsanext_cli.geometry.network_input import normalise
 from salsanext_cli.network.dropout import ChannelDropout, drawn, sampling
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
-from salsanext_cli.uncertainty.monte_carlo import (
-    PassStatistics,
-    pass_seed,
-    scan_seed,
-    torch_batch,
-)
+from salsanext_cli.uncertainty.monte_carlo import PassStatistics, pass_seed, scan_seed, torch_batch
 
 SAMPLES = 4
 

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+# ruff: noqa: F811
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from narrow import narrow, weights  # noqa: F401
 from scans import SMALL, make_scan, write_sequence
 
 from salsanext_cli import (
