@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: MIT
-# ruff: noqa: F811
 import json
 from functools import partial, reduce
 from pathlib import Path
 
 import pytest
-from narrow import narrow, weights  # noqa: F401
 from world import Kept
 
 from salsanext_cli.errors import OutputError
@@ -17,7 +15,8 @@ from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
 
 SETTINGS = RecordedSettings(
-    {"n": 3, "endless": "Infinity", "pair": [1, 2.5], "in": {"k": 5}}, Path("out/predict.json")
+    {"n": 3, "endless": "Infinity", "pair": [1, 2.5], "in": {"k": 5}},
+    Path("out/predict.json"),
 )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scans import SMALL, make_scan
+from shallow import slow_on_openvino
 
 from salsanext_cli import project, sample
 from salsanext_cli.geometry.network_input import normalise
@@ -78,6 +79,7 @@ def test_the_seed_matters_and_neither_order_nor_global_generator(network, image,
     assert torch.equal(torch.random.get_rng_state(), state)
 
 
+@slow_on_openvino
 @torch.inference_mode()
 def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
     """As on a GPU, where passes are computed in batches."""
@@ -103,6 +105,7 @@ def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
         engine.in_batches(function, seeds, 4, "passes")
 
 
+@slow_on_openvino
 def test_the_temperature_is_left_out(network, image, sampled):
     hot = replace(
         network, engine=replace(network.engine, card=replace(network.card, temperature=1e6))

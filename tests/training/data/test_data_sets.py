@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from narrow import narrow, weights  # noqa: F401
 from scans import SMALL, make_scan, write_sequence
+from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import (
     LabelSpace,
