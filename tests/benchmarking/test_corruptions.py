@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+# ruff: noqa: F811
 """The script about bad conditions corrupts, predicts and scores each cell once."""
 
 import re
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scans import write_sequence
+from shallow import shallow, weights  # noqa: F401
 from typer.testing import CliRunner
 
 from salsanext_cli import read_labels, read_scan
@@ -59,6 +61,7 @@ def lines(capsys) -> dict[str, list[list[str]]]:
     return found
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_cells_are_written_scored_and_not_repeated(data, tmp_path, weights, commands, capsys):
     folder = tmp_path / "folder"
     some = ("--weights", weights, "--corruptions", "other sensor", "--severities", 1, 3)

@@ -13,15 +13,7 @@ import numpy as np
 import pytest
 from scans import write_sequence
 
-from salsanext_cli import (
-    Scan,
-    label_space,
-    project,
-    read_labels,
-    read_scan,
-    sensor,
-    write_labels,
-)
+from salsanext_cli import Scan, label_space, project, read_labels, read_scan, sensor, write_labels
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 

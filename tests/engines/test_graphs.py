@@ -13,14 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from architectures import EACH
 from torch import nn
 
 from salsanext_cli.engines.device import has_bfloat16
 from salsanext_cli.engines.graphs import compiled_graph, converted
 from salsanext_cli.engines.network import Graph
 from salsanext_cli.engines.torch_engine import in_precision
-from salsanext_cli.network.registry import build
+from salsanext_cli.network.registry import ARCHITECTURES, build
 
 SIZE = (1, 5, 19, 70)
 
@@ -48,7 +47,13 @@ def compiled(module, x, **options):
     return Graph(compiled_graph(make, "test", **options))
 
 
-@pytest.mark.parametrize("name", EACH)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name == "salsanext" else pytest.mark.slow)
+        for name in sorted(ARCHITECTURES)
+    ],
+)
 def test_every_architecture_in_float32(name):
     module, x = network(name), images(*SIZE)
     (found,) = compiled(module, x)(x.numpy())
@@ -125,7 +130,7 @@ def test_computing_threads_are_not_bound_to_cores(threads, streams):
 
 
 def test_inputs_that_do_not_fit_are_an_error():
-    run = compiled(network("salsanext"), images(*SIZE))
+    run = compiled(nn.Conv2d(5, 8, 3), images(*SIZE))
     with pytest.raises(RuntimeError):
         run(images(1, 5, 16, 16).numpy())
     with pytest.raises(RuntimeError):
@@ -152,6 +157,7 @@ def test_what_was_compiled_once_is_not_made_again(tmp_path, caplog):
     assert "is damaged: made again" in caplog.text
 
 
+@pytest.mark.slow
 def test_signals_are_handled_after_the_last_graph_is_gone():
     """OpenVINO gives a thread a stack for its handlers, and must not take it back."""
     program = """

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: MIT
+# ruff: noqa: F811
 """Networks whose classes are merged: the same sums by every engine and in every estimate."""
 
 import numpy as np
 import pytest
 import torch
 from scans import SMALL, make_scan
+from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import label_space, load_network, project, sample
 from salsanext_cli.classes.merging import ClassMerging
@@ -70,13 +72,7 @@ def test_passes_are_added_before_they_are_counted(weights, image, engine):
     np.testing.assert_allclose(found.uncertainty.mutual_information, entropy - of_passes, **close)
 
 
-@pytest.mark.parametrize(
-    "estimate",
-    [
-        pytest.param(aleatoric, marks=pytest.mark.slow),
-        lambda *given: propagate_dropout(*given).variance,
-    ],
-)
+@pytest.mark.parametrize("estimate", [aleatoric, lambda *given: propagate_dropout(*given).variance])
 def test_moments_have_a_variance_of_each_merged_class_alike_by_both_engines(
     weights, image, estimate
 ):

@@ -67,12 +67,7 @@ def fuzz(reader, folder, name, cases):
     path.write_bytes(reader.seeds[0])
 
 
+@pytest.mark.parametrize("cases", [FEW_CASES, pytest.param(MANY_CASES, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", READERS)
-def test_a_few_damaged_files(made, tmp_path, name):
-    fuzz(made(name), tmp_path, name, FEW_CASES)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", READERS)
-def test_many_damaged_files(made, tmp_path, name):
-    fuzz(made(name), tmp_path, name, MANY_CASES)
+def test_damaged_files(made, tmp_path, name, cases):
+    fuzz(made(name), tmp_path, name, cases)

@@ -5,11 +5,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.geometry.label_transfer import (
-    TOLERANCE_M,
-    merged_transfers,
-    transfer_labels,
-)
+from salsanext_cli.geometry.label_transfer import TOLERANCE_M, merged_transfers, transfer_labels
 
 
 def slow_transfer(points, cloud, labels):

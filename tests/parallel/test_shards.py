@@ -9,11 +9,7 @@ from hypothesis import strategies as st
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel.options import Shard
-from salsanext_cli.parallel.run import (
-    MAX_CHUNK_SCANS,
-    MIN_CHUNKS_PER_WORKER,
-    chunks,
-)
+from salsanext_cli.parallel.run import MAX_CHUNK_SCANS, MIN_CHUNKS_PER_WORKER, chunks
 from salsanext_cli.results.layout import ScanFile
 
 COUNTS = st.integers(1, 9)

@@ -5,12 +5,7 @@ import numba
 import pytest
 import torch
 
-from salsanext_cli.parallel.options import (
-    cores,
-    threads_of_workers,
-    use_threads,
-    worker_count,
-)
+from salsanext_cli.parallel.options import cores, threads_of_workers, use_threads, worker_count
 
 
 @pytest.fixture(autouse=True)

@@ -44,7 +44,7 @@ THINGS = {
 @pytest.mark.parametrize("name", THINGS)
 def test_things_have_their_classes_and_sizes(name):
     make, labels, smallest, largest = THINGS[name]
-    for seed in range(40):
+    for seed in range(15):
         mesh = make(np.random.default_rng(seed))
         assert set(np.unique(mesh.labels).tolist()) <= labels
         assert np.isfinite(mesh.vertices).all()
@@ -56,11 +56,11 @@ def test_things_have_their_classes_and_sizes(name):
 
 
 @pytest.mark.parametrize("kind", lots.KINDS)
-@pytest.mark.parametrize("width", [0.2, 1.2, 2.5, 3.5])
+@pytest.mark.parametrize("width", [0.2, 1.2, 3.5])
 def test_a_narrow_lot_can_be_furnished(kind, width):
     plan = draw_plan(np.random.default_rng(0), STYLES[0], 80.0)
     lot = Lot(kind, 30.0, 30.0 + width, 4.0, 0, 0, (30.0, 30.0))
-    for seed in range(8):
+    for seed in range(4):
         builder = Builder(np.random.default_rng(seed), plan)
         lots.furnish(builder, plan.sides[0], lot)
         ends = [part.vertices[:, 0] for part in builder.parts]

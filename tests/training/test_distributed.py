@@ -3,6 +3,7 @@
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -17,40 +18,44 @@ from two_workers import CASES, batch, learner, share, stepped
 
 import salsanext_cli
 from salsanext_cli.errors import UsageError
-from salsanext_cli.training.distributed import (
-    SINGLE_PROCESS,
-    ProcessGroup,
-    process_group,
-)
+from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, process_group
 
 SCRIPT = Path(__file__).with_name("two_workers.py")
 
 gloo = pytest.mark.skipif(not is_gloo_available(), reason="needs gloo")
 
 
+FOLDERS = (Path(salsanext_cli.__file__).parents[1], Path(__file__).parents[1])
+ENVIRONMENT = {"PYTHONPATH": os.pathsep.join(map(str, FOLDERS)), "OMP_NUM_THREADS": "1"}
+
+
 def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
     """Run two workers of one machine."""
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
-    folders = (Path(salsanext_cli.__file__).parents[1], Path(__file__).parents[1])
     return subprocess.run(
         [*command, "--nproc-per-node", "2", *map(str, arguments)],
         capture_output=True,
         text=True,
         timeout=400,
         check=False,
-        env={
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(map(str, folders)),
-            "OMP_NUM_THREADS": "1",
-        },
+        env=os.environ | ENVIRONMENT,
     )
 
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Return what two workers computed, started as by torchrun, which itself takes seconds."""
     path = tmp_path_factory.mktemp("two") / "result.pt"
-    ended = torchrun(SCRIPT, path)
-    assert ended.returncode == 0, ended.stderr
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        address = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free.getsockname()[1])}
+    own = os.environ | ENVIRONMENT | address | {"TORCHELASTIC_RUN_ID": "two", "WORLD_SIZE": "2"}
+    command = [sys.executable, str(SCRIPT), str(path)]
+    workers = [subprocess.Popen(command, env=own | {"RANK": rank}) for rank in "01"]
+    try:
+        assert [worker.wait(200) for worker in workers] == [0, 0]
+    finally:
+        for worker in workers:
+            worker.kill()
     found: dict[str, Any] = torch.load(path, weights_only=True)
     assert found["size"] == 2
     return found
@@ -58,9 +63,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 @gloo
 @pytest.mark.parametrize("case", CASES)
-def test_two_workers_have_the_gradient_of_one_with_twice_the_batch(
-    two: dict[str, Any], case: str
-) -> None:
+def test_two_workers_have_the_gradient_of_one_with_twice_the_batch(two, case):
     """And its weights; without batch norm, and of five samples, so that their shares are unlike."""
     exact = {"rtol": 1e-5, "atol": 1e-10}
     near = exact if case != "bfloat16" else {"rtol": 0.02, "atol": 1e-3}
@@ -69,9 +72,7 @@ def test_two_workers_have_the_gradient_of_one_with_twice_the_batch(
 
 
 @gloo
-def test_batch_norm_on_cpus_is_each_workers_own_and_validated_is_the_main_ones(
-    two: dict[str, Any],
-) -> None:
+def test_batch_norm_on_cpus_is_each_workers_own_and_validated_is_the_main_ones(two):
     images, truth = (share(each, ProcessGroup(0, 2)) for each in batch())
     alone = learner(SINGLE_PROCESS, norm=True, average=0.5)
     alone.step(images, truth, 5, 1)

@@ -3,8 +3,8 @@
 """Network and range image that these tests share."""
 
 import pytest
-from narrow import narrow, weights  # noqa: F401
 from scans import SMALL, make_scan
+from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import load_network, project
 

@@ -97,11 +97,7 @@ LINEAR = {
     "residual sum": lambda x: x[:, :2] + x[:, 2:],
     "dropout not in training": lambda x: F.dropout2d(x, 0.3, False),
 }
-RULES = {
-    **LINEAR,
-    "leaky ReLU": nn.LeakyReLU(0.01),
-    "softmax": lambda x: torch.softmax(x, dim=1),
-}
+RULES = {**LINEAR, "leaky ReLU": nn.LeakyReLU(0.01), "softmax": lambda x: torch.softmax(x, dim=1)}
 linear_rules = pytest.mark.parametrize("rule", LINEAR.values(), ids=LINEAR)
 rules = pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
 

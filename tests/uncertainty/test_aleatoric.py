@@ -7,6 +7,7 @@ from itertools import islice
 import numpy as np
 import pytest
 from scans import SMALL
+from shallow import slow_on_openvino
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.network_input import noise_of, normalise
@@ -49,6 +50,7 @@ def with_noise(network, metres, intensity):
     return network.for_sensor(sensor)
 
 
+@slow_on_openvino
 def test_it_ranks_pixels_as_noisy_copies_do(network, image):
     """Sixty-four copies of the scan, each with its own noise of 2 cm and 0.02."""
     occupied = image.channels[0] > 0

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from shallow import slow_on_openvino
 
 from salsanext_cli.engines.loading import with_dropout
 from salsanext_cli.uncertainty.dropout_propagation import (
@@ -12,7 +13,7 @@ from salsanext_cli.uncertainty.dropout_propagation import (
 )
 from salsanext_cli.uncertainty.monte_carlo import sample
 
-COUNT = 100_000
+COUNT = 25_000
 
 
 def together(shape, seed=0):
@@ -37,7 +38,7 @@ def test_convolution(kernel, padding, dilation):
     closed = F.conv2d(x.mean, weight, bias, padding=padding, dilation=dilation)
     torch.testing.assert_close(found.mean, closed)
     # The standard error of a variance is √(2/n) of it; over 36 cells, 4 of them.
-    torch.testing.assert_close(found.variance[0], sampled.var(dim=0), rtol=0.018, atol=0)
+    torch.testing.assert_close(found.variance[0], sampled.var(dim=0), rtol=0.036, atol=0)
 
 
 @pytest.mark.parametrize(
@@ -70,7 +71,7 @@ def test_average_pooling():
     x, samples = together((3, 7, 7))
     found = F.avg_pool2d(x, 3, 2, 0)
     sampled = F.avg_pool2d(samples, 3, 2, 0)
-    torch.testing.assert_close(found.variance[0], sampled.var(dim=0), rtol=0.018, atol=0)
+    torch.testing.assert_close(found.variance[0], sampled.var(dim=0), rtol=0.036, atol=0)
 
 
 def test_dropout():
@@ -85,6 +86,7 @@ def test_dropout():
     torch.testing.assert_close(nothing.variance, x.variance)
 
 
+@slow_on_openvino
 def test_it_ranks_pixels_as_sampling_does(network, image):
     occupied = image.channels[0] > 0
     mild = with_dropout(network, 0.05)

@@ -5,20 +5,16 @@ from functools import partial
 
 import numpy as np
 import pytest
+from shallow import slow_on_openvino
 
 from salsanext_cli import load_network, sample
 from salsanext_cli.parallel.options import threads_of_workers
 from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 
-EPISTEMIC = pytest.mark.parametrize(
-    "estimate",
-    [partial(sample, samples=4, seed=5), propagate_dropout],
-    ids=["sampling", "analytic"],
-)
 
-
-@EPISTEMIC
+@slow_on_openvino
+@pytest.mark.parametrize("estimate", [partial(sample, samples=4, seed=5), propagate_dropout])
 def test_shapes_types_and_bounds(network, image, estimate):
     found = estimate(network, image)
     assert found.probabilities.shape == found.variance.shape == (20, 16, 128)

@@ -6,18 +6,14 @@ import numpy as np
 import pytest
 import torch
 from scans import SMALL, make_scan
+from shallow import slow_on_openvino
 
 from salsanext_cli import project, sample
 from salsanext_cli.geometry.network_input import normalise
 from salsanext_cli.network.dropout import ChannelDropout, drawn, sampling
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
-from salsanext_cli.uncertainty.monte_carlo import (
-    PassStatistics,
-    pass_seed,
-    scan_seed,
-    torch_batch,
-)
+from salsanext_cli.uncertainty.monte_carlo import PassStatistics, pass_seed, scan_seed, torch_batch
 
 SAMPLES = 4
 
@@ -83,6 +79,7 @@ def test_the_seed_matters_and_neither_order_nor_global_generator(network, image,
     assert torch.equal(torch.random.get_rng_state(), state)
 
 
+@slow_on_openvino
 @torch.inference_mode()
 def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
     """As on a GPU, where passes are computed in batches."""
@@ -108,6 +105,7 @@ def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
         engine.in_batches(function, seeds, 4, "passes")
 
 
+@slow_on_openvino
 def test_the_temperature_is_left_out(network, image, sampled):
     hot = replace(
         network, engine=replace(network.engine, card=replace(network.card, temperature=1e6))

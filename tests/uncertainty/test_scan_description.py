@@ -15,9 +15,9 @@ from salsanext_cli.uncertainty.scan_description import describe_scan, label_samp
 PASSES = {"samples": 3, "seed": 4}
 
 
-@pytest.fixture(params=["torch", "openvino"])
+@pytest.fixture
 def network(request, weights):
-    return load_network(weights, "cpu", engine=request.param)
+    return load_network(weights, "cpu", engine=getattr(request, "param", "torch"))
 
 
 @pytest.fixture
@@ -26,6 +26,7 @@ def file(tmp_path) -> ScanFile:
     return ScanFile("00", "000007", folder / "velodyne/000007.bin")
 
 
+@pytest.mark.parametrize("network", ["torch", "openvino"], indirect=True)
 def test_the_features_are_what_the_logits_are_made_of(network):
     image = project(make_scan(), SMALL)
     features = pixel_features(network, image)

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+# ruff: noqa: F811
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from scans import SMALL, make_scan, write_sequence
+from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import (
     LabelSpace,
