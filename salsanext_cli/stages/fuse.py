@@ -388,10 +388,10 @@ def _other_drive(
 def _findings(scans: DriveScans) -> list[Finding]:
     """Return what is doubtful about a drive that is cut into parts."""
     parts = np.bincount(scans.drive.parts)
+    if (parts == 1).all():
+        return [Finding("apart", "no two of its scans see common places", "labels stay")]
     if len(parts) == 1:
         return []
-    if (parts == 1).all():
-        return [Finding("apart", "its scans see no common places", "labels stay")]
     second = scans.files[int(np.argmax(scans.drive.parts == 1))].stem
     found = f"poses fit in {len(parts)} parts only, the second from {second} on"
     return [Finding("apart", found, "parts have no votes for each other; look at its poses")]
