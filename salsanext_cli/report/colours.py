@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError, UsageError
-from salsanext_cli.results.layout import COLOURINGS, ScanFile
+from salsanext_cli.results.layout import COLOURS, ScanFile
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -65,8 +65,6 @@ OUTCOME_LEGEND = (("right", RIGHT), ("wrong", WRONG))
 OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)
 """Colours of points that are not judged, right and wrong, (3, 3)."""
 CLASS_COLOURS = ("label", "truth", "wrong")
-COLOURS = (*COLOURINGS, "uncertainty")
-"""Colourings of points; "uncertainty" is what `ResultFolder.meant_uncertainty` says."""
 
 
 def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
