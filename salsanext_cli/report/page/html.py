@@ -18,7 +18,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, escaped, printable
 from salsanext_cli.measures.scan_counts import RING_NAMES
-from salsanext_cli.measures.scores import Confusion, Counts, ring_rows, scores
+from salsanext_cli.measures.scores import Confusion, Counts, largest_confusions, ring_rows, scores
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
 from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
 from salsanext_cli.report.page.run_results import (
@@ -239,13 +239,11 @@ def _rings(compared: Comparison, space: LabelSpace) -> str:
 def _confusions(confusion: Confusion, space: LabelSpace) -> list[str]:
     """Say what is taken for what, most points first."""
     matrix, names = confusion.counted(space.scored), space.names
-    truths, wrong = matrix.sum(axis=1), np.where(np.eye(len(matrix), dtype=bool), 0, matrix)
-    most = np.argsort(-wrong, axis=None, kind="stable")[:MAX_CONFUSIONS]
+    truths = matrix.sum(axis=1).tolist()
     return [
         f"{names[true]} taken for {names[predicted]}: "
-        f"{percent(points / truths[true], 1, ' %')} of {counted(int(truths[true]), 'point')}"
-        for true, predicted in zip(*np.unravel_index(most, wrong.shape), strict=True)
-        if (points := wrong[true, predicted])
+        f"{percent(points / truths[true], 1, ' %')} of {counted(truths[true], 'point')}"
+        for true, predicted, points in largest_confusions(matrix, MAX_CONFUSIONS)
     ]
 
 
