@@ -21,7 +21,6 @@ from salsanext_cli.results.selection import space_of
 from salsanext_cli.sensors.sensor import Sensor, sensor
 from salsanext_cli.version import __version__
 
-SHOWN_CHARACTERS_OF_VALUE = 40
 MAX_PATH_CHARACTERS = 500
 RESULT_STAGES = (
     *("project", "predict", "knn-refine", "uncertainty", "fuse", "picture", "export-ply"),
@@ -271,7 +270,7 @@ def require_same_settings(
 
 
 def _difference(key: str, before: Any, after: Any) -> str:
-    """Say how a setting differs; of long lists, name the first value that does, or the length."""
+    """Say how a setting differs; of lists of one length, name the first value that does."""
     if key == "sensor.intensity_quantiles":
         was, now = _intensity(before), _intensity(after)
         now = "matched to other scans" if now == was else now
@@ -281,11 +280,14 @@ def _difference(key: str, before: Any, after: Any) -> str:
     if isinstance(before, dict) and isinstance(after, dict):
         old, new = (LabelSpace.from_dict(space, key) for space in (before, after))
         return f"{key} ({first_few(old.differences(new))})"
-    lists = isinstance(before, list) and isinstance(after, list) and len(before) == len(after)
-    if lists and len(json.dumps(before)) > SHOWN_CHARACTERS_OF_VALUE:
+    if isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
         place = next(i for i, value in enumerate(before) if value != after[i])
         key, before, after = f"{key}[{place}]", before[place], after[place]
-    return f"{key} was {_as_shown(before)} and is {_as_shown(after)}"
+    was, now = (
+        "not set" if value is None else shortened(json.dumps(value, ensure_ascii=False), 40)
+        for value in (before, after)
+    )
+    return f"{key} was {was} and is {now}"
 
 
 def _intensity(quantiles: Sequence[float] | None) -> str:
@@ -302,11 +304,3 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         nested = isinstance(value, dict) and key != "label_space"
         flat |= _flat(value, f"{prefix}{key}.") if nested else {prefix + key: value}
     return flat
-
-
-def _as_shown(value: object) -> str:
-    if value is None:
-        return "not set"
-    if isinstance(value, list) and len(json.dumps(value)) > SHOWN_CHARACTERS_OF_VALUE:
-        return f"{len(value)} values ({json.dumps(value[0])} to {json.dumps(value[-1])})"
-    return shortened(json.dumps(value, ensure_ascii=False), SHOWN_CHARACTERS_OF_VALUE)

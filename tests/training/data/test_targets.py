@@ -68,7 +68,7 @@ def test_label_spaces_with_alternatives_survive_a_round_trip_and_are_checked() -
     back = LabelSpace.from_dict(yaml.safe_load(text))
     assert back.alternatives == OTHER.alternatives
     assert back.fits(PLAIN)
-    assert "alternatives of raw id 40: 9 10 ≠ none" in OTHER.differences(PLAIN)
+    assert "learning_alternatives 40: [9, 10] ≠ none" in OTHER.differences(PLAIN)
     assert "learning_alternatives" not in PLAIN.to_dict()
     for wrong, found in (
         ({40: [9, 77]}, r"train ids \[77\]"),
