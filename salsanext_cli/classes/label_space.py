@@ -199,7 +199,9 @@ class LabelSpace:
             }
             colours = {int(i): _colour(bgr) for i, bgr in data.get("color_map", {}).items()}
             splits = {
-                str(name): tuple(_sequence_name(s) for s in _list(members))
+                str(name): tuple(
+                    f"{s:02d}" if isinstance(s, int) else str(s) for s in _list(members)
+                )
                 for name, members in data.get("split", {}).items()
             }
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -252,11 +254,6 @@ def _list(members: object) -> list[Any]:
     if not isinstance(members, list | tuple):
         raise TypeError(f"{shortened(members)} is not a list")
     return list(members)
-
-
-def _sequence_name(sequence: object) -> str:
-    """Return the name of a sequence's folder: numbers get two digits."""
-    return f"{sequence:02d}" if isinstance(sequence, int) else str(sequence)
 
 
 def _colour(channels: Any) -> list[int]:

@@ -179,10 +179,10 @@ class StageRecords:
         elif target.fits(space):
             return space
         elif not named_alike and contradiction(space, target):
-            differences = first_few(target.differences(space))
+            named = first_few(target.differences(space))
             raise LabelError(
                 self.root,
-                f"predictions in the classes of {target.name} ({differences})",
+                f"predictions in the classes of {target.name} ({named})",
                 f"those of {space.name}, as the labels",
                 "predict with weights for these classes, or merge both with --classes",
             )
@@ -262,11 +262,16 @@ def require_same_settings(
 ) -> None:
     """Refuse to mix or to replace what was made with other settings, and say which."""
     if recorded != settings:
-        before, after = _flat(recorded), _flat(settings)
-        changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
-        differences = first_few([_difference(k, before.get(k), after.get(k)) for k in changed])
         remedy = "use another output folder, or --overwrite to replace all its results"
-        raise OutputError(path, f"made with other settings: {differences}", remedy=remedy)
+        found = f"made with other settings: {differences(recorded, settings)}"
+        raise OutputError(path, found, remedy=remedy)
+
+
+def differences(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
+    """Say how settings that were recorded differ from others, empty if they do not."""
+    before, after = _flat(recorded), _flat(settings)
+    changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
+    return first_few([_difference(k, before.get(k), after.get(k)) for k in changed])
 
 
 def _difference(key: str, before: Any, after: Any) -> str:

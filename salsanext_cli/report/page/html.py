@@ -77,6 +77,7 @@ def html_of(
     live = served is not None
     offered = {scan.name: scan.reason for scan in shown} if served is None else served
     colours, class_points = screen_colours(space), _class_points(run.rows, space)
+    steps = np.linspace(DARKEST_STEP, 255, NO_VALUE)  # Of the colours of the values 0 to 254
     data = {
         "classes": [
             {"name": name, "rgb": rgb}
@@ -86,7 +87,7 @@ def html_of(
         "scales": scales,
         "boxes": bool(find_outputs(out, "objects")),
         "uncertain": list(UNCERTAIN),
-        "map": _light_map().ravel().tolist(),
+        "map": map_colours(COLOUR_MAP)[steps.astype(np.intp)].ravel().tolist(),
         "shown": [{"name": name, "reason": reason} for name, reason in offered.items()],
         "drive": _drive(run.rows, class_points, list(offered)),
         "occurring": _occurring(class_points, compared),
@@ -183,7 +184,8 @@ def _shares(
         if not points[i] and i not in ious:
             continue
         rgb = ",".join(map(str, colours[i].tolist()))
-        share = _bar(shares[i] / shares.max(), rgb) + _percent(shares[i])
+        digits = 2 if shares[i] < 0.1 else 1
+        share = _bar(shares[i] / shares.max(), rgb) + percent(shares[i], digits, " %")
         cells = f"<td>{_text(space.names[i])}</td><td>{share}</td>"
         if ious:
             bar = _bar(ious[i], rgb) if i in ious else ""
@@ -194,10 +196,6 @@ def _shares(
 
 def _bar(share: float, rgb: str) -> str:
     return f'<i style="width:{65 * share:.1f}%;background:rgb({rgb})"></i> '
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2f} %" if share < 0.1 else f"{100 * share:.1f} %"
 
 
 def _comparison(compared: Comparison, space: LabelSpace) -> str:
@@ -245,12 +243,6 @@ def _confusions(confusion: Confusion, space: LabelSpace) -> list[str]:
         f"{percent(points / truths[true], 1, ' %')} of {counted(truths[true], 'point')}"
         for true, predicted, points in largest_confusions(matrix, MAX_CONFUSIONS)
     ]
-
-
-def _light_map() -> Colours:
-    """Return the colours of the values 0 to 254."""
-    steps = np.linspace(DARKEST_STEP, 255, NO_VALUE)
-    return map_colours(COLOUR_MAP)[steps.astype(np.intp)]
 
 
 def _occurring(class_points: Counts, compared: Comparison | None) -> dict[str, list[int]]:
