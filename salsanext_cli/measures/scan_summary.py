@@ -177,8 +177,7 @@ class RunSummary:
             self.finished()
             texts_of_scan: dict[str, list[Texts]] = {}
             for name, finding in chain.from_iterable(self.findings.values()):
-                texts = (finding.code, finding.found, finding.remedy)
-                texts_of_scan.setdefault(name, []).append(texts)
+                texts_of_scan.setdefault(name, []).append(finding)
             earlier = run.keep_findings(texts_of_scan, self.looked_at)
             for name in earlier.keys() & {file.name for file in scans if run.is_there(file)}:
                 for texts in earlier[name]:
