@@ -160,8 +160,8 @@ def intensity_findings(
         doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
     if doubtful:
         found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {of}"
-        remedy = f"--intensity auto, or {SCALE_IT}" if can_match else SCALE_IT
-        yield Finding("intensity-scale", found, remedy)
+        other = "run it apart, or " if matched else "--intensity auto, or " * bool(can_match)
+        yield Finding("intensity-scale", found, f"{other}{SCALE_IT}")
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
