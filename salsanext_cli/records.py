@@ -20,8 +20,8 @@ Mask = npt.NDArray[np.bool_]
 
 CHANNELS = ("range", "x", "y", "z", "intensity")
 """Channels of a range image, in the published order."""
-LARGEST = np.float32(1e6)
-"""Largest range in metres, and largest intensity, that counts as a measurement of a range image."""
+MAX_RANGE_M = MAX_INTENSITY = np.float32(1e6)
+"""Largest range in metres, and largest intensity, that count as measurements of a range image."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
-from itertools import chain, islice, zip_longest
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ RawIds = npt.NDArray[np.uint32]
 BUILT_IN = ("semantic-kitti", "coarse")
 RAW_ID_COUNT = 1 << 16
 UNKNOWN = 255  # Mark of raw ids without a train id
-SHOWN_IDS = 20  # Number of ids in an error, and of digits of each
+SHOWN_DIGITS = 20  # Of an id in an error
 ALTERNATIVES = "learning_alternatives"
 KEYS = (
     *("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split"),
@@ -39,13 +39,6 @@ MAX_UNKNOWN_SHARE = 0.1
 beyond twice the standard error of a small number; of another data set it was 0.4 or more."""
 MOVING = "moving-"
 """Start of the names of moving things, which are classes of their own over several scans only."""
-COMPARED = {
-    "learning_map": "train id of raw id",
-    "splits": "split",
-    "labels": "raw id",
-    "alternatives": "alternatives of raw id",
-}
-"""Fields in which label spaces of the same classes may differ, and what their keys are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,24 +155,17 @@ class LabelSpace:
 
     def differences(self, other: LabelSpace) -> list[str]:
         """Name what another label space has otherwise, the classes first."""
-        pairs = zip_longest(self._described(), other._described(), fillvalue="none")
-        differing = [f"train id {i}: {a} ≠ {b}" for i, (a, b) in enumerate(pairs) if a != b]
-        for field_name, words in COMPARED.items():
-            own, others = getattr(self, field_name), getattr(other, field_name)
-            differing += [
-                f"{words} {key}: {_words(own.get(key))} ≠ {_words(others.get(key))}"
-                for key in sorted(own.keys() | others)
-                if own.get(key) != others.get(key)
-            ]
-        if self.colours.tolist() != other.colours.tolist():
-            differing.append("colours")
-        if self.name != other.name:
-            differing.append(f"name: {self.name} ≠ {other.name}")
-        return differing
-
-    def _described(self) -> list[str]:
-        named = zip(self.names, self.learning_map_inv.values(), self.ignored, strict=True)
-        return [f"{name} ({raw}{', ignored' * ignored})" for name, raw, ignored in named]
+        tables = [
+            {"train id": dict(enumerate(each.names)), **each.to_dict(), "name": {"": each.name}}
+            for each in (self, other)
+        ]
+        return [
+            f"{table} {key}: {own.get(key, 'none')} ≠ {others.get(key, 'none')}"
+            for table in dict.fromkeys(chain(*tables))
+            for own, others in [[each.get(table, {}) for each in tables]]
+            for key in sorted(own.keys() | others)
+            if own.get(key) != others.get(key)
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data in the form of SemanticKITTI's yaml, which `from_dict` accepts."""
@@ -213,7 +199,9 @@ class LabelSpace:
             }
             colours = {int(i): _colour(bgr) for i, bgr in data.get("color_map", {}).items()}
             splits = {
-                str(name): tuple(_sequence_name(s) for s in _list(members))
+                str(name): tuple(
+                    f"{s:02d}" if isinstance(s, int) else str(s) for s in _list(members)
+                )
                 for name, members in data.get("split", {}).items()
             }
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -259,20 +247,13 @@ def _contradiction(
 
 def _some(ids: Iterable[int]) -> str:
     """Return a short list of the first ids, for any number and size of them."""
-    listed = sorted(ids)
-    shown = [shortened(i, SHOWN_IDS) for i in listed[:SHOWN_IDS]]
-    return f"[{', '.join([*shown, '…'] if len(listed) > SHOWN_IDS else shown)}]"
+    return first_few([shortened(i, SHOWN_DIGITS) for i in sorted(ids)])
 
 
 def _list(members: object) -> list[Any]:
     if not isinstance(members, list | tuple):
         raise TypeError(f"{shortened(members)} is not a list")
     return list(members)
-
-
-def _sequence_name(sequence: object) -> str:
-    """Return the name of a sequence's folder: numbers get two digits."""
-    return f"{sequence:02d}" if isinstance(sequence, int) else str(sequence)
 
 
 def _colour(channels: Any) -> list[int]:
@@ -286,11 +267,6 @@ def _colour(channels: Any) -> list[int]:
 def _spare_colour(train_id: int) -> list[int]:
     """Return a stable blue, green, red for a class without a colour; unlabelled is black."""
     return [0, 0, 0] if train_id == 0 else [(train_id * step) % 206 + 50 for step in (67, 109, 151)]
-
-
-def _words(value: object) -> str:
-    listed = value if isinstance(value, tuple) else (value,)
-    return "none" if value is None else " ".join(map(str, listed))
 
 
 @cache

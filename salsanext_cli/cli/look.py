@@ -34,8 +34,7 @@ class PictureOptions:
         show_default="range of most values; fixed for error",
     )
     gif: bool = own_option("Animate each sequence as GIF.", default=False)
-    mp4: bool = own_option("Animate each sequence as MP4; needs ffmpeg.", default=False)
-    fps: float = own_option("Scans per second of the animations.", default=5.0)
+    fps: float = own_option("Scans per second of the animation.", default=5.0)
 
 
 def picture(
@@ -46,7 +45,7 @@ def picture(
     running: RunOptions,
     output: console.Output,
 ) -> None:
-    """Draw scans and their results, from above and as range images, as PNG, GIF or MP4.
+    """Draw scans and their results, from above and as range images, as PNG or GIF.
 
     Example: salsanext picture --colour label --colour uncertainty
     """
@@ -58,7 +57,7 @@ def picture(
             out,
             colours=drawn.colour or (),
             scale=drawn.scale,
-            animations=[form for form in ("gif", "mp4") if getattr(drawn, form)],
+            gif=drawn.gif,
             frames_per_second=drawn.fps,
             query=query,
             options=run,

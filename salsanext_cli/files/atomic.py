@@ -98,18 +98,10 @@ def require_absent(path: Path, overwrite: bool) -> None:
 
 def refusal(path: Path, error: OSError) -> OutputError:
     """Return the error that says why the system refuses to write a file, and what to do."""
-    found, expected = reason(error), "a folder that can be written to"
-    remedy = "change its permissions or choose another output folder"
-    if error.errno in FULL:
-        remedy = "free some space or choose another output folder"
-    elif error.errno in (errno.ENOTDIR, errno.EEXIST):
-        files = (folder for folder in path.parents if folder.exists() and not folder.is_dir())
-        found, expected = f"{next(files, path.parent)} is no folder", "a folder to write to"
-        remedy = "move it or choose another output folder"
-    elif error.errno == errno.EISDIR:
-        found, expected = "there is a folder of that name", "a file or nothing"
-        remedy = "move it or choose another name"
-    return OutputError(path, f"cannot be written: {found}", expected, remedy)
+    way = "free some space" if error.errno in FULL else "change its permissions or what is there"
+    remedy = f"{way} or choose another output folder"
+    found = f"cannot be written: {reason(error)}"
+    return OutputError(path, found, "a folder that can be written to", remedy)
 
 
 def sweep(folder: Path, mark: str) -> None:

@@ -5,9 +5,11 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
+from salsanext_cli.files.reading import reading
+
 
 def fingerprint(path: Path) -> str:
-    """Return the SHA-256 of a weights file, hexadecimal."""
+    """Return the SHA-256 of the content of a file, hexadecimal."""
     return _fingerprint(path, identity(path))
 
 
@@ -22,5 +24,5 @@ def identity(path: Path) -> tuple[object, ...]:
 
 @cache
 def _fingerprint(path: Path, _: tuple[object, ...]) -> str:
-    with path.open("rb") as file:
+    with reading(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

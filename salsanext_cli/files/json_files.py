@@ -32,12 +32,10 @@ def read_json(path: Path) -> dict[str, Any] | None:
     with reading(path) as file:
         text = file.read()
     try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise OutputError(path, "damaged", "JSON", "delete it or use another folder") from error
-    if not isinstance(data, dict):
-        raise OutputError(path, "damaged", "a JSON object", "delete it or use another folder")
-    return data
+        return dict[str, Any](json.loads(text).items())
+    except (ValueError, RecursionError, AttributeError) as error:
+        found, remedy = "damaged", "delete it or use another folder"
+        raise OutputError(path, found, "a JSON object", remedy) from error
 
 
 class RecordedSettings(dict[str, Any]):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import UsageError, shortened
+from salsanext_cli.errors import UsageError
 from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
@@ -15,7 +15,7 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.options import KnnParameters
 from salsanext_cli.records import CHANNELS, Float, RangeImage, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
-from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.results.stage_records import StageRecords, differences
 from salsanext_cli.sensors.sensor import Sensor
 
 
@@ -93,16 +93,11 @@ def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> 
         raise UsageError(folder, "holds no range images", "the output folder of `project`")
     wanted = replace(wanted, columns=projected.columns)
     normalised = replace(projected, means=wanted.means, stds=wanted.stds)
-    theirs, ours = normalised.view(), wanted.view()
-    if other := sorted(key for key in theirs.keys() | ours if theirs.get(key) != ours.get(key)):
-        found, expected = (
-            ", ".join(f"{key} {shortened(view.get(key))}" for key in other)
-            for view in (theirs, ours)
-        )
+    if changed := differences(normalised.view(), wanted.view()):
         raise UsageError(
             folder,
-            f"range images of {projected.name}, {projected.height}×{projected.width}: {found}",
-            f"{expected}, as the weights or --sensor say",
+            f"range images of {projected.name}, {projected.height}×{projected.width}: {changed}",
+            "those that the weights or --sensor say",
             "project again, or give the sensor that was projected with",
         )
     return wanted

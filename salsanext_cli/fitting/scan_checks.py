@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -76,8 +76,7 @@ class ScanTraits:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
+class Finding(NamedTuple):
     """Reason to doubt the labels of a scan."""
 
     code: str  # Name of the check, which stays; see docs/checks.md
@@ -99,6 +98,7 @@ UNCHECKED = ScanCheck()
 
 MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
+SCALE_IT = "set intensity_scale in a file for --sensor"
 NAME_IT = (
     "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or its "
     "scale, intensity_scale in a file for --sensor"
@@ -134,13 +134,13 @@ def upper_intensity(intensity: Float) -> float:
 
 
 def intensity_findings(
-    bright: float, reason: str, sensor: Sensor, trained: Sensor, fitting: bool
+    bright: float, reason: str, sensor: Sensor, trained: Sensor
 ) -> Iterator[Finding]:
     """Compare an upper intensity with what is expected; `reason` says why it is none, if so."""
     matched = sensor.intensity_quantiles
+    can_match = trained.intensity_quantiles and not matched
     if reason:
         found = reason if matched else f"{reason}; the network takes it as it is"
-        can_match = fitting and trained.intensity_quantiles and not matched
         yield Finding("no-intensity", found, "--intensity none" if can_match else NAME_IT)
         return
     if matched == NO_INTENSITY:
@@ -160,10 +160,8 @@ def intensity_findings(
         doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
     if doubtful:
         found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {of}"
-        scale = "set intensity_scale in a file for --sensor"
-        alone = "run it apart, or " if fitting else ""
-        remedy = f"{alone}{scale}" if matched or not fitting else f"--intensity auto, or {scale}"
-        yield Finding("intensity-scale", found, remedy)
+        other = "run it apart, or " if matched else "--intensity auto, or " * bool(can_match)
+        yield Finding("intensity-scale", found, f"{other}{SCALE_IT}")
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
@@ -172,7 +170,7 @@ def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
     if occupied.shape[1] < MIN_POINTS:
         return UNCHECKED
     reason, bright = without_intensity(occupied[1:4].T, occupied[4]), upper_intensity(occupied[4])
-    return ScanCheck(tuple(intensity_findings(bright, reason, sensor, trained, fitting=True)))
+    return ScanCheck(tuple(intensity_findings(bright, reason, sensor, trained)))
 
 
 def share_outside(sines: npt.NDArray[np.floating[Any]], sensor: Sensor) -> float:
@@ -182,14 +180,11 @@ def share_outside(sines: npt.NDArray[np.floating[Any]], sensor: Sensor) -> float
     return float(outside.mean()) if len(sines) else 0.0
 
 
-def check_scan(
-    path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None, *, fitting: bool = True
-) -> ScanCheck:
+def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None) -> ScanCheck:
     """Check a scan that is projected for a sensor, from some of its points.
 
     `path`: for errors; `trained`: sensor of the weights, if a network is to label the scan or to
-    learn from it, so that the intensity matters; without quantiles it stands for 0 to 1;
-    `fitting`: whether the command can fit view and intensity to the scans by itself.
+    learn from it, so that the intensity matters; without quantiles it stands for 0 to 1.
     """
     some = in_sensor_frame(few_points(scan), sensor)
     ranges, measured = measured_ranges(some.points)
@@ -210,7 +205,7 @@ def check_scan(
     sines = _sines(some.points)
     reason = without_intensity(some.points, some.intensity)
     named = trained is None or sensor.name not in (FITTED_NAME, trained.name)
-    fit = AUTO + FIT if fitting and named else FIT
+    fit = AUTO + FIT if named else FIT
     findings = [
         *_of_units(ranges, share, sensor),
         *_of_view(some, sines, sensor, fit),
@@ -218,7 +213,7 @@ def check_scan(
     ]
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
-        findings += intensity_findings(bright, reason, sensor, trained, fitting)
+        findings += intensity_findings(bright, reason, sensor, trained)
     traits = ScanTraits.of(sines, bright, len(scan) * (1 - ego_share) * share / count)
     return ScanCheck(tuple(findings), traits, ego_share)
 

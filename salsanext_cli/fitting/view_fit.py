@@ -14,7 +14,7 @@ from salsanext_cli.geometry.projection import (
     medians_of_rings,
     without_ego,
 )
-from salsanext_cli.records import LARGEST, Double, Float, Indices, Int, Mask, Scan
+from salsanext_cli.records import MAX_RANGE_M, Double, Float, Indices, Int, Mask, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, MAX_BEAMS, ORIGIN, UP, Sensor
 
 MIN_RANGE_OF_BEAMS_M = 1.0
@@ -58,7 +58,7 @@ def fit_beams(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
 def _sines(scan: Scan, sensor: Sensor) -> tuple[Double, Double, Mask]:
     """Return sines of elevation and ranges (M,) of the measured points, and which these are."""
     points = without_ego(scan, sensor).points
-    ranges, measured = measured_ranges(points, float(LARGEST))
+    ranges, measured = measured_ranges(points, float(MAX_RANGE_M))
     return points[measured, 2] / ranges[measured], ranges[measured], measured
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from salsanext_cli.compiled import argument, compiled
 from salsanext_cli.geometry.projection import arctan2
-from salsanext_cli.records import LARGEST, Float, Int
+from salsanext_cli.records import MAX_RANGE_M, Float, Int
 
 COLUMNS, ROWS = 1024, 256
 """Directions of a scan that are told apart, of 0.35°, up to 45° up and down."""
@@ -51,7 +51,7 @@ def _keep_nearest(points: Float, ranges: Float) -> None:
     for i in range(len(points)):
         x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
         distance = math.sqrt(x * x + y * y + z * z)
-        if 0 < distance <= LARGEST:
+        if 0 < distance <= MAX_RANGE_M:
             direction = _direction(x, y, z)
             if direction >= 0 and not ranges[direction] <= distance:
                 ranges[direction] = distance

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.projection import drawn, measured_ranges
-from salsanext_cli.records import LARGEST, Float
+from salsanext_cli.records import MAX_INTENSITY, Float
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
 
 QUANTILE_DIGITS = 6  # Significant digits of a quantile
@@ -132,12 +132,12 @@ def without_intensity(points: Float, intensity: Float) -> str:
     places = drawn(len(points), SAMPLE)
     points, intensity = points[places], intensity[places]
     ranges, measured = measured_ranges(points)
-    usable = measured & (np.abs(intensity) <= LARGEST)
+    usable = measured & (np.abs(intensity) <= MAX_INTENSITY)
     if not measured.any():
         return ""
     unusable = 1 - usable.sum() / measured.sum()
     if unusable > LARGEST_UNUSABLE:
-        return f"{unusable:.0%} of the points have no intensity: NaN or above {LARGEST:g}"
+        return f"{unusable:.0%} of the points have no intensity: NaN or above {MAX_INTENSITY:g}"
     values, ranges = intensity[usable], ranges[usable]
     equal = np.unique(values, return_counts=True)[1].max() / len(values)
     if equal == 1:

@@ -26,7 +26,8 @@ import numpy.typing as npt
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.records import (
     CHANNELS,
-    LARGEST,
+    MAX_INTENSITY,
+    MAX_RANGE_M,
     Double,
     Float,
     Indices,
@@ -102,7 +103,7 @@ def rows_of(scan: Scan, sensor: Sensor) -> Int | None:
     # a measurement have any row.
     if not sensor.beams:
         return None
-    ranges, measured = measured_ranges(scan.points, float(LARGEST))
+    ranges, measured = measured_ranges(scan.points, float(MAX_RANGE_M))
     slopes = np.zeros(len(scan))
     np.divide(scan.points[:, 2], ranges, out=slopes, where=measured)
     beams = np.radians(sensor.beams)
@@ -170,7 +171,7 @@ def find_pixels(
         u = HALF * (ONE - yaw / PI) * width
         v = (ONE - (pitch - fov_down) / fov) * height
         in_view = (v >= ZERO) & (v <= height)
-        seen = (distance > ZERO) & (distance <= LARGEST) & (in_view | (not drop))
+        seen = (distance > ZERO) & (distance <= MAX_RANGE_M) & (in_view | (not drop))
         u = u if u > ZERO else ZERO
         v = v if v > ZERO else ZERO
         u = u if u < width else width - ONE
@@ -209,7 +210,7 @@ def fill_channels(
             channels[1, pixel] = points[3 * i]
             channels[2, pixel] = points[3 * i + 1]
             channels[3, pixel] = points[3 * i + 2]
-            usable = abs(intensity[i]) <= LARGEST
+            usable = abs(intensity[i]) <= MAX_INTENSITY
             channels[4, pixel] = intensity[i] if usable else ZERO
 
 

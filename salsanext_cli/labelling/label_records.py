@@ -18,8 +18,9 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import LabelError, SalsanextError, counted
+from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import encode_json, read_json
-from salsanext_cli.files.reading import present, reading
+from salsanext_cli.files.reading import present
 from salsanext_cli.measures.scan_summary import largest_classes
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile
@@ -104,7 +105,7 @@ class LabelRecords:
         """Say whether the label file of a scan is still the first guess."""
         if scan.name not in self._guesses or not present(scan.label_path):
             return False
-        digest = digest_of_file(scan.label_path)
+        digest = fingerprint(scan.label_path)
         confirmed = self._imported.get(scan.name, {}).get("sha256") == digest
         return self.is_guess(scan, digest) and not confirmed
 
@@ -152,12 +153,6 @@ def require_truth(scans: Iterable[ScanFile]) -> None:
         found = f"a network's first guess, unchanged{more}"
         remedy = "label the scan, then `salsanext import-labels`"
         raise LabelError(guesses[0].label_path, found, "labels by a person", remedy)
-
-
-def digest_of_file(path: Path) -> str:
-    """Return the SHA-256 of the content of a file, hexadecimal."""
-    with reading(path) as file:
-        return hashlib.sha256(file.read()).hexdigest()
 
 
 def _table(path: Path, key: str) -> dict[str, Any]:

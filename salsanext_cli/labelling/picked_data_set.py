@@ -13,11 +13,12 @@ import yaml
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, OutputError, UsageError
+from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.fusion.poses import CALIBRATION, POSES, line_numbers
-from salsanext_cli.labelling.label_records import IMPORTED, digest_of_file
+from salsanext_cli.labelling.label_records import IMPORTED
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.stage_records import require_same_settings
@@ -215,5 +216,5 @@ class PickedDataSet(OwnedFolder):
             labels = self.paths(each.sequence, each.scan).labels
             guess = record.guesses.get(each.name)
             # Other commands write labels too, and those are no guesses any more.
-            if guess and present(labels) and digest_of_file(labels) != guess:
+            if guess and present(labels) and fingerprint(labels) != guess:
                 raise not_own(labels)

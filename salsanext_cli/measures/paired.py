@@ -11,7 +11,15 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.measures.scan_counts import RING_NAMES
-from salsanext_cli.measures.scores import Counts, Mask, Ratios, ious, plain, ratio
+from salsanext_cli.measures.scores import (
+    Counts,
+    Mask,
+    Ratios,
+    ious,
+    largest_confusions,
+    plain,
+    ratio,
+)
 from salsanext_cli.results.layout import ScanFile
 
 RESAMPLES, SEED = 1000, 0
@@ -123,12 +131,10 @@ class RunComparison:
 
     def turns(self) -> list[tuple[str, str, int, float]]:
         """Return which classes turned into which, most points first, and the share that did."""
-        off, names = self.turned * ~np.eye(len(self.turned), dtype=bool), self.space.names
-        most = np.unravel_index(np.argsort(-off, axis=None, kind="stable")[:NAMED], off.shape)
+        names = self.space.names
         return [
-            (names[a], names[b], int(off[a, b]), float(off[a, b] / self.turned[a].sum()))
-            for a, b in zip(*most, strict=True)
-            if off[a, b]
+            (names[a], names[b], points, float(points / self.turned[a].sum()))
+            for a, b, points in largest_confusions(self.turned, NAMED)
         ]
 
     def most_changed(self) -> list[ScanPair]:

@@ -67,16 +67,6 @@ def allowed_scans(scans: int, confidence: float) -> int:
     return bad - 1
 
 
-def bad_share(bad: int, scans: int, confidence: float) -> float:
-    """Return the upper bound of Clopper and Pearson of a share, 0…1, of which n scans show some."""
-    low, high = bad / scans, 1.0
-    for _ in range(60):
-        middle = (low + high) / 2
-        above = binomial(bad, scans, middle) > 1 - confidence
-        low, high = (middle, high) if above else (low, middle)
-    return high
-
-
 def binomial(most: int, count: int, chance: float) -> float:
     """Return the probability of at most so many of `count` events of a chance above 0, up to 1."""
     if most >= count or chance >= 1:

@@ -134,17 +134,14 @@ class KeptPoints:
     def sentence(self) -> str:
         """The same for people."""
         kind, points = self.kind, f"{self.points:,} points"
-        if not self.risk_of_all:
-            return f"no threshold of {kind} is needed: none of the {points} is wrong"
-        if self.risk_of_all == 1:
-            return f"no threshold of {kind} helps: all {points} are wrong"
+        of_all = _percent(self.risk_of_all)
         if math.isnan(self.threshold):
-            return f"no threshold of {kind} helps: it is the same at all {points}"
+            return f"no threshold of {kind} helps: of {points} {of_all} are wrong"
         unit = UNCERTAINTY[kind].unit if kind in UNCERTAINTY else ""
         below = f"{kind} below {self.threshold:.4g} {unit}".rstrip()
         # A little less than all is not all.
         kept = f"the {min(100 * self.coverage, 99.9):.3g} % of points with {below}"
-        risk, of_all = _percent(self.risk), _percent(self.risk_of_all)
+        risk = _percent(self.risk)
         if self.risk < self.risk_of_all and risk != of_all:
             return f"keep {kept}: {risk} of them are wrong instead of {of_all}"
         return f"{kind} does not find wrong points: of {kept} {risk} are wrong, of all {of_all}"

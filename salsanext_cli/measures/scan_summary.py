@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
-from salsanext_cli.errors import first_few
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.fitting.scan_checks import MIN_POINTS, UNCHECKED, Finding, ScanCheck, ScanTraits
@@ -49,6 +48,7 @@ POINTS_FACTOR = 4.0  # The same for all their points, of which the sky leaves mo
 LEAST_SHARE = 0.02
 """Points around an elevation, as a share of those of the largest scan, up to which they do not
 count."""
+APART = "put the scans of each sensor into a folder of their own"
 LOOK = "look at them: `salsanext export-ply OUT`"
 log = logging.getLogger(__name__)
 
@@ -162,9 +162,9 @@ class RunSummary:
             log.warning("sequence %s: %s; %s (%s)", name, *words)
             self.findings.setdefault(finding.code, []).append((name, finding))
 
-    def finished(self, *, selectable: bool = True) -> RunSummary:
+    def finished(self) -> RunSummary:
         """Compare the scans with each other, at the end of the run; return itself."""
-        for file, finding in mixed_sensors(self.traits, selectable=selectable).items():
+        for file, finding in mixed_sensors(self.traits).items():
             self.add_finding(file, finding)
         return self
 
@@ -177,8 +177,7 @@ class RunSummary:
             self.finished()
             texts_of_scan: dict[str, list[Texts]] = {}
             for name, finding in chain.from_iterable(self.findings.values()):
-                texts = (finding.code, finding.found, finding.remedy)
-                texts_of_scan.setdefault(name, []).append(texts)
+                texts_of_scan.setdefault(name, []).append(finding)
             earlier = run.keep_findings(texts_of_scan, self.looked_at)
             for name in earlier.keys() & {file.name for file in scans if run.is_there(file)}:
                 for texts in earlier[name]:
@@ -220,13 +219,10 @@ def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:
     return {space.names[i]: float(points[i] / points.sum()) for i in largest if points[i]}
 
 
-def mixed_sensors(
-    traits: Mapping[ScanFile, ScanTraits], *, selectable: bool = True
-) -> dict[ScanFile, Finding]:
+def mixed_sensors(traits: Mapping[ScanFile, ScanTraits]) -> dict[ScanFile, Finding]:
     """Return the scans of other sensors than most, with the reason."""
     # Scans differ if a gap of `DENSITY_FACTOR` divides them when all are sorted by one trait; a gap
-    # of the other factors for all points and for the intensity. `selectable` says whether the
-    # command takes any SCANS.
+    # of the other factors for all points and for the intensity.
     files = sorted(traits)
     if len(files) < 2:
         return {}
@@ -240,14 +236,13 @@ def mixed_sensors(
     # Of equally many, those of the first scan.
     usual = Counter(keys).most_common(1)[0][0]
     others = [file for file, key in zip(files, keys, strict=True) if key != usual]
-    most = [file for file, key in zip(files, keys, strict=True) if key == usual]
-    remedy = _remedy(others, most, selectable)
-    usual_scan = f"{most[0].name} ({_description(traits[most[0]])})"
+    first = files[keys.index(usual)]
+    usual_scan = f"{first.name} ({_description(traits[first])})"
     findings = {}
     for file in others:
         own = f"seems to be of another sensor ({_description(traits[file])})"
         found = f"{own} than the others of the run, such as {usual_scan}"
-        findings[file] = Finding("mixed-sensors", found, remedy)
+        findings[file] = Finding("mixed-sensors", found, APART)
     return findings
 
 
@@ -259,16 +254,6 @@ def _groups(values: npt.NDArray[Any], factor: float) -> Counts:
     gaps = values[order][1:] > factor * values[order][:-1]
     groups[order[1:]] = np.cumsum(gaps)
     return groups
-
-
-def _remedy(others: Sequence[ScanFile], most: Sequence[ScanFile], selectable: bool) -> str:
-    """Return what divides a run, if whole sequences do, else other advice."""
-    sequences = [sorted({file.sequence for file in files}) for files in (others, most)]
-    if not selectable or {*sequences[0]} & {*sequences[1]}:
-        return "put the scans of each sensor into a folder of their own"
-    apart = " and ".join(first_few(names) for names in sequences)
-    # A selection from the whole data set would be fitted to all of it.
-    return f"give {apart} as SCANS of their own, such as {most[0].path.parent}"
 
 
 def _description(traits: ScanTraits) -> str:

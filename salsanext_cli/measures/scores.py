@@ -46,13 +46,6 @@ class Confusion:
 
     def update(self, truth: npt.NDArray[Any], predicted: npt.NDArray[Any]) -> Self:
         """Count train ids of the points of a scan, or of the pixels of an image; same shape."""
-        if truth.shape != predicted.shape:
-            raise ValueError(f"truth {truth.shape} and predicted {predicted.shape} differ in shape")
-        last = len(self.matrix) - 1
-        for name, ids in (("truth", truth), ("predicted", predicted)):
-            in_range = 0 <= ids.min(initial=0) <= ids.max(initial=0) <= last
-            if ids.dtype.kind not in "iu" or not in_range:
-                raise ValueError(f"{name}: not integers of 0…{last}")
         cell = np.ravel_multi_index((truth.ravel(), predicted.ravel()), self.matrix.shape)
         self.matrix += np.bincount(cell, minlength=self.matrix.size).reshape(self.matrix.shape)
         return self
@@ -122,6 +115,14 @@ def ring_rows(rings: Mapping[str, Scores]) -> list[tuple[str, Scores, float, lis
     )
     absent = (sorted(every - names) for names in held.values())
     return list(zip(rings, rings.values(), means, absent, strict=True))
+
+
+def largest_confusions(matrix: Counts, most: int) -> list[tuple[int, int, int]]:
+    """Return the largest cells off the diagonal of counts (C, C): row, column and points."""
+    off = np.where(np.eye(len(matrix), dtype=bool), 0, matrix)
+    largest = np.argsort(-off, axis=None, kind="stable")[:most]
+    rows, columns = np.unravel_index(largest[off.ravel()[largest] > 0], off.shape)
+    return list(zip(rows.tolist(), columns.tolist(), off[rows, columns].tolist(), strict=True))
 
 
 def class_sums(matrix: Counts) -> Counts:

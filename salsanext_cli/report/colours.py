@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError, UsageError
-from salsanext_cli.results.layout import COLOURINGS, ScanFile
+from salsanext_cli.results.layout import COLOURS, ScanFile
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -35,7 +35,7 @@ COLOUR_MAP = "viridis"
 """Name of matplotlib's colour map for values; it is perceptually uniform."""
 LEAST_CONTRAST = 2.5
 """Least ratio of luminances of a colour and `EMPTY` in pictures, as WCAG 2 defines it."""
-LEAST_DIFFERENCE = 20.0
+LEAST_DIFFERENCE = 18.5
 """Least difference of two classes in pictures, by `colour_difference`."""
 APART = np.frombuffer(
     bytes.fromhex(
@@ -65,8 +65,6 @@ OUTCOME_LEGEND = (("right", RIGHT), ("wrong", WRONG))
 OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)
 """Colours of points that are not judged, right and wrong, (3, 3)."""
 CLASS_COLOURS = ("label", "truth", "wrong")
-COLOURS = (*COLOURINGS, "uncertainty")
-"""Colourings of points; "uncertainty" is what `ResultFolder.meant_uncertainty` says."""
 
 
 def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
@@ -173,52 +171,20 @@ def _linear(colours: npt.NDArray[Any]) -> Values:
 
 
 def colour_difference(first: Colours, second: Colours) -> Values:
-    """Return the CIEDE2000 difference of sRGB colours, (…, 3) each, which are broadcast."""
-    return lab_difference(lab_of(first), lab_of(second))
-
-
-def lab_of(colours: Colours) -> Values:
-    """Return CIELAB coordinates of sRGB colours, under the white of sRGB."""
-    xyz = _linear(colours) @ XYZ.T / XYZ.sum(axis=1)
-    root = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz * (29 / 6) ** 2 / 3 + 4 / 29)
-    x, y, z = np.moveaxis(root, -1, 0)
-    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
-
-
-def lab_difference(first: Values, second: Values) -> Values:
-    """Return the difference of CIELAB colours, (…, 3) each, by CIEDE2000.
-
-    Sharma, Wu and Dalal, Color Research & Application 30 (2005), 21.
-    """
-    (l1, a1, b1), (l2, a2, b2) = np.moveaxis(first, -1, 0), np.moveaxis(second, -1, 0)
-    stretch = 1.5 - _saturation((np.hypot(a1, b1) + np.hypot(a2, b2)) / 2) / 2
-    c1, c2 = np.hypot(stretch * a1, b1), np.hypot(stretch * a2, b2)
-    h1, h2 = np.arctan2(b1, stretch * a1), np.arctan2(b2, stretch * a2)
-    coloured = c1 * c2 > 0
-    turn = np.where(coloured, (h2 - h1 + np.pi) % (2 * np.pi) - np.pi, 0)
-    hue = np.where(coloured, h1 + turn / 2, h1 + h2)
-    lightness, chroma = (l1 + l2) / 2, (c1 + c2) / 2
-    weight = (
-        1
-        - 0.17 * np.cos(hue - np.radians(30))
-        + 0.24 * np.cos(2 * hue)
-        + 0.32 * np.cos(3 * hue + np.radians(6))
-        - 0.20 * np.cos(4 * hue - np.radians(63))
-    )
-    middle = (lightness - 50) ** 2
-    lighter = (l2 - l1) / (1 + 0.015 * middle / np.sqrt(20 + middle))
-    stronger = (c2 - c1) / (1 + 0.045 * chroma)
-    turned = 2 * np.sqrt(c1 * c2) * np.sin(turn / 2) / (1 + 0.015 * chroma * weight)
-    blue = np.exp(-(((np.degrees(hue) % 360 - 275) / 25) ** 2))
-    rotation = -2 * _saturation(chroma) * np.sin(np.radians(60) * blue)
-    squares = lighter**2 + stronger**2 + turned**2 + rotation * stronger * turned
-    difference: Values = np.sqrt(squares)
+    """Return how far sRGB colours, (…, 3) each, lie apart in CIELAB of compressed chroma."""
+    difference: Values = np.linalg.norm(_lab_of(first) - _lab_of(second), axis=-1)
     return difference
 
 
-def _saturation(chroma: Values) -> Values:
-    root: Values = np.sqrt(chroma**7 / (chroma**7 + 25.0**7))
-    return root
+def _lab_of(colours: Colours) -> Values:
+    """Return CIELAB coordinates under the white of sRGB, their chroma compressed as in DIN99o."""
+    xyz = _linear(colours) @ XYZ.T / XYZ.sum(axis=1)
+    root = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz * (29 / 6) ** 2 / 3 + 4 / 29)
+    x, y, z = np.moveaxis(root, -1, 0)
+    a, b = 500 * (x - y), 200 * (y - z)
+    chroma = np.maximum(np.hypot(a, b), np.finfo(float).tiny)
+    compressed = np.log1p(0.075 * chroma) / (0.0435 * chroma)
+    return np.stack([116 * y - 16, compressed * a, compressed * b], axis=-1)
 
 
 @cache

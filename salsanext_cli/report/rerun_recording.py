@@ -19,8 +19,8 @@ from salsanext_cli.report.colours import EMPTY, PointColours, screen_colours
 
 TIMELINE, POINTS, TEXT = "scan", "points", "text"
 SCANS_PER_SECOND = 10.0
-BLOCK_BYTES = 1 << 16
-"""Written to a file that is not whole, so that the system says why."""
+NOT_WHOLE = errno.EIO, "rerun-sdk did not write all of it: the disk may be full"
+"""Reason why a file is not whole, of which rerun-sdk tells only its log."""
 
 Columns = Mapping[str, npt.NDArray[Any]]
 LogScan = Callable[[int, str, Float, Columns], None]
@@ -58,7 +58,7 @@ def recording(
         try:
             stream.save(file.name, _layout(rerun, colourings))
         except RuntimeError as error:
-            raise _failure(file) from error
+            raise OSError(*NOT_WHOLE) from error
         stream.send_recording_name(name)
         stream.log(POINTS, _classes(rerun, space), static=True)
         yield log_scan
@@ -71,7 +71,7 @@ def recording(
         rerun.set_strict_mode(strict)
         stream.disconnect()
     if _chunk_count(rerun, file) != 2 + 2 * len(numbers) + bool(gaps):
-        raise _failure(file)
+        raise OSError(*NOT_WHOLE)
 
 
 def _components(
@@ -137,11 +137,3 @@ def _chunk_count(rerun: Any, file: BinaryIO) -> int:
             return len(rerun.chunk.RrdReader(file.name).store())
     except (OSError, RuntimeError, ValueError):
         return 0
-
-
-def _failure(file: BinaryIO) -> OSError:
-    """Raise the reason why a file is not whole, which rerun-sdk logs only, or return an error."""
-    file.seek(0, os.SEEK_END)
-    file.write(bytes(BLOCK_BYTES))
-    file.flush()
-    return OSError(errno.EIO, os.strerror(errno.EIO))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from io import BytesIO
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import numpy as np
@@ -21,7 +22,6 @@ from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import (
     EMPTY,
     OUTCOME_LEGEND,
-    OUTCOMES,
     Colours,
     Legend,
     PointColours,
@@ -29,8 +29,6 @@ from salsanext_cli.report.colours import (
     Scales,
     legend_of,
     map_on_dark,
-    screen_colours,
-    value_colours,
     value_range,
 )
 from salsanext_cli.results.layout import ScanFile
@@ -54,9 +52,6 @@ MAX_IN_A_ROW = 4
 OVERSAMPLING = 2
 REACH_M = 45.0
 GRID_M = 10.0
-SAMPLE_ROW_PX = 3
-"""Height of a row of `draw_sample`; beams are farther apart than columns."""
-SAMPLE_GAP_PX = 6
 TITLES = {
     "label": "prediction",
     "wrong": "errors of the prediction",
@@ -228,22 +223,18 @@ def _draw_from_above(
 
 
 def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
-    """Draw range, truth, prediction and errors as PNG; return it, (4·3·H + gaps, W, 3) uint8."""
-    from matplotlib.image import imsave  # a second to import, and only this needs it
+    """Draw range, truth, prediction and errors of a scan as PNG; return it, (H, W, 3) uint8."""
+    from matplotlib.image import imread  # a second to import, and only this needs it
 
     space, sensor = network.space, network.sensor
     scan = read_scan(file.path, sensor)
-    truth = space.to_train(read_labels(file.label_path, len(scan)), source=file.label_path)
+    truth = read_labels(file.label_path, len(scan)) & np.uint32(0xFFFF)
     image = project(scan, sensor)
-    labels = network.labels(image, network.probabilities(image))
-    of_classes = screen_colours(space)
-    outcomes = OUTCOMES[np.where(space.scored[truth], 1 + (truth != labels), 0)]
-    ranges = np.where(image.point_of_pixel >= 0, image.channels[0], np.nan)
-    strips = [value_colours(ranges, 0.0, value_range(ranges)[1])]
-    for colours in (of_classes[truth], of_classes[labels], outcomes):
-        strips.append(pixels_from_points(colours, image.point_of_pixel, EMPTY))
-    gap = np.full((SAMPLE_GAP_PX, sensor.width, 3), 255, np.uint8)
-    rows = [part for s in strips for part in (gap, s.repeat(SAMPLE_ROW_PX, axis=0))][1:]
-    picture = np.concatenate(rows)
-    imsave(out, picture, format="png")
+    label = space.to_raw(network.labels(image, network.probabilities(image)))
+    results = ScanResults(scan, label, truth, sensor=sensor)
+    scales: Scales = {"range": (0.0, value_range(results.range)[1])}
+    strips = ("range", "truth", "label", "wrong")
+    png = picture_of_results(file.name, results, space, sensor, scales, (), strips)
+    out.write(png)
+    picture: Colours = (255 * imread(BytesIO(png))[..., :3]).round().astype(np.uint8)
     return picture

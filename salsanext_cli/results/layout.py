@@ -29,7 +29,7 @@ DISAGREEMENT = "uncertainty/disagreement"
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values that point clouds may be coloured by."""
 COLOURS = (*COLOURINGS, "uncertainty")
-"""Words for them: the last is the kind of uncertainty that there is."""
+"""Words for them: the last is what `ResultFolder.meant_uncertainty` says."""
 SUFFIX_OF_FOLDER = {
     "range": ".npy",
     "pixels": ".npy",

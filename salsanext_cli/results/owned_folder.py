@@ -207,9 +207,8 @@ class OwnedFolder:
 
     def findings(self) -> dict[str, list[Texts]]:
         """Return what runs of the stage found, by the name of the scan; empty if none is kept."""
-        scans = (read_json(self._findings_path) or {}).get("scans")
-        entries = scans.items() if isinstance(scans, dict) else ()
-        return {name: [(c, m, r) for c, m, r in f] for name, f in entries if _are_findings(f)}
+        scans = (read_json(self._findings_path) or {}).get("scans", {})
+        return {name: [(c, m, r) for c, m, r in found] for name, found in scans.items()}
 
     def keep_findings(
         self, found: Mapping[str, list[Texts]], looked_at: Collection[str]
@@ -254,9 +253,3 @@ def not_own(path: Path) -> OutputError:
     found = "was changed, or not written by salsanext, and is kept"
     found = "is a link, and is kept" if path.is_symlink() else found
     return OutputError(path, found, remedy="move it, or use another output folder")
-
-
-def _are_findings(value: object) -> bool:
-    return isinstance(value, list) and all(
-        isinstance(texts, list) and [*map(type, texts)] == [str, str, str] for texts in value
-    )

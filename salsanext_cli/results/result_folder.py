@@ -132,8 +132,11 @@ class ResultFolder(StageRecords):
         sequences = sorted({name for name, _ in wanted})
         if not sequences:
             found = "holds no results" if self.root.is_dir() else "no such folder"
-            remedy = f"run `salsanext predict SCANS {self.root}` first"
-            raise NoInputError(self.root, found, "the output folder of an earlier stage", remedy)
+            expected, remedy = (
+                "the output folder of an earlier stage",
+                PREDICT.format(out=self.root),
+            )
+            raise NoInputError(self.root, found, expected, remedy)
         if self.dataset and len(sequences) == 1 and _holds_scans(self.dataset):
             # The scans themselves, or the recording, which may have another name by now.
             scans = [replace(each, sequence=sequences[0]) for each in find_scans(self.dataset)]
@@ -220,7 +223,10 @@ class ResultFolder(StageRecords):
         limit, unlimited = query.selection.limit, replace(query.selection, limit=None)
         chosen, space = self.predicted(unlimited, query.label_space, query.classes)
         self.require_same_weights()
-        scans = self.with_results(chosen)[:limit]
+        scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
+        if not scans:
+            found, remedy = "no results of these scans", PREDICT.format(out=self.root)
+            raise NoInputError(self.root, found, remedy=remedy)
         if len(scans) == limit:
             # What comes after the last that is wanted is not looked at.
             chosen = chosen[: chosen.index(scans[-1]) + 1]
@@ -279,14 +285,6 @@ class ResultFolder(StageRecords):
         if rejection and rejection.kind in uncertainty:
             rejected = rejection.of_points(uncertainty[rejection.kind], unlabelled)
         return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
-
-    def with_results(self, scans: list[ScanFile]) -> list[ScanFile]:
-        """Leave out the scans for which no stage has left a result."""
-        chosen = with_outputs(scans, self.root, *FOLDERS)
-        if not chosen:
-            remedy = f"run `salsanext predict SCANS {self.root}` first"
-            raise NoInputError(self.root, "no results of these scans", remedy=remedy)
-        return chosen
 
     def with_column(self, column: str, scans: Sequence[ScanFile]) -> list[ScanFile]:
         """Return those scans of which there is what a column, one of `COLOURINGS`, is made of."""

@@ -21,7 +21,6 @@ from salsanext_cli.results.selection import space_of
 from salsanext_cli.sensors.sensor import Sensor, sensor
 from salsanext_cli.version import __version__
 
-SHOWN_CHARACTERS_OF_VALUE = 40
 MAX_PATH_CHARACTERS = 500
 RESULT_STAGES = (
     *("project", "predict", "knn-refine", "uncertainty", "fuse", "picture", "export-ply"),
@@ -181,10 +180,10 @@ class StageRecords:
         elif target.fits(space):
             return space
         elif not named_alike and contradiction(space, target):
-            differences = first_few(target.differences(space))
+            named = first_few(target.differences(space))
             raise LabelError(
                 self.root,
-                f"predictions in the classes of {target.name} ({differences})",
+                f"predictions in the classes of {target.name} ({named})",
                 f"those of {space.name}, as the labels",
                 "predict with weights for these classes, or merge both with --classes",
             )
@@ -270,15 +269,20 @@ def require_same_settings(
 ) -> None:
     """Refuse to mix or to replace what was made with other settings, and say which."""
     if recorded != settings:
-        before, after = _flat(recorded), _flat(settings)
-        changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
-        differences = first_few([_difference(k, before.get(k), after.get(k)) for k in changed])
         remedy = "use another output folder, or --overwrite to replace all its results"
-        raise OutputError(path, f"made with other settings: {differences}", remedy=remedy)
+        found = f"made with other settings: {differences(recorded, settings)}"
+        raise OutputError(path, found, remedy=remedy)
+
+
+def differences(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
+    """Say how settings that were recorded differ from others, empty if they do not."""
+    before, after = _flat(recorded), _flat(settings)
+    changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
+    return first_few([_difference(k, before.get(k), after.get(k)) for k in changed])
 
 
 def _difference(key: str, before: Any, after: Any) -> str:
-    """Say how a setting differs; of long lists, name the first value that does, or the length."""
+    """Say how a setting differs; of lists of one length, name the first value that does."""
     if key == "sensor.intensity_quantiles":
         was, now = _intensity(before), _intensity(after)
         now = "matched to other scans" if now == was else now
@@ -288,11 +292,14 @@ def _difference(key: str, before: Any, after: Any) -> str:
     if isinstance(before, dict) and isinstance(after, dict):
         old, new = (LabelSpace.from_dict(space, key) for space in (before, after))
         return f"{key} ({first_few(old.differences(new))})"
-    lists = isinstance(before, list) and isinstance(after, list) and len(before) == len(after)
-    if lists and len(json.dumps(before)) > SHOWN_CHARACTERS_OF_VALUE:
+    if isinstance(before, list) and isinstance(after, list) and len(before) == len(after):
         place = next(i for i, value in enumerate(before) if value != after[i])
         key, before, after = f"{key}[{place}]", before[place], after[place]
-    return f"{key} was {_as_shown(before)} and is {_as_shown(after)}"
+    was, now = (
+        "not set" if value is None else shortened(json.dumps(value, ensure_ascii=False), 40)
+        for value in (before, after)
+    )
+    return f"{key} was {was} and is {now}"
 
 
 def _intensity(quantiles: Sequence[float] | None) -> str:
@@ -309,11 +316,3 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         nested = isinstance(value, dict) and key != "label_space"
         flat |= _flat(value, f"{prefix}{key}.") if nested else {prefix + key: value}
     return flat
-
-
-def _as_shown(value: object) -> str:
-    if value is None:
-        return "not set"
-    if isinstance(value, list) and len(json.dumps(value)) > SHOWN_CHARACTERS_OF_VALUE:
-        return f"{len(value)} values ({json.dumps(value[0])} to {json.dumps(value[-1])})"
-    return shortened(json.dumps(value, ensure_ascii=False), SHOWN_CHARACTERS_OF_VALUE)

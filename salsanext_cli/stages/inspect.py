@@ -128,7 +128,7 @@ def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[Survey, ScanSummary]:
     scan = read_scan(file.path, sensor)
     # The scale that is usual, whatever weights the sensor may be of.
     plain = replace(sensor, intensity_quantiles=())
-    check = check_scan(file.path, scan, plain, plain, fitting=False)
+    check = check_scan(file.path, scan, plain, plain)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
     counts = survey(without_ego(scan, sensor), project(scan, sensor), raw)
     return counts, ScanSummary(file, check)

@@ -12,7 +12,6 @@ from salsanext_cli.engines.device import PRECISIONS
 from salsanext_cli.errors import OutputError, counted
 from salsanext_cli.files.atomic import require_writable
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.labelling.label_records import digest_of_file
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import (
@@ -48,7 +47,7 @@ def training_settings(
     }
     if first.files and recipe.folds:
         # Labels of a few scans are corrected, and trained on again.
-        labels = "".join(digest_of_file(file.label_path) for file in first.files)
+        labels = "".join(fingerprint(file.label_path) for file in first.files)
         settings["labels"] = hashlib.sha256(labels.encode()).hexdigest()[:16]
     if further:
         settings["also"] = [

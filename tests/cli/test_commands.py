@@ -261,7 +261,6 @@ ON_DATA = "{data} other --weights {weights}"
         ("picture --scale 1 2", "--colour is none"),
         ("picture --fps nan", "--fps · nan"),
         ("picture --gif --shard 1/2", "--gif · --shard 1/2"),
-        ("picture --mp4", "--mp4 · no ffmpeg found"),
         ("pick {data} other --seed -1", "--seed · -1"),
         ("tune dropout {data} other.safetensors --weights {weights} --samples 1", "--samples · 1"),
         ("tune dropout {data} other.safetensors --weights {weights} --steps 1", "--steps · 1"),

@@ -57,15 +57,14 @@ def test_long_names_have_room(tmp_path: Path) -> None:
 def test_file_in_place_of_a_folder(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     for path in (tmp_path / "file" / "x", tmp_path / "file" / "deeper" / "x"):
-        with pytest.raises(OutputError, match=r"cannot be written: .*file is no folder") as caught:
+        with pytest.raises(OutputError, match="cannot be written") as caught:
             write_bytes(path, b"x")
         assert caught.value.subject == str(path)
-        assert caught.value.remedy == "move it or choose another output folder"
 
 
 def test_folder_in_place_of_the_file(tmp_path: Path) -> None:
     (tmp_path / "x").mkdir()
-    with pytest.raises(OutputError, match=r"a folder of that name .* move it"):
+    with pytest.raises(OutputError, match="cannot be written: is a directory"):
         write_bytes(tmp_path / "x", b"x")
     assert [entry.name for entry in tmp_path.iterdir()] == ["x"]
 

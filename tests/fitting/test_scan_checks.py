@@ -115,16 +115,6 @@ def test_matched_intensities_are_those_of_the_scans_matched_with():
     assert codes(STREET, trained=SMALL) == []
 
 
-def test_only_commands_that_fit_offer_it():
-    tilted = Scan(STREET.points[:, [0, 2, 1]], STREET.intensity * 255)
-    for fitting in (True, False):
-        named = replace(SMALL, name="mine")
-        check = check_scan(Path("s.bin"), tilted, named, SMALL, fitting=fitting)
-        remedies = [finding.remedy for finding in check.findings]
-        assert len(remedies) > 1
-        assert {"auto" in remedy for remedy in remedies} == {fitting}
-
-
 @pytest.mark.parametrize("rows", [32, 64, 128])
 @pytest.mark.parametrize("by_column", [False, True])
 def test_the_order_of_the_points_does_not_matter(rows, by_column):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scans import SMALL
 
-from salsanext_cli import Scan, read_scan, sensor
-from salsanext_cli.fitting.scan_checks import ScanCheck, ScanTraits, check_scan
+from salsanext_cli import Scan
+from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, mixed_sensors
 from salsanext_cli.results.layout import ScanFile
 
@@ -72,10 +72,6 @@ def test_two_sensors_are_told_apart(one, other, of_one, of_other):
     fewer = "00" if of_one < of_other else "08"
     assert {file for file in scans if file.sequence == fewer} == found.keys()
     assert {finding.code for finding in found.values()} == {"mixed-sensors"}
-    remedies = {finding.remedy for finding in found.values()}
-    apart = ("00", "08") if fewer == "00" else ("08", "00")
-    (remedy,) = {remedy.partition(" such as")[0] for remedy in remedies}
-    assert remedy == f"give {apart[0]} and {apart[1]} as SCANS of their own,"
 
 
 def test_intensities_of_two_scales_are_told_apart():
@@ -84,7 +80,6 @@ def test_intensities_of_two_scales_are_told_apart():
     scans = dict(zip(files("08", 4), [usual, usual, bytes_, none], strict=True))
     (file,) = found = mixed_sensors(scans)
     assert file.stem == "000002"
-    assert found[file].remedy.startswith("put the scans of each sensor into a folder of their own")
     assert "intensities to 1.3e+02" in found[file].found
 
 
@@ -96,47 +91,3 @@ def test_a_run_says_it_at_its_end(caplog):
     (warning,) = summary.finished().warnings()
     assert (warning["code"], warning["scans"]) == ("mixed-sensors", ["08/000004"])
     assert "such as 08/000000" in caplog.text
-
-
-def real_sensors(folder: Path) -> dict[str, list[ScanTraits]]:
-    """Return the traits of scans by sensor; two HDL-64 and two HDL-32 are one each."""
-    usual = sensor("hdl64-512")
-    five = replace(usual, columns=("x", "y", "z", "intensity", "ring"))
-    single = (
-        "ouster/os0_128.bin",
-        "ouster/os1_128.bin",
-        "ouster/os2_32.bin",
-        "pcd/livox_front.pcd",
-    )
-    single += ("pcd/os1_ascii_half_zeros.pcd", "pcd/ring40_padding_fields.pcd")
-    names = {
-        "hdl64": (usual, "semantickitti/sequences/*/velodyne/*.bin"),
-        "pandar64": (usual, "pandaset/sequences/*/velodyne/*.bin"),
-        "hdl32": (usual, "sensors/nuscenes_hdl32/**/*.bin"),
-        "hdl64s3": (five, "sensors/five_columns_hdl64s3.bin"),
-        "beams128": (usual, "sensors/pcd/beams128_binary_compressed.pcd"),
-    } | {name: (usual, f"sensors/{name}") for name in single}
-    return {
-        name: [traits(read_scan(path, of), of) for path in sorted(folder.glob(pattern))]
-        for name, (of, pattern) in names.items()
-    }
-
-
-@pytest.mark.real
-def test_real_sensors_are_told_apart_and_no_place(real_data):
-    sensors = real_sensors(real_data / "data")
-    assert len(sensors["pandar64"]) == 42
-    for of_one in sensors.values():
-        for some in (of_one, *combinations(of_one, 2)):
-            assert mixed_sensors(dict(zip(files("08", len(some)), some, strict=True))) == {}
-    for one, other in combinations(sensors.values(), 2):
-        for counts in ((5, 5), (9, 1), (1, 9)):
-            parts = zip(("00", "08"), counts, (one, other), strict=True)
-            scans = {
-                file: of_sensor[number % len(of_sensor)]
-                for sequence, count, of_sensor in parts
-                for number, file in enumerate(files(sequence, count))
-            }
-            found = mixed_sensors(scans)
-            assert len({file.sequence for file in found}) == 1
-            assert len(found) == min(counts)

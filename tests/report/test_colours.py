@@ -14,7 +14,6 @@ from salsanext_cli.report.colours import (
     LEAST_CONTRAST,
     LEAST_DIFFERENCE,
     colour_difference,
-    lab_difference,
     legend_of,
     map_colours,
     map_on_dark,
@@ -26,25 +25,6 @@ from salsanext_cli.report.colours import (
 
 SPACE = label_space()
 CAR, ROAD = SPACE.names.index("car"), SPACE.names.index("road")
-PUBLISHED = """
-50 2.6772 -79.7751 50 0 -82.7485 2.0425
-50 -1.3802 -84.2814 50 0 -82.7485 1.0000
-50 0 0 50 -1 2 2.3669
-50 2.49 -0.001 50 -2.49 0.0009 7.1792
-50 2.49 -0.001 50 -2.49 0.0011 7.2195
-50 -0.001 2.49 50 0.0009 -2.49 4.8045
-50 2.5 0 50 0 -2.5 4.3065
-50 2.5 0 73 25 -18 27.1492
-50 2.5 0 61 -5 29 22.8977
-50 2.5 0 56 -27 -3 31.9030
-50 2.5 0 58 24 15 19.4535
-60.2574 -34.0099 36.2677 60.4626 -34.1751 39.4387 1.2644
-22.7233 20.0904 -46.6940 23.0331 14.9730 -42.5619 2.0373
-36.4612 47.8580 18.3852 36.2715 50.5065 21.2231 1.4146
-90.8027 -2.0831 1.4410 91.1528 -1.6435 0.0447 1.4441
-2.0776 0.0795 -1.1350 0.9033 -0.0636 -0.5514 0.9082
-"""
-"""Pairs of CIELAB colours and their difference, of the table in the paper by Sharma and others."""
 
 
 def test_values_have_the_colours_of_the_map():
@@ -109,14 +89,6 @@ def test_dark_colours_are_mixed_with_as_little_white_as_makes_them_visible(colou
                        if colour[i] >= colour[j])  # fmt: skip
 
 
-@pytest.mark.parametrize("line", PUBLISHED.split("\n")[1:-1])
-def test_differences_are_those_published(line):
-    *values, expected = map(float, line.split())
-    first, second = np.array(values[:3]), np.array(values[3:])
-    assert lab_difference(first, second) == pytest.approx(expected, abs=5e-5)
-    assert lab_difference(second, first) == pytest.approx(expected, abs=5e-5)
-
-
 def apart(colours):
     """Return the least difference of two of some colours."""
     table = colour_difference(colours[:, None], colours[None])
@@ -132,7 +104,7 @@ def screen_of(colours):
 def test_classes_can_be_told_apart_in_pictures(name):
     space = label_space(name)
     colours = dict(zip(space.names, screen_colours(space), strict=True))
-    assert apart(np.array([*colours.values()])) >= LEAST_DIFFERENCE == 20
+    assert apart(np.array([*colours.values()])) >= LEAST_DIFFERENCE
     assert all(contrast(colour) >= LEAST_CONTRAST for colour in colours.values())
     assert np.ptp(colours["unlabeled"]) == 0
     # Those known from SemanticKITTI's are hardly changed.

@@ -17,8 +17,7 @@ SPACE = label_space()
 
 
 def shown(scan, **known):
-    doubt = known.pop("doubt", None)
-    return ShownScan("08/000000", "named", ScanResults(scan, **known), doubt)
+    return ShownScan("08/000000", "named", ScanResults(scan, **known))
 
 
 def numbers(text, dtype):
@@ -70,19 +69,22 @@ def test_values_come_back_on_their_scale_and_none_stays_none():
     entropy = np.linspace(0, 2, 300, dtype=np.float32)
     entropy[7] = np.nan
     error = np.linspace(0, 1, 300, dtype=np.float32)
-    one = shown(scan, uncertainty={"entropy": entropy, "error": error}, doubt=error / 2)
+    kinds = {"entropy": entropy, "error": error, "least_confidence": error / 2}
+    one = shown(scan, uncertainty=kinds)
     scales = scales_of([one])
-    assert scales["error"] == scales["doubt"] == {"low": 0, "high": 1, "unit": ""}
-    assert 1.9 < scales["entropy"]["high"] <= 2
+    assert scales["least_confidence"] == {"marks": (0, 1), "unit": ""}
+    assert 1.9 < scales["entropy"]["marks"][1] <= 2
     values = encoded(one)["values"]
-    assert [*values] == ["error", "entropy", "doubt", "range", "intensity"]
-    for name, exact in (("error", error), ("doubt", error / 2), ("entropy", entropy)):
-        found, highest = numbers(values[name], "u1"), scales[name]["high"]
-        wanted = np.minimum(exact[order], highest)
+    assert [*values] == ["error", "entropy", "least_confidence", "range", "intensity"]
+    for name, exact in kinds.items():
+        found, marks = numbers(values[name], "u1"), scales[name]["marks"]
+        wanted = np.minimum(exact[order], marks[-1])
         known = ~np.isnan(wanted)
         assert np.array_equal(found == NO_VALUE, ~known)
-        back = found[known] * highest / 254
-        assert np.abs(back - wanted[known]).max() <= 0.5 * highest / 254 + 1e-6
+        back = np.interp(found[known], np.linspace(0, 254, len(marks)), marks)
+        # Steps of the error are finer where it is small.
+        step = np.where(wanted[known] < 0.02, marks[1], marks[-1] - marks[-2])
+        assert (np.abs(back - wanted[known]) <= 0.5 * step * (len(marks) - 1) / 254 + 1e-6).all()
 
 
 def test_classes_are_train_ids_and_wrong_points_are_two():

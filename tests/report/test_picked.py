@@ -6,7 +6,6 @@ from pathlib import Path
 
 import matplotlib.image
 import numpy as np
-from rich.console import Console
 from scans import SMALL, make_scan
 
 from salsanext_cli import label_space, project
@@ -25,7 +24,6 @@ from salsanext_cli.report.picked import (
     picked_csv,
     picked_scans,
     picked_sheet,
-    picked_table,
 )
 from salsanext_cli.results.layout import ScanFile
 
@@ -33,15 +31,6 @@ SPACE = label_space()
 FILES = [ScanFile("$0$", f"[{i}]", Path(f"/s/[{i}].bin")) for i in range(3)]
 CHOICES = [Choice(2, 0.5, 1), Choice(0, 0.25, 3, 1.25, 2), Choice(1, 0.375, 2, 0.0, 0)]
 PICKED = picked_scans(CHOICES, FILES, "both")
-
-
-def test_the_table_shows_names_as_they_are():
-    out = io.StringIO()
-    Console(file=out, width=120).print(picked_table(PICKED))
-    rows = [line.split("│")[1:-1] for line in out.getvalue().splitlines() if "│" in line]
-    cells = [[cell.strip() for cell in row] for row in rows]
-    assert cells[0] == ["1", "$0$/[2]", "0.5000", "–", "most uncertain of 3 scans"]
-    assert cells[1][1:4] == ["$0$/[0]", "0.2500", "1.25"]
 
 
 def test_the_csv_file_holds_every_value():

@@ -118,6 +118,8 @@ def test_findings_of_all_stages_are_one_line_for_each_kind(tmp_path):
     (only,) = warnings_of_run(tmp_path, {"00/3"})
     assert only == "dark in 1 scan (00/3): no intensity; look"
     assert warnings_of_run(tmp_path / "none", found) == []
+    OwnedFolder(tmp_path, "fuse").keep_findings({"00": [("apart", "two parts", "look")]}, {"00"})
+    assert warnings_of_run(tmp_path, {"00"}) == ["apart in 1 sequence (00): two parts; look"]
 
 
 def test_boxes_are_those_of_the_table_or_it_is_refused(tmp_path):

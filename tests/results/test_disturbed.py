@@ -3,16 +3,11 @@
 
 import os
 import shutil
-import subprocess
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
-from pathlib import Path
-from shutil import which
 
 import pytest
-from scans import files_below, labels_below, write_sequence, write_weights
+from scans import labels_below, write_sequence, write_weights
 
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, WeightsError
@@ -71,37 +66,6 @@ def test_workers_that_find_other_weights_label_no_scan(world, tmp_path):
     assert labels_below(world.out) == {}
 
 
-def mount(*arguments: str | Path) -> None:
-    """Mount as told, or skip the test."""
-    words = ["mount", *map(str, arguments)]
-    if not which("mount") or subprocess.run(words, capture_output=True, check=False).returncode:
-        pytest.skip("may not mount a folder")
-
-
-@contextmanager
-def read_only(folder: Path) -> Iterator[None]:
-    """Let nobody write into a folder, not even root, or skip the test."""
-    mount("--bind", folder, folder)
-    try:
-        mount("-o", "remount,ro,bind", folder)
-        yield
-    finally:
-        subprocess.run(["umount", "--lazy", str(folder)], capture_output=True, check=True)
-
-
-def test_a_result_folder_that_becomes_read_only(world, whole):
-    folder = world.result("predictions", "08").parent
-    folder.mkdir(parents=True)
-    with read_only(folder):
-        outcome = run(world)
-        assert (outcome.done, len(outcome.failures)) == (1, 2)
-        for failure in outcome.failures:
-            assert "read-only file system" in failure.reason
-            assert "change its permissions or choose another output folder" in failure.reason
-    assert run(world).done == 2
-    assert labels_below(world.out) == whole
-
-
 def test_an_output_folder_that_is_deleted(world, whole):
     """The results that went with it are not taken for done."""
     with pytest.raises(OutputError, match=r"was removed or replaced .* run again with --overwrite"):
@@ -110,24 +74,6 @@ def test_an_output_folder_that_is_deleted(world, whole):
         run(world)
     assert run(world, overwrite=True).done == 3
     assert labels_below(world.out) == whole
-
-
-def test_a_clock_that_goes_backwards(world, whole, monkeypatch):
-    """Nothing is compared by time, neither of the clock nor of files."""
-    now = time.time()
-    ticks = iter(range(10**9))
-    monkeypatch.setattr(time, "time", lambda: now - 3600 * next(ticks))
-    monkeypatch.setattr(time, "time_ns", lambda: int(time.time() * 1e9))
-    for number, path in enumerate(sorted(world.data.rglob("*.*"))):
-        then = now + (-1) ** number * 10**9
-        os.utime(path, (then, then))
-    assert run(world).done == 3
-    for path in world.out.rglob("*.*"):
-        os.utime(path, (0, 0) if path.suffix == ".label" else (now + 10**9, now + 10**9))
-    again = run(world)
-    assert (again.done, again.skipped) == (0, 3)
-    assert labels_below(world.out) == whole
-    assert not [name for name in files_below(world.out) if ".part" in name]
 
 
 def test_a_file_replaced_by_one_of_the_same_size_and_time(tmp_path):

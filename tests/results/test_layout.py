@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.results.layout import SUFFIX_OF_FOLDER, find_outputs, find_scans, output_path
+from salsanext_cli.results.layout import find_outputs, find_scans, output_path
 from salsanext_cli.results.selection import select_scans
 
 
@@ -170,7 +170,7 @@ def test_two_scans_of_one_stem_are_both_named(tmp_path: Path) -> None:
         find_scans(tmp_path)
 
 
-@pytest.mark.parametrize("folder", SUFFIX_OF_FOLDER)
+@pytest.mark.parametrize("folder", ["predictions", "uncertainty/entropy", "laz/label"])
 def test_outputs_are_found_where_they_are_put(tmp_path: Path, folder: str) -> None:
     assert find_outputs(tmp_path, folder) == {}
     names = [("08", "b.c"), ("08", "a"), ("00 ä", "a")]

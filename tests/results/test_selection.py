@@ -23,20 +23,14 @@ def names(scans):
     return [f"{scan.sequence}/{scan.stem}" for scan in scans]
 
 
-@pytest.mark.parametrize(
-    ("selection", "expected"),
-    [
+def test_choices(world):
+    for selection, expected in (
         (ScanSelection(), ["00/000000", "08/000000", "08/000001"]),
-        (ScanSelection(split="valid"), ["08/000000", "08/000001"]),
         (ScanSelection(split="train"), ["00/000000"]),
-        (ScanSelection(sequences=("8",)), ["08/000000", "08/000001"]),
-        (ScanSelection(sequences=("00",), limit=5), ["00/000000"]),
-        (ScanSelection(limit=2), ["00/000000", "08/000000"]),
+        (ScanSelection(sequences=("8",), limit=5), ["08/000000", "08/000001"]),
         (ScanSelection(split="valid", limit=1), ["08/000000"]),
-    ],
-)
-def test_choices(world, selection, expected):
-    assert names(select_scans(world.data, selection)) == expected
+    ):
+        assert names(select_scans(world.data, selection)) == expected
 
 
 def test_a_split_does_not_choose_in_a_folder_of_ones_own(tmp_path, caplog):

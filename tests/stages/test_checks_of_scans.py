@@ -144,10 +144,6 @@ def test_sequences_of_two_sensors(dataset):
     write_sequence(dataset / "sequences/08", ["0"], count=8000)
     (inspected,), (warning,) = inspect(dataset, sensor=SMALL).warnings, trained(dataset)
     assert inspected["scans"] == warning["scans"] == ["08/0"]
-    folder = dataset / "sequences/00/velodyne"
-    assert inspected["remedy"] == f"give 08 and 00 as SCANS of their own, such as {folder}"
-    # There is no such option.
-    assert warning["remedy"] == "put the scans of each sensor into a folder of their own"
 
 
 def test_what_was_found_is_told_by_later_runs_too(dataset):
@@ -165,10 +161,6 @@ def test_what_was_found_is_told_by_later_runs_too(dataset):
     assert projected() == first
     assert found(projected(ScanSelection(sequences=("08",)))) == {"out-of-view": ["08/0"]}
     assert found(projected(ScanSelection())) == {"out-of-view": ["00/0", "00/1", "00/2", "08/0"]}
-    kept = out / "project.warnings.json"
-    kept.write_text('{"scans": {"00/0": [["a", 1, "b"]]}}')
-    assert projected() == []
-    projected(overwrite=True)
     scan.write_bytes(b"")
     # Its results stay, and what was found of them.
     assert projected(overwrite=True) == first

@@ -171,24 +171,24 @@ def test_range_images_alone(world):
 
 @pytest.mark.usefixtures("plain")
 def test_an_animation_of_each_sequence(labelled):
-    draw(labelled, animations=["gif"], frames_per_second=2.0)
+    draw(labelled, gif=True, frames_per_second=2.0)
     for sequence, count in (("00", 1), ("08", 2)):
         path = labelled.out / "sequences" / sequence / "pictures.gif"
         with Image.open(path) as gif:
             assert gif.n_frames == count
-    draw(labelled, animations=["gif"], frames_per_second=4.0)
+    draw(labelled, gif=True, frames_per_second=4.0)
     with Image.open(path) as gif:
         assert gif.info["duration"] == 250
     path.write_bytes(b"mine")
     with pytest.raises(OutputError, match=r"pictures\.gif · .*and is kept"):
-        draw(labelled, animations=["gif"])
+        draw(labelled, gif=True)
     assert path.read_bytes() == b"mine"
 
 
 @pytest.mark.usefixtures("plain")
 def test_a_broken_scan_is_left_out_of_the_animation(labelled):
     labelled.scan("08", "000001").write_bytes(b"1")
-    outcome = draw(labelled, animations=["gif"])
+    outcome = draw(labelled, gif=True)
     assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
     with Image.open(labelled.out / "sequences/08/pictures.gif") as gif:
         assert gif.n_frames == 1

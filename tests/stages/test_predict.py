@@ -194,7 +194,7 @@ def test_in_three_steps_or_in_one_gives_the_same_bytes(on_openvino, tmp_path, pr
 
 def test_range_images_of_another_sensor_are_refused(world, tmp_path):
     project_scans(world.data, tmp_path / "p", sensor=SMALL.resized(width=64))
-    with pytest.raises(UsageError, match="small, 16×64: width 64 · expected width 128"):
+    with pytest.raises(UsageError, match="small, 16×64: width was 64 and is 128"):
         predict_range_images(tmp_path / "p", world.out, network=world.network)
     network = replace(world.network, sensor=SMALL.resized(width=64))
     assert predict_range_images(tmp_path / "p", world.out, network=network).done == 3

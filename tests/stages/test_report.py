@@ -227,8 +227,12 @@ def test_probabilities_of_merged_classes_are_added(world):
     rows[:, SPACE.names.index("building")] = 0.2
     world.put("probabilities", "000000", rows)
     for classes, doubt in ((None, 0.5), (label_space("coarse"), 0.2)):
-        (one,) = (s for s in shown_of(world, classes=classes) if s.doubt is not None)
-        np.testing.assert_allclose(one.doubt, doubt, atol=1e-3)
+        (one,) = (
+            kinds["least_confidence"]
+            for shown in shown_of(world, classes=classes)
+            if "least_confidence" in (kinds := shown.results.uncertainty)
+        )
+        np.testing.assert_allclose(one, doubt, atol=1e-3)
 
 
 def shown_of(world, space=None, classes=None):

@@ -18,7 +18,7 @@ from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NOTICE, LabelError, NoInputError, OutputError
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import write_json
-from salsanext_cli.labelling.label_records import digest_of_file, first_guesses
+from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.network.card import WeightsCard, read_card, scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.results.layout import find_scans
@@ -172,7 +172,7 @@ def test_first_guesses_are_no_labels(data, tmp_path, caplog):
     caplog.set_level(NOTICE)
     files = find_scans(data)
     # What `pick` records; then one guess is confirmed and one corrected.
-    digests = {f"{file.sequence}/{file.stem}": digest_of_file(file.label_path) for file in files}
+    digests = {f"{file.sequence}/{file.stem}": fingerprint(file.label_path) for file in files}
     (data / "pick.json").write_text(json.dumps({"guesses": digests}))
     import_labels(files[0].label_path, data / "sequences/a")
     write_labels(files[1].label_path, np.roll(read_labels(files[1].label_path), 1))

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float
-from salsanext_cli.report.colours import value_range
-from salsanext_cli.report.page.run_results import DOUBT, ShownScan
+from salsanext_cli.report.colours import FIXED_SCALES, value_range
+from salsanext_cli.report.page.run_results import CONFIDENCE, ShownScan
 from salsanext_cli.report.scan_pictures import UNITS
 from salsanext_cli.results.result_folder import ScanResults
 from salsanext_cli.sensors.sensor import Sensor
@@ -27,11 +27,11 @@ STEPS = 65535
 NO_VALUE = 255
 """Byte of a point without a value; values are 0 to 254."""
 Scale = Mapping[str, Any]
-"""Lowest and highest value that are told apart, `low` and `high`, and their `unit`."""
+"""Values at equal steps of the 255 that are told apart, `marks`, and their `unit`."""
 
 
 def scales_of(scans: Sequence[ShownScan]) -> dict[str, Scale]:
-    """Return the scale of each value: from 0 to 1, or to what 99 % of its points do not exceed."""
+    """Return the scale of each value: a fixed one, or to what 99 % of its points do not exceed."""
     values: dict[str, list[npt.NDArray[Any]]] = {}
     for scan in scans:
         for name, of_points in scan.values().items():
@@ -39,8 +39,9 @@ def scales_of(scans: Sequence[ShownScan]) -> dict[str, Scale]:
     scales: dict[str, Scale] = {}
     for name, each in values.items():
         highest = value_range(np.concatenate(each))[1]
-        high = highest if highest > 0 and name not in ("error", DOUBT) else 1.0
-        scales[name] = {"low": 0.0, "high": high, "unit": UNITS.get(name, "")}
+        linear = (0.0, highest if highest > 0 and name != CONFIDENCE else 1.0)
+        marks = FIXED_SCALES.get(name, linear)
+        scales[name] = {"marks": marks, "unit": UNITS.get(name, "")}
     return scales
 
 
@@ -104,8 +105,8 @@ def _positions(points: Float) -> tuple[npt.NDArray[np.uint16], list[float], list
 
 def _bytes_on_scale(values: npt.NDArray[Any], scale: Scale) -> npt.NDArray[np.uint8]:
     """Return values as 0 to 254 on a scale; those beyond it are its ends."""
-    low, span = scale["low"], scale["high"] - scale["low"]
-    share = np.clip((values.astype(np.float64) - low) / span, 0, 1)
+    marks = scale["marks"]
+    share = np.interp(values, marks, np.linspace(0, 1, len(marks)))
     steps = np.rint(np.nan_to_num(share) * (NO_VALUE - 1))
     return np.where(np.isnan(values), NO_VALUE, steps).astype(np.uint8)
 

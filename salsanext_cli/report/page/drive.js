@@ -8,9 +8,9 @@ class DriveView {
   constructor(canvas, told, scans, classes, open) {
     Object.assign(this, { canvas, told, scans, classes, open, at: Math.max(0, scans.shown.findIndex(i => i >= 0)) });
     new ResizeObserver(() => this.draw()).observe(canvas);
-    const place = event => this.highest(event.offsetX);
-    canvas.addEventListener("pointermove", event => this.point(place(event)));
-    canvas.addEventListener("click", event => this.choose(this.nearest(place(event), event.offsetX)));
+    const place = x => Math.min(scans.count - 1, Math.max(0, Math.floor(x / canvas.clientWidth * scans.count)));
+    canvas.addEventListener("pointermove", event => this.point(place(event.offsetX)));
+    canvas.addEventListener("click", event => this.choose(this.nearest(place(event.offsetX), event.offsetX)));
     canvas.addEventListener("focus", () => this.point(this.at));
     canvas.addEventListener("keydown", event => {
       const step = { ArrowLeft: -1, ArrowRight: 1, PageUp: -50, PageDown: 50, Home: -Infinity, End: Infinity }[event.key];
@@ -20,21 +20,6 @@ class DriveView {
       event.preventDefault();
     });
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
-  }
-
-  range(column, columns) {  // scans of a column: the first, and the one after the last
-    const first = Math.floor(column * this.scans.count / columns);
-    return [first, Math.max(first + 1, Math.floor((column + 1) * this.scans.count / columns))];
-  }
-
-  highest(x) {  // scan at a place of the canvas: of several the one that the upper curve shows
-    const { count, uncertainty, wrong } = this.scans, values = uncertainty ?? wrong;
-    const width = Math.max(1, this.canvas.clientWidth), columns = Math.min(count, Math.max(1, Math.floor(width)));
-    const column = Math.min(columns - 1, Math.max(0, Math.floor(x / width * columns)));
-    const [first, end] = this.range(column, columns);
-    let best = first;
-    for (let i = first + 1; values && i < end; i++) if (values[i] > values[best] || Number.isNaN(values[best])) best = i;
-    return best;
   }
 
   nearest(place, x) {  // a mark is wider than a column among thousands
@@ -74,9 +59,9 @@ class DriveView {
     const ink = style.color, faint = style.getPropertyValue("--faint");
     pen.scale(ratio, ratio);
     pen.font = "12px system-ui, sans-serif";
-    const columns = Math.min(scans.count, Math.max(1, Math.floor(width))), per = width / columns;
-    this.curve(pen, scans.uncertainty, UNCERTAIN_COLOUR, columns, per);
-    this.curve(pen, scans.wrong, WRONG_COLOUR, columns, per);
+    const per = width / scans.count, middle = place => (place + 0.5) * per;
+    this.curve(pen, scans.uncertainty, UNCERTAIN_COLOUR, middle);
+    this.curve(pen, scans.wrong, WRONG_COLOUR, middle);
     let left = 0;
     for (const [values, name, colour] of [[scans.uncertainty, `mean ${scans.kind}`, UNCERTAIN_COLOUR],
       [scans.wrong, "wrong", WRONG_COLOUR]]) {
@@ -90,17 +75,17 @@ class DriveView {
       left += pen.measureText(text).width + 32;
     }
     const top = CURVE_PX + GAP_PX, size = this.classes.length;
-    for (let column = 0; column < columns && scans.shares; column++) {
+    const step = Math.ceil(scans.count / Math.max(1, width));  // of the scans of one pixel, the first
+    for (let place = 0; place < scans.count && scans.shares; place += step) {
       let bottom = height;
       for (const each of this.classes.keys()) {
-        const share = scans.shares[this.range(column, columns)[0] * size + each] * (height - top);
+        const share = scans.shares[place * size + each] * (height - top);
         pen.fillStyle = this.classes[each].css;
-        pen.fillRect(column * per, bottom - share, Math.max(1, per - (per > 6 ? 1 : 0)), share);
+        pen.fillRect(place * per, bottom - share, Math.max(1, per - (per > 6 ? 1 : 0)), share);
         bottom -= share;
       }
     }
     pen.fillStyle = ink;
-    const middle = place => (place + 0.5) * width / scans.count;
     scans.marked.forEach((is, place) => is && pen.fillText("▾", middle(place) - 5, top - 5));
     pen.strokeStyle = ink;
     pen.strokeRect(middle(this.at) - Math.max(3, per / 2), top - 1, Math.max(6, per), height - top);
@@ -110,22 +95,19 @@ class DriveView {
     return values ? values.reduce((most, each) => Math.max(most, each || 0), 0) : 0;
   }
 
-  curve(pen, values, colour, columns, per) {
+  curve(pen, values, colour, middle) {
     const most = this.most(values);
     if (!most) return;
     pen.strokeStyle = colour;
     pen.lineWidth = 1.5;
     pen.beginPath();
     let known = false;
-    for (let column = 0; column < columns; column++) {
-      const [first, end] = this.range(column, columns);
-      let value = values[first];  // the highest, where a column is several scans
-      for (let i = first + 1; i < end; i++) if (values[i] > value || Number.isNaN(value)) value = values[i];
-      const y = CURVE_PX - value / most * (CURVE_PX - 22);
+    values.forEach((value, place) => {
+      const x = middle(place), y = CURVE_PX - value / most * (CURVE_PX - 22);
       if (Number.isNaN(value)) known = false;
-      else if (known) pen.lineTo((column + 0.5) * per, y);
-      else { pen.moveTo((column + 0.5) * per - 2, y); pen.lineTo((column + 0.5) * per, y); known = true; }
-    }
+      else if (known) pen.lineTo(x, y);
+      else { pen.moveTo(x - 2, y); pen.lineTo(x, y); known = true; }
+    });
     pen.stroke();
     pen.lineWidth = 1;
   }

@@ -18,7 +18,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, escaped, printable
 from salsanext_cli.measures.scan_counts import RING_NAMES
-from salsanext_cli.measures.scores import Confusion, Counts, ring_rows, scores
+from salsanext_cli.measures.scores import Confusion, Counts, largest_confusions, ring_rows, scores
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
 from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
 from salsanext_cli.report.page.run_results import (
@@ -77,6 +77,7 @@ def html_of(
     live = served is not None
     offered = {scan.name: scan.reason for scan in shown} if served is None else served
     colours, class_points = screen_colours(space), _class_points(run.rows, space)
+    steps = np.linspace(DARKEST_STEP, 255, NO_VALUE)  # Of the colours of the values 0 to 254
     data = {
         "classes": [
             {"name": name, "rgb": rgb}
@@ -86,7 +87,7 @@ def html_of(
         "scales": scales,
         "boxes": bool(find_outputs(out, "objects")),
         "uncertain": list(UNCERTAIN),
-        "map": _light_map().ravel().tolist(),
+        "map": map_colours(COLOUR_MAP)[steps.astype(np.intp)].ravel().tolist(),
         "shown": [{"name": name, "reason": reason} for name, reason in offered.items()],
         "drive": _drive(run.rows, class_points, list(offered)),
         "occurring": _occurring(class_points, compared),
@@ -183,7 +184,8 @@ def _shares(
         if not points[i] and i not in ious:
             continue
         rgb = ",".join(map(str, colours[i].tolist()))
-        share = _bar(shares[i] / shares.max(), rgb) + _percent(shares[i])
+        digits = 2 if shares[i] < 0.1 else 1
+        share = _bar(shares[i] / shares.max(), rgb) + percent(shares[i], digits, " %")
         cells = f"<td>{_text(space.names[i])}</td><td>{share}</td>"
         if ious:
             bar = _bar(ious[i], rgb) if i in ious else ""
@@ -194,10 +196,6 @@ def _shares(
 
 def _bar(share: float, rgb: str) -> str:
     return f'<i style="width:{65 * share:.1f}%;background:rgb({rgb})"></i> '
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.2f} %" if share < 0.1 else f"{100 * share:.1f} %"
 
 
 def _comparison(compared: Comparison, space: LabelSpace) -> str:
@@ -239,20 +237,12 @@ def _rings(compared: Comparison, space: LabelSpace) -> str:
 def _confusions(confusion: Confusion, space: LabelSpace) -> list[str]:
     """Say what is taken for what, most points first."""
     matrix, names = confusion.counted(space.scored), space.names
-    truths, wrong = matrix.sum(axis=1), np.where(np.eye(len(matrix), dtype=bool), 0, matrix)
-    most = np.argsort(-wrong, axis=None, kind="stable")[:MAX_CONFUSIONS]
+    truths = matrix.sum(axis=1).tolist()
     return [
         f"{names[true]} taken for {names[predicted]}: "
-        f"{percent(points / truths[true], 1, ' %')} of {counted(int(truths[true]), 'point')}"
-        for true, predicted in zip(*np.unravel_index(most, wrong.shape), strict=True)
-        if (points := wrong[true, predicted])
+        f"{percent(points / truths[true], 1, ' %')} of {counted(truths[true], 'point')}"
+        for true, predicted, points in largest_confusions(matrix, MAX_CONFUSIONS)
     ]
-
-
-def _light_map() -> Colours:
-    """Return the colours of the values 0 to 254."""
-    steps = np.linspace(DARKEST_STEP, 255, NO_VALUE)
-    return map_colours(COLOUR_MAP)[steps.astype(np.intp)]
 
 
 def _occurring(class_points: Counts, compared: Comparison | None) -> dict[str, list[int]]:

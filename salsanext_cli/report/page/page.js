@@ -6,7 +6,7 @@ const byId = id => document.getElementById(id);
 const data = JSON.parse(byId("data").textContent);
 const NO_VALUE = 255, TOP = 254, WRONG = 2;
 const CATEGORIES = { label: data.classes, truth: data.classes, wrong: data.outcomes };
-const TITLES = { wrong: "right or wrong", error: "probability of error", doubt: "1 − confidence" };
+const TITLES = { wrong: "right or wrong", error: "probability of error", least_confidence: "1 − confidence" };
 const title = name => TITLES[name] ?? name.replaceAll("_", " ");
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
 const floats = text => text ? new Float32Array(bytes(text).buffer) : null;
@@ -14,16 +14,14 @@ const state = { scan: 0, colour: "", by: "", above: TOP, size: 2, boxes: true, h
 let cloud = null, palette = null, visible = null, view = null, drive = null, threshold = null, remembering = 0;
 
 function valueOf(name, byte) {  // on the scale, in its unit
-  const { low, high } = data.scales[name];
-  return low + (high - low) * byte / TOP;
+  const { marks } = data.scales[name], place = byte / TOP * (marks.length - 1), i = Math.min(Math.floor(place), marks.length - 2);
+  return marks[i] + (marks[i + 1] - marks[i]) * (place - i);
 }
 
 function shownValue(name, byte) {
   if (byte === NO_VALUE) return "none";
-  if (!byte) return `0 ${data.scales[name].unit}`.trim();
-  const value = valueOf(name, byte), { unit, high } = data.scales[name];
-  const beyond = byte === TOP && name !== "error" && name !== "doubt" ? "≥ " : "";
-  return `${beyond}${value.toFixed(Math.max(0, 2 - Math.floor(Math.log10(high))))} ${unit}`.trim();
+  const beyond = byte === TOP && name !== "error" && name !== "least_confidence" ? "≥ " : "";
+  return `${beyond}${+valueOf(name, byte).toPrecision(3)} ${data.scales[name].unit}`.trim();
 }
 
 function paletteOf(colour) {  // 256 colours of 4 bytes
@@ -52,7 +50,8 @@ function show(index, found) {
   byId("by").closest("label").style.visibility = uncertain.length ? "" : "hidden";
   const scale = data.scales[state.by];
   if (threshold !== null && scale) {
-    state.above = Math.min(TOP, Math.max(0, Math.round((threshold - scale.low) / (scale.high - scale.low) * TOP) || 0));
+    const far = byte => Math.abs(valueOf(state.by, byte) - threshold);
+    state.above = [...Array(TOP + 1).keys()].reduce((best, byte) => far(byte) < far(best) ? byte : best, 0);
     threshold = null;
   }
   byId("colour").value = state.colour;
@@ -72,7 +71,8 @@ function paint() {  // in the chosen colours
   byId("scale").hidden = !scale;
   if (scale) {
     byId("low").textContent = shownValue(state.colour, 0);
-    byId("high").textContent = shownValue(state.colour, TOP);
+    const between = scale.marks.slice(1, -1).join(" ");
+    byId("high").textContent = shownValue(state.colour, TOP) + (between && ` (in equal steps from 0: ${between})`);
     const pen = byId("gradient").getContext("2d"), image = pen.createImageData(TOP + 1, 1);
     image.data.set(palette.subarray(0, 4 * (TOP + 1)));
     pen.putImageData(image, 0, 0);
@@ -201,7 +201,7 @@ function point(index) {  // at one point, in three dimensions and in the range i
   if (index < 0) return;
   const lines = Object.entries(values).map(([name, each]) => {
     if (CATEGORIES[name]) return [TITLES[name] ?? name, CATEGORIES[name][each[index]].name];
-    if (name !== "doubt") return [title(name), shownValue(name, each[index])];
+    if (name !== "least_confidence") return [title(name), shownValue(name, each[index])];
     return ["confidence", each[index] === NO_VALUE ? "none" : (1 - valueOf(name, each[index])).toFixed(2)];
   });
   const metres = view ? view.place(index).map(each => each.toFixed(2)).join(" ") : "";

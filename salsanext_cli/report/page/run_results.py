@@ -7,7 +7,6 @@ import csv
 import math
 import random
 import re
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -36,8 +35,7 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     evaluate_uncertainty,
 )
 from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.records import Float
-from salsanext_cli.results.layout import ERROR, ScanFile, output_path
+from salsanext_cli.results.layout import ERROR, LABELLING_STAGES, ScanFile, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
@@ -47,18 +45,9 @@ from salsanext_cli.sensors.sensor import Sensor
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
 """Kinds of uncertainty by how well they tell which scan is uncertain."""
-DOUBT = "doubt"
-"""1 − the largest probability, which is shown as confidence."""
-UNCERTAIN = (
-    "error",
-    "entropy",
-    "disagreement",
-    DOUBT,
-    "epistemic",
-    "aleatoric",
-    "total",
-    "mutual_information",
-)
+CONFIDENCE = "least_confidence"
+"""1 − the largest probability, which the page shows as confidence."""
+UNCERTAIN = (*dict.fromkeys(("error", "entropy", "disagreement", CONFIDENCE, *UNCERTAINTY)),)
 """Values by which points can be hidden, in the order in which they are offered."""
 SCALARS = (*UNCERTAIN, "range", "intensity")
 """Values that are shown on a scale; labels are not."""
@@ -69,8 +58,8 @@ DEFAULT_LIMITS = (
 """Failures of the default weights, as docs/model-card.md has them; it does not come with a page."""
 SHOWN_DIGITS = 12
 """Hexadecimal digits of a SHA-256 that are shown."""
-CHECKED_STAGES = ("project", "predict", "uncertainty")
-"""Stages that check scans."""
+CHECKED_STAGES = ("project", *LABELLING_STAGES)
+"""Stages that keep reasons to doubt scans, or sequences."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,16 +127,14 @@ class ShownScan:
     name: str  # Sequence and stem
     reason: str  # Why it is shown
     results: ScanResults  # N points and what is known about them
-    doubt: Float | None  # (N,) float32, NaN for points without a probability; None without any
     # Train id and `BOX` of every object
     boxes: Sequence[Sequence[float]] = ()
 
     def values(self) -> dict[str, npt.NDArray[Any]]:
         """Return all values of `SCALARS` that are known, (N,) each."""
-        known = dict(self.results.uncertainty)
-        known |= {"range": self.results.range, "intensity": self.results.scan.intensity}
-        if self.doubt is not None:
-            known[DOUBT] = self.doubt
+        results = self.results
+        measured = {"range": results.range, "intensity": results.scan.intensity}
+        known = results.uncertainty | measured
         return {name: known[name] for name in SCALARS if name in known}
 
 
@@ -189,12 +176,12 @@ class RunResults:
         """Read a scan to be shown, its results, and the confidence of its points."""
         file, reader, space = row.file, self.reader, self.reader.space
         results = ResultFolder(reader.out).read(file, reader.sensor, space, (reader.labels, space))
-        doubt = results.uncertainty.get("least_confidence")
         if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
             every = np.ones(len(results.scan), bool)
-            doubt = lack_of_confidence(read_softmax(path, every, space, reader.merging))
+            softmax = read_softmax(path, every, space, reader.merging)
+            results.uncertainty[CONFIDENCE] = lack_of_confidence(softmax)
         boxes = read_boxes(output_path(reader.out, file.sequence, "objects", file.stem), space)
-        return ShownScan(row.file.name, reason, results, doubt, boxes)
+        return ShownScan(row.file.name, reason, results, boxes)
 
     def compared(self) -> Comparison | None:
         """Divide the counts; None without labels."""
@@ -219,7 +206,9 @@ class RunResults:
 
     def warnings(self) -> list[str]:
         """Return every reason to doubt the page, a line each."""
-        lines = warnings_of_run(self.reader.out, {row.file.name for row in self.rows})
+        files = [row.file for row in self.rows]
+        wanted = {name for file in files for name in (file.name, file.sequence)}
+        lines = warnings_of_run(self.reader.out, wanted)
         if self.counts:
             lines = [*self.counts.label_warnings(self.reader.space), *lines]
         if self.promise and self.promise.is_broken:
@@ -339,19 +328,14 @@ def _labels(stage: str, settings: Mapping[str, Any]) -> str:
 
 
 def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:
-    """Return what the stages found doubtful about the wanted scans, a line for each kind."""
-    scans: dict[str, list[str]] = {}
-    words: dict[str, Counter[str]] = {}
+    """Return what was found doubtful about wanted scans and sequences, a line for each kind."""
+    words: dict[str, dict[str, str]] = {}  # By code and name
     for stage in CHECKED_STAGES:
         for name, findings in OwnedFolder(out, stage).findings().items():
-            if name not in wanted:
-                continue
-            for code, message, remedy in findings:
-                if name not in scans.setdefault(code, []):
-                    scans[code].append(name)
-                words.setdefault(code, Counter())[f"{message}; {remedy}"] += 1
+            for code, message, remedy in findings if name in wanted else ():
+                words.setdefault(code, {}).setdefault(name, f"{message}; {remedy}")
     return [
-        f"{code} in {counted(len(names), 'scan')} ({first_few(names)}): "
-        f"{words[code].most_common(1)[0][0]}"
-        for code, names in sorted(scans.items())
+        f"{code} in {counted(len(of), 'scan' if '/' in min(of) else 'sequence')} "
+        f"({first_few([*of])}): {next(iter(of.values()))}"
+        for code, of in sorted(words.items())
     ]

@@ -69,7 +69,7 @@ def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSumma
         if source.fitted:
             own, trained = source.sensor_of(file), source.sensor
         scan, labels = read_labelled(file, source.space, own)
-        check = check_scan(file.path, scan, own, trained, fitting=False)
+        check = check_scan(file.path, scan, own, trained)
         counts = np.bincount(labels, minlength=source.space.class_count).astype(np.int64)
         return counts, ScanSummary(file, check), scan_digest(scan)
 
@@ -148,7 +148,7 @@ def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[dict[str
         summary.traits.clear()
         for scan in members:
             summary.add(scan)
-        summary.finished(selectable=False)
+        summary.finished()
     return summary.warnings()
 
 

@@ -21,7 +21,6 @@ from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_
 from salsanext_cli.measures.risk_control import (
     KEEPS_NONE,
     KeptLabels,
-    bad_share,
     enough_drives,
     held_thresholds,
     means_of_units,
@@ -240,7 +239,7 @@ def _require_scans(
         least = math.ceil(1000 / (count + 1)) / 10
         found, can = f"no less than {least:g} %", f"--at-most {least:g}%"
     else:
-        exceed = bad_share(0, max(count, 1), confidence)
+        exceed = 1 - (1 - confidence) ** (1 / max(count, 1))  # Clopper and Pearson's bound
         found = f"with {100 * confidence:.4g} % confidence no less than {exceed:.0%} of scans above"
         can = "a lower --confidence"
     promised = f"{counted(count, 'scan')} can promise {found}"
