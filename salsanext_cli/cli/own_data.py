@@ -261,7 +261,7 @@ def synth(
     """
     from salsanext_cli.stages.synth import synthesise
 
-    with progress("synth", output.quiet) as on_progress:
+    with progress("synth", output.quiet, unit="sequences") as on_progress:
         made = synthesise(
             out, **asdict(streets), jobs=jobs, overwrite=overwrite, progress=on_progress
         )

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from salsanext_cli.errors import LabelError, NoInputError
-from salsanext_cli.labelling.edited_files import ScanNames, find_edited, scan_of_edited
+from salsanext_cli.labelling.edited_files import find_edited, scan_of_edited
 from salsanext_cli.results.layout import ScanFile
 
 
@@ -26,7 +26,7 @@ def edited(tmp_path):
 def belongs(path, top, scans=SCANS):
     path.parent.mkdir(parents=True, exist_ok=True)
     path.touch()
-    found = scan_of_edited(path, top, ScanNames(scans))
+    found = scan_of_edited(path, top, scans)
     return f"{found.sequence}/{found.stem}"
 
 
