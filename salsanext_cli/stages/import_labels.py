@@ -71,12 +71,12 @@ def import_labels(
         remedy = "map the ids of the tool with --map, or change labels.yaml"
         raise UsageError("--label-space", found_space, own.name, remedy)
     space = space or own
+    meanings = LabelIds.of_space(space, ids)
     imported = LabelImport(space, class_points=np.zeros(space.class_count, np.int64))
     of_scan = _matched(_elsewhere(edited, scans), edited, scans, imported)
     records = {root: LabelRecords(root) for root in sorted({*map(labels_root, of_scan)})}
-    task = partial(_import_scan, imported=imported, meanings=LabelIds.of_space(space, ids))
-    task = partial(task, scalar=scalar, sensor=sensor, overwrite=overwrite)
-    task = partial(task, is_named=not is_folder(edited))
+    task = partial(_import_scan, imported=imported, meanings=meanings, scalar=scalar)
+    task = partial(task, sensor=sensor, overwrite=overwrite, is_named=not is_folder(edited))
     with ExitStack() as held:
         for each in records.values():
             held.enter_context(each.owned.open())

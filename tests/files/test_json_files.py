@@ -60,7 +60,7 @@ def test_what_was_put_in_is_named(read, key):
 
 def fill(world):
     """Leave records of most stages in the output folder of a world."""
-    first = {"network": world.network, "selection": ScanSelection(limit=1)}
+    first = {"settings": world.network, "selection": ScanSelection(limit=1)}
     sensor = world.network.load().sensor
     project_scans(world.data, world.out, sensor=sensor, selection=first["selection"])
     predict_scans(world.data, world.out, **first)
@@ -93,7 +93,7 @@ def test_a_stage_names_the_record_and_what_it_lacks(filled, stage, keys, value):
     change(filled.out / f"{stage}.json", *keys, to=value)
     run = partial(export_ply, filled.out, colour="label")
     if stage == "project":
-        run = partial(predict_range_images, filled.out, filled.out, network=filled.network)
+        run = partial(predict_range_images, filled.out, filled.out, settings=filled.network)
     elif stage == "picture":
         run = partial(picture, filled.out, colours=["range"])
     elif stage == "export-ply":
