@@ -219,8 +219,8 @@ def promise(risk: Mapping[str, Any]) -> str:
     like = f"of the drives that it was chosen on {chosen}, not of others"
     if unit == "drive":
         like = f"like those that it was chosen on {chosen}"
-    alike = "; the same of the points labelled as each of " + first_few([*risk.get("classes", {})])
-    alike *= "classes" in risk
+    classes = [name for name, above in risk.get("classes", {}).items() if above > KEEPS_NONE]
+    alike = f"; the same of the points labelled as each of {first_few(classes)}" if classes else ""
     if risk["confidence"] is None:
         expected = f"{level} of the points of known classes are expected to be kept and wrong"
         return f"{kept}: of another {unit} {like}, at most {expected}{alike}"

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, fields
+from functools import cache
 from operator import add
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,7 @@ class ScanCounts:
     scans: int = 0  # Number of scans counted, and of those that the weights were trained on
     trained_on: int = 0
     left_out: int = 0  # Number of scans that are not counted since the weights were trained on them
+    calibrated: int = 0  # Number of scans that the threshold of their rejection was chosen on
     missing: list[ScanFile] = field(default_factory=list)  # Scans without predictions
     files: Counter[str] = field(default_factory=Counter)  # Number of scans with a file, by folder
     # Of each scan of a run that rejected labels: scored points, kept ones, and wrong ones of these
@@ -114,6 +116,9 @@ class ScanCounts:
             yield f"{self.left_out:,} of {every} {were} trained on: left out of the scores"
         elif self.trained_on:
             yield "every labelled scan was trained on: what the scores are of others is unknown"
+        if self.calibrated:
+            chosen = f"{self.calibrated:,} of {counted(self.scans, 'scan')}"
+            yield f"the threshold was chosen on {chosen}: these do not test what it promises"
         unknown = {"labels": self.unknown_truth, "predictions": self.unknown_predictions}
         for what, ids in unknown.items():
             if ids:
@@ -183,8 +188,8 @@ def count_scan(
     truth = of_truth.to_train(raw_truth, strict=False, source=scan.label_path)
     predicted = space.to_train(raw_predicted, strict=False, source=predictions)
     counts.scans = 1
-    known = is_among(trained_on, len(truth), lambda: cloud or read_scan(scan.path, sensor))
-    counts.trained_on = int(known)
+    read = cache(lambda: cloud or read_scan(scan.path, sensor))
+    counts.trained_on = int(is_among(trained_on, len(truth), read))
     counts.unknown_truth.update(of_truth.unknown_ids(raw_truth))
     counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
     counts.confusion.update(truth, predicted)
@@ -221,12 +226,15 @@ def count_scan(
         if present(path := output_path(out, scan.sequence, folder, scan.stem)):
             counts.files[folder] = 1
             values[kind] = read_kind(path, kind, len(scored))[scored]
-    if rejection and rejection.kind in values:
+    if rejection:
         labelled = predicted[scored] != 0
-        rejected = rejection.of_points(values[rejection.kind], ~labelled)
+        rejected = ~labelled
+        if rejection.kind in values:
+            rejected = rejection.of_points(values[rejection.kind], rejected)
         values = {kind: np.where(rejected, np.nan, each) for kind, each in values.items()}
         kept = int(labelled.sum()), int((labelled & wrong).sum())
         counts.kept[scan.name] = len(labelled), *kept
+        counts.calibrated = int(is_among(rejection.chosen_on, len(truth), read))
     for kind, of_points in values.items():
         for name, group in groups.items():
             counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)

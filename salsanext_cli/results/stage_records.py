@@ -82,6 +82,7 @@ class Rejection(NamedTuple):
     kind: str  # Kind of uncertainty
     above: float  # Points above it are unlabelled
     lowest: float  # The lowest of the thresholds that classes have of their own, else the same
+    chosen_on: frozenset[str]  # Digests of the scans that `tune risk` chose it on
 
     def of_points(
         self, uncertainty: npt.NDArray[Any], unlabelled: npt.NDArray[np.bool_]
@@ -194,6 +195,11 @@ class StageRecords:
         own = self.label_space("probabilities")
         return None if own is None or own.fits(space) else ClassMerging.between(own, space)
 
+    def promised(self, space: LabelSpace) -> Mapping[str, Any] | None:
+        """Return what `tune risk` promised of the labels, if these classes are those it knew."""
+        own, recorded = self.label_space("predictions"), self.settings_of("predictions")
+        return recorded.get("promised") if recorded and own and own.fits(space) else None
+
     def known_sensor(self) -> Sensor | None:
         """Return the sensor that results were made through, if one is recorded."""
         folders = ("pixel_labels", "predictions", "uncertainty/epistemic", "range")
@@ -248,9 +254,10 @@ class StageRecords:
         above = settings.get("reject")
         if above is None:
             return None
-        of_classes = settings.get("promised", {}).get("classes", {})
-        lowest = min([above, *of_classes.values()])
-        return Rejection(settings.get("reject_by", "error"), above, lowest)
+        promised = settings.get("promised", {})
+        lowest = min([above, *promised.get("classes", {}).values()])
+        chosen_on = frozenset(parted(promised.get("digests", "")))
+        return Rejection(settings.get("reject_by", "error"), above, lowest, chosen_on)
 
 
 def as_json(settings: Any) -> Any:

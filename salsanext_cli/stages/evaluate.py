@@ -139,7 +139,7 @@ def evaluate(
     count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
     count = partial(count, by_distance=by_distance, sensor=results.sensor())
     recorded = results.settings_of("predictions")
-    promised = None if recorded is None else recorded.get("promised")
+    promised = results.promised(space)
     # Those of other programs may have instances.
     objects = recorded is None or bool(recorded.get("objects"))
     count = partial(count, trained_on=results.trained_on(), objects=objects)

@@ -374,6 +374,8 @@ def _other_drive(record: Path, single: OutputRun) -> OutputError:
 def _findings(scans: DriveScans) -> list[Finding]:
     """Return what is doubtful about a drive that is cut into parts."""
     parts = np.bincount(scans.drive.parts)
+    if (parts == 1).all():
+        return [Finding("apart", "no two of its scans see common places", "labels stay")]
     if len(parts) == 1:
         return []
     second = scans.files[int(np.argmax(scans.drive.parts == 1))].stem

@@ -14,7 +14,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE, NoInputError, counted
+from salsanext_cli.errors import NOTICE, FormatError, NoInputError, counted
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.picked_data_set import (
@@ -151,13 +151,14 @@ def _describe(
     file: ScanFile, network: Network, samples: int, seed: int, disagreement: Path | None
 ) -> ScanDescription:
     """Describe a scan; its uncertainty may be the mean disagreement of the views of its places."""
-    described = describe_scan(file, network, samples, seed)
     if disagreement is None:
-        return described
+        return describe_scan(file, network, samples, seed)
+    described = describe_scan(file, network, 0, seed)
     path = output_path(disagreement, file.sequence, DISAGREEMENT, file.stem)
-    against = read_kind(path, "disagreement", None)
-    known = against[np.isfinite(against)]
-    return replace(described, uncertainty=float(known.mean()) if len(known) else 0.0)
+    against = read_kind(path, "disagreement", described.points)
+    if not (known := np.isfinite(against)).any():
+        raise FormatError(path, "nothing but NaN", "the disagreement of some point")
+    return replace(described, uncertainty=float(against[known].mean()))
 
 
 def _digest(scans: Sequence[ScanFile]) -> str:

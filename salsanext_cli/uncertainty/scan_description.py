@@ -26,7 +26,8 @@ class ScanDescription:
     file: ScanFile
     # (D,) float64: of the layer before the logits, without dropout; 32 in SalsaNext
     features: Double
-    uncertainty: float  # Mutual information of label and weights, nats
+    uncertainty: float  # Mutual information of label and weights, nats; NaN without passes
+    points: int
     check: ScanCheck  # Reasons to doubt the scan
 
 
@@ -41,9 +42,11 @@ def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> 
         raise FormatError(file.path, "no point is in view of the sensor", "a scan with points")
     features = pixel_features(network, image)[:, filled].mean(axis=1, dtype=np.float64)
     network.engine.require_finite(features, file.path)
-    information = _estimate(file, image, network, samples, seed).uncertainty.mutual_information
-    mean = float(information[filled].mean(dtype=np.float64))
-    return ScanDescription(file, features, mean, projected.check)
+    mean = np.nan
+    if samples:
+        information = _estimate(file, image, network, samples, seed).uncertainty.mutual_information
+        mean = float(information[filled].mean(dtype=np.float64))
+    return ScanDescription(file, features, mean, len(projected.scan), projected.check)
 
 
 def label_sampled(

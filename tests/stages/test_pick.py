@@ -99,9 +99,13 @@ def test_disagreement_of_views_may_count_as_uncertainty(drive, tmp_path):
     of_scans = {each.name: each.uncertainty for each in found.picked}
     assert of_scans == pytest.approx(expected)
     assert found.picked[0].name == max(expected, key=expected.get)
+    stems = [scan.stem for scan in find_scans(drive.data)]
     path.unlink()
+    write_array(path.with_name(f"{stems[0]}.npy"), values[:-1])
+    write_array(path.with_name(f"{stems[1]}.npy"), np.full_like(values, np.nan))
     found = run(drive, out=drive.out / "some", count=6, disagreement=results)
-    assert [failure.code for failure in found.outcome.failures] == ["format"]
+    failed = {failure.scan.stem: failure.code for failure in found.outcome.failures}
+    assert failed == dict.fromkeys([stems[0], stems[1], stems[-1]], "format")
     with pytest.raises(NoInputError, match="salsanext fuse"):
         run(drive, out=drive.out / "none", disagreement=tmp_path)
     assert not (drive.out / "none").exists()

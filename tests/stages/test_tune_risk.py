@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `tune risk`, and what `predict --reject risk` and `eval` make of its threshold."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -87,6 +88,13 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     assert {name: getattr(kept, name) for name in tuned["kept"]} == tuned["kept"]
     # (3 R + 1) / 4 ≤ 0.3, with no finer step than a bin
     assert 0 < kept.wrong / kept.points <= (4 * 0.3 - 1) / 3
+    assert "the threshold was chosen on 3 of 3 scans" in caplog.text
+    # Nothing was promised of merged classes.
+    scans, coarse = ResultFolder(world.out).predicted(ALL, classes=label_space("coarse"))
+    assert evaluate(scans, world.out, coarse).promise is None
+    # What is kept needs no uncertainty.
+    world.result(LEAST_CONFIDENCE, file.sequence, file.stem).unlink()
+    assert evaluate(find_scans(world.data), world.out, space).promise == found.promise
     results = ResultFolder(world.out).read(find_scans(world.data)[0], truth_in=(space, space))
     assert results.rejected_points == doubts[0]
 
@@ -182,7 +190,17 @@ def test_scans_of_training_promise_nothing(unsure_is_wrong: World, target, tmp_p
     save_with_card(world.network.weights, known, card)
     network = replace(world.network, weights=known)
     tuned = tune("risk", world.data, target, settings=network, selection=ALL, at_most=0.4)
-    assert (tuned["scans"], tuned["trained_on"]) == (2, 1)
+    assert (tuned["scans"], tuned["known"]) == (2, 1)
+
+
+def test_copies_of_a_scan_promise_nothing(unsure_is_wrong: World, target, caplog) -> None:
+    world = unsure_is_wrong
+    for file in find_scans(world.data)[1:]:
+        shutil.copy(find_scans(world.data)[0].path, file.path)
+        shutil.copy(find_scans(world.data)[0].label_path, file.label_path)
+    tuned = tune("risk", world.data, target, settings=world.network, selection=ALL, at_most=0.6)
+    assert (tuned["scans"], tuned["known"]) == (1, 2)
+    assert "2 scans left out" in caplog.text
 
 
 def test_an_error_that_was_fitted_to_these_scans_is_said(

@@ -212,10 +212,10 @@ class RunResults:
     @property
     def promise(self) -> KeptPromise | None:
         """Promise of the labels that are kept, beside what is found."""
-        settings = StageRecords(self.reader.out).settings_of("predictions")
-        if self.counts is None or settings is None or "promised" not in settings:
-            return None
-        return KeptPromise.of_scans(settings["promised"], self.counts.kept)
+        promised = StageRecords(self.reader.out).promised(self.reader.space)
+        return (
+            KeptPromise.of_scans(promised, self.counts.kept) if promised and self.counts else None
+        )
 
     def warnings(self) -> list[str]:
         """Return every reason to doubt the page, a line each."""

@@ -3,7 +3,7 @@
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -36,6 +36,8 @@ from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import knows_error, label_error
 
 CURVE_POINTS = 101
+MAX_LISTED = 5
+"""Most sequences left out that are listed, those with most wrong labels."""
 
 log = logging.getLogger(__name__)
 
@@ -45,6 +47,7 @@ class JudgedScan:
     """Scored points of a scan, counted by the bin of their uncertainty."""
 
     file: ScanFile
+    digest: str
     points: int
     # (2, C, B): points kept, and kept and wrong, up to each bin, by label; (2, 1, B): of all labels
     below: npt.NDArray[np.int32]
@@ -56,14 +59,15 @@ def judged_scan(
     space: LabelSpace,
     kind: str,
     counts: Counts,
+    known: Collection[str],
     per_class: bool = False,
 ) -> JudgedScan | None:
-    """Label a scan as `predict` does, and judge it; None if the weights were trained on it.
+    """Label a scan as `predict` does, and judge it; None if its digest is among those known.
 
     `counts` (C, C, B + 1): its points are added by truth, label and bin, the last without a label.
     """
     projected = project_for(network, file)
-    if scan_digest(projected.scan) in network.card.trained_on:
+    if (digest := scan_digest(projected.scan)) in known:
         return None
     image, softmax = projected.image, network.probabilities(projected.image, file.path)
     labels = labelled(projected, softmax, network, KnnParameters()).labels
@@ -83,7 +87,7 @@ def judged_scan(
     both = (place, place[labels != truth])
     of_bins = [np.bincount(each, minlength=math.prod(shape)) for each in both]
     below = np.reshape(of_bins, (2, *shape))[..., :-1].cumsum(axis=2, dtype=np.int32)
-    return JudgedScan(file, len(truth), below)
+    return JudgedScan(file, digest, len(truth), below)
 
 
 def kept_labels(
@@ -123,10 +127,14 @@ def fit_risk(
         _warn_of_fitted(scans)
     classes = space.class_count
     counts = np.zeros((classes, classes, UNCERTAINTY_BINS + 1), np.int64)
-    every = [judged_scan(file, network, space, kind, counts, per_class) for file in scans.each()]
-    judged = [scan for scan in every if scan]
-    if trained_on := len(every) - len(judged):
-        log.warning("%s left out: the weights were trained on them", counted(trained_on, "scan"))
+    known, judged = set(network.card.trained_on), list[JudgedScan]()
+    for file in scans.each():
+        if scan := judged_scan(file, network, space, kind, counts, known, per_class):
+            known.add(scan.digest)
+            judged.append(scan)
+    if left := len(scans.files) - len(judged):
+        which = "copies of others, or the weights were trained on them"
+        log.warning("%s left out: %s", counted(left, "scan"), which)
         _require_scans(scans, len(judged), at_most, confidence)
     shares = np.empty((len(judged), 2, UNCERTAINTY_BINS))
     for share, scan in zip(shares, judged, strict=True):
@@ -152,10 +160,14 @@ def fit_risk(
         "unit": unit,
         "scans": len(judged),
         "sequences": np.unique(sequences).tolist(),
+        "digests": "".join(scan.digest for scan in judged),
         "settings": labels_depend_on(scans.settings, scans.loaded),
         "view": view_of(network.sensor),
     }
-    sentences = [*labels.sentences, *map(_sentence, left_out)]
+    worst = sorted(left_out, key=lambda each: -each["loss"])[:MAX_LISTED]
+    sentences = [*labels.sentences, *map(_sentence, worst)]
+    if more := len(left_out) - len(worst):
+        sentences.append(f"{counted(more, 'sequence')} more with less of them wrong")
     if per_class:
         of_class = zip(space.names, highest[of_labels - 1].tolist(), strict=True)
         risk["classes"] = {name: value for i, (name, value) in enumerate(of_class) if own[i]}
@@ -166,7 +178,7 @@ def fit_risk(
     report = {
         "promise": promise(risk),
         **risk,
-        "trained_on": trained_on,
+        "known": left,
         "kept": asdict(labels),
         "left_out": left_out,
         "risk_coverage": _curve(shares.mean(axis=0)),
@@ -270,6 +282,5 @@ def exceeds(left_out: Mapping[str, Any], at_most: float, confidence: float | Non
 
 def _sentence(each: Mapping[str, Any]) -> str:
     shares = f"{each['kept']:.1%} kept, {each['loss']:.1%} of all points kept and wrong"
-    return (
-        f"{each['sequence']} by the threshold of the others: {shares}, {each['worst']:.1%} at worst"
-    )
+    by = "by the threshold of the others for all classes"
+    return f"{each['sequence']} {by}: {shares}, {each['worst']:.1%} at worst"
