@@ -57,7 +57,7 @@ def times_of(scans: Path, network: NetworkSettings, *, checked: bool) -> tuple[T
         nullcontext() if checked else unchecked,
     ):
         options = RunOptions(progress=mark)
-        predict.predict_scans(scans, Path(out), network=network, options=options)
+        predict.predict_scans(scans, Path(out), settings=network, options=options)
     return np.diff(marks, axis=0), sum(fitting)
 
 

@@ -170,7 +170,7 @@ def finish(
     for dataset in datasets:
         tuned = half.with_name(f"{dataset.name}.safetensors")
         network = NetworkSettings(half, device="cpu")
-        found = tune("temperature", dataset, tuned, network=network, overwrite=True)
+        found = tune("temperature", dataset, tuned, settings=network, overwrite=True)
         temperatures.append(found["after"]["temperature"])
         print(f"temperature of {dataset.name}: {temperatures[-1]:.3f}", flush=True)
     temperature = float(np.exp(np.mean(np.log(temperatures))))

@@ -39,7 +39,7 @@ def main(folder: str, rounds: str = "5", weights: str | None = None) -> None:
         of_folder: list[float] = []
         options = RunOptions(progress=lambda *_, m=of_folder: m.append(time.perf_counter()))
         with tempfile.TemporaryDirectory() as out:
-            predict_scans(Path(folder), Path(out), network=settings, options=options)
+            predict_scans(Path(folder), Path(out), settings=settings, options=options)
         alone: list[float] = []
         for image in images:
             network.probabilities(image)

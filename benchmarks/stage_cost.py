@@ -66,16 +66,16 @@ def main(dataset: str, out: str, samples: str = "30", weights: str | None = None
         measure("project", lambda o: project_scans(data, steps, sensor=sensor, options=o))
         measure(
             "predict, range images",
-            lambda o: predict_range_images(steps, steps, network=network, options=o),
+            lambda o: predict_range_images(steps, steps, settings=network, options=o),
         )
         measure("knn-refine", lambda o: knn_refine_scans(steps, options=o))
-        measure("predict, scans", lambda o: predict_scans(data, whole, network=network, options=o))
+        measure("predict, scans", lambda o: predict_scans(data, whole, settings=network, options=o))
         measure("eval", score)
         measure("export-ply", lambda o: export_ply(whole, options=o))
         measure(
             f"uncertainty, {samples} passes",
             lambda o: uncertainty(
-                data, whole, network=network, method=method, selection=few, options=o
+                data, whole, settings=network, method=method, selection=few, options=o
             ),
         )
 

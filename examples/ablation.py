@@ -65,7 +65,7 @@ def mean_iou(dataset: Path, out: Path, weights: Path, knn: KnnParameters) -> flo
     predict_scans(
         dataset,
         out,
-        network=NetworkSettings(weights, fit=False, intensity="raw"),
+        settings=NetworkSettings(weights, fit=False, intensity="raw"),
         knn=knn,
         selection=selection,
         options=options,

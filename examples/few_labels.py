@@ -37,7 +37,7 @@ def divide(drive: Path, mine: Path, aside: Path) -> None:
 
 def score(scans: Path, out: Path, truth: Path, weights: Path | None) -> str:
     """Predict scans, compare with the truth, and return accuracy and mean IoU as text."""
-    predict_scans(scans, out, network=NetworkSettings(weights))
+    predict_scans(scans, out, settings=NetworkSettings(weights))
     space = sn.label_space(truth / "labels.yaml")
     confusion = Confusion(space.class_count)
     labels = {file.stem: file.label_path for file in find_scans(truth)}
@@ -58,7 +58,7 @@ def main(
     synthesise(drive, train=1, valid=0, scans=int(scans), spacing=8.0, sensor="random", seed=SEED)
     divide(drive, mine, aside)
 
-    choice = pick(mine, picked, count=int(count), network=NetworkSettings(start))
+    choice = pick(mine, picked, count=int(count), settings=NetworkSettings(start))
     print("picked", ", ".join(each.scan for each in choice.picked))
 
     truth = {file.stem: file.label_path for file in find_scans(drive)}

@@ -22,7 +22,7 @@ def main(scans: str, out: str, weights: str | None = None) -> None:
     print(f"{found.total.scans} scans, {mine.fov_up:+.1f}° to {mine.fov_down:+.1f}°")
 
     choice = NetworkSettings(Path(weights) if weights else None, sensor=mine)
-    outcome = predict_scans(Path(scans), Path(out), network=choice)
+    outcome = predict_scans(Path(scans), Path(out), settings=choice)
     for failure in outcome.failures:
         print(failure.reason)
     print(f"{outcome.done} done, {outcome.skipped} done before")

@@ -21,7 +21,7 @@ from salsanext_cli.stages.predict import predict_scans
 def label_sequence(dataset: Path, out: Path, weights: Path | None, sequence: str) -> str:
     """Label one sequence and say how it went; the network is loaded in this process."""
     selection = ScanSelection(sequences=(sequence,))
-    outcome = predict_scans(dataset, out, network=NetworkSettings(weights), selection=selection)
+    outcome = predict_scans(dataset, out, settings=NetworkSettings(weights), selection=selection)
     return f"{sequence}: {outcome.done} done, {len(outcome.failures)} failed"
 
 

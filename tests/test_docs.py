@@ -153,7 +153,7 @@ def test_the_python_blocks_run(page, a_scan_and_weights):
     assert abs(names["probabilities"].sum(axis=int(of_points)) - 1).max() < 1e-5
     if "outcome" in names:
         assert (names["outcome"].done, names["outcome"].failures) == (2, ())
-        assert names["evaluation"].scans == 2
+        assert names["evaluation"].counts.scans == 2
 
 
 READERS: dict[tuple[str, str], Callable[[str], object]] = {
@@ -301,7 +301,7 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
         threading.setprofile(note)
         sys.setprofile(note)
         try:
-            stage.predict_scans(source, out, network=network)
+            stage.predict_scans(source, out, settings=network)
         finally:
             sys.setprofile(None)
             threading.setprofile(None)

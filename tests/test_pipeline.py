@@ -126,7 +126,7 @@ def test_ctrl_c_in_the_middle(weights, tmp_path, jobs):
     assert {len(content) for content in whole.values()} == {4 * POINTS}
     assert [name for name in files_below(out) if ".part" in name] == []
     again = predict_scans(
-        many, out, network=NetworkSettings(weights, "cpu"), selection=ScanSelection(limit=40)
+        many, out, settings=NetworkSettings(weights, "cpu"), selection=ScanSelection(limit=40)
     )
     assert again.skipped + again.done == 40
     assert again.skipped >= min(len(whole), 5)
@@ -141,9 +141,9 @@ def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
     for jobs in (1, 2):
         out, options = tmp_path / f"jobs{jobs}", RunOptions(jobs=jobs)
         extras = ("pixel_labels", "probabilities")
-        predict_scans(data, out, network=network, extras=extras, options=options)
+        predict_scans(data, out, settings=network, extras=extras, options=options)
         uncertainty(
-            data, out, network=network, method=UncertaintyMethod(samples=3), options=options
+            data, out, settings=network, method=UncertaintyMethod(samples=3), options=options
         )
         export_ply(out, colour="epistemic", options=options)
     one, two = (files_below(tmp_path / f"jobs{jobs}") for jobs in (1, 2))
@@ -161,9 +161,9 @@ def test_real_scans_in_steps_or_in_one(golden, real_data, tmp_path):
     network = NetworkSettings(tmp_path / "w.safetensors", "cpu", sensor=view)
     data, selection = real_data / "data/semantickitti", ScanSelection(split="valid", limit=2)
     project_scans(data, tmp_path / "steps", sensor=view, selection=selection)
-    predict_range_images(tmp_path / "steps", tmp_path / "steps", network=network)
+    predict_range_images(tmp_path / "steps", tmp_path / "steps", settings=network)
     knn_refine_scans(tmp_path / "steps")
-    predict_scans(data, tmp_path / "fused", network=network, selection=selection)
+    predict_scans(data, tmp_path / "fused", settings=network, selection=selection)
     labels = labels_below(tmp_path / "fused")
     assert labels_below(tmp_path / "steps") == labels
     assert list(labels) == [f"sequences/08/predictions/00000{n}.label" for n in (0, 1)]

@@ -84,7 +84,7 @@ def test_python_labels_as_the_command_line_does(other_sensor, tmp_path):
     expected = labels_below(tmp_path / "out")
 
     stage = NetworkSettings(Path("weights.safetensors"), "cpu")
-    predict_scans(other_sensor, tmp_path / "stage", network=stage)
+    predict_scans(other_sensor, tmp_path / "stage", settings=stage)
     assert labels_below(tmp_path / "stage") == expected
 
     scans = [sn.read_scan(path) for path in sorted(other_sensor.iterdir())]

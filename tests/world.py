@@ -43,7 +43,7 @@ class World:
 
     def predict(self) -> None:
         """Leave predictions for every scan."""
-        predict_scans(self.data, self.out, network=self.network)
+        predict_scans(self.data, self.out, settings=self.network)
 
     def predict_by_hand(self, raw: int = 10, count: int = 1500) -> None:
         """Leave predictions of unknown origin for every scan."""

@@ -92,7 +92,7 @@ def demo(
     scans: Annotated[int, typer.Option(help="Number of scans of the synthetic drive.")] = 4,
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
     classes: options.MergedInto = None,
-    network: Annotated[options.Network, Without({"sensor", "columns", "min_range", "ego"})],
+    settings: Annotated[options.Network, Without({"sensor", "columns", "min_range", "ego"})],
     jobs: options.Jobs = 1,
     overwrite: options.Overwrite = False,
     output: console.Output,
@@ -108,7 +108,7 @@ def demo(
         folder,
         scans=scans,
         samples=samples,
-        network=replace(network, classes=named_label_space(classes)),
+        settings=replace(settings, classes=named_label_space(classes)),
         options=RunOptions(jobs=jobs, overwrite=overwrite),
         bars=lambda step: progress(step, output.quiet),
     )
@@ -118,15 +118,8 @@ def demo(
     output.result(result, score_table(made.evaluation.scores))
     failures = (*made.failures, *made.evaluation.failures)
     run_end.name_failures(failures)
-    output.say("look at:")
-    for path in (
-        f"{out}/sequences/00/pictures/*.png",
-        f"{out}/eval_iou.png",
-        f"{out}/eval_confusion.png",
-    ):
-        output.say(f"  {path}")
-    output.say(f"  {out}/sequences/00/ply/*.ply   in CloudCompare, MeshLab or open3d")
     output.say(f"scans: {folder / 'data'}; results of every stage: {out}/sequences/00")
+    output.say(f"clouds, for CloudCompare, MeshLab or open3d: {out}/sequences/00/ply/*.ply")
     output.say(f"everything on one page, for any browser: {made.page}")
     run_end.leave(failures, made.evaluation.missing)
 

@@ -132,7 +132,7 @@ def pick(
         ScanSelection, Shown(limit={"help": "Look at this number of scans only, evenly spaced."})
     ],
     topic: options.Topic = None,
-    network: options.Network,
+    settings: options.Network,
     running: options.Unsharded,
     strict: options.Strict = False,
     output: console.Output,
@@ -149,7 +149,7 @@ def pick(
             options.in_topic(scans, topic),
             out,
             **asdict(choice) | {"labelled": choice.labelled or ()},
-            network=network,
+            settings=settings,
             selection=selection,
             options=run,
         )
@@ -165,7 +165,7 @@ def pick(
     for line in run_end.warning_lines(doubted):
         output.say(line)
     if found.picked:
-        started = ["--weights", str(network.weights)] if network.weights else []
+        started = ["--weights", str(settings.weights)] if settings.weights else []
         following = shlex.join(
             ["salsanext", "train", str(out), "RUN", "--recipe", "finetune", *started]
         )
@@ -261,7 +261,7 @@ def synth(
     """
     from salsanext_cli.stages.synth import synthesise
 
-    with progress("synth", output.quiet) as on_progress:
+    with progress("synth", output.quiet, unit="sequences") as on_progress:
         made = synthesise(
             out, **asdict(streets), jobs=jobs, overwrite=overwrite, progress=on_progress
         )

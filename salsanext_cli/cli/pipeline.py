@@ -29,7 +29,7 @@ def project(
     dataset: options.DataSet = None,
     selection: ScanSelection,
     topic: options.Topic = None,
-    network: Annotated[options.Network, Without({"device", "precision", "engine", "intensity"})],
+    settings: Annotated[options.Network, Without({"device", "precision", "engine", "intensity"})],
     running: RunOptions,
     strict: options.Strict = False,
     output: console.Output,
@@ -45,13 +45,13 @@ def project(
         outcome = project_scans(
             source,
             out,
-            sensor=network.named_sensor() or network.trained_sensor(),
-            fit=network.fits_view,
+            sensor=settings.named_sensor() or settings.trained_sensor(),
+            fit=settings.fits_view,
             selection=selection,
             options=run,
         )
-    sensor = None if network.sensor == AUTO else network.sensor
-    named = {"--weights": network.weights, "--sensor": sensor}
+    sensor = None if settings.sensor == AUTO else settings.sensor
+    named = {"--weights": settings.weights, "--sensor": sensor}
     more = [word for name, value in named.items() if value for word in (name, str(value))]
     run_end.finish("project", outcome, out, output, *more, strict=strict)
 
@@ -93,7 +93,7 @@ def predict(
     selection: ScanSelection,
     topic: options.Topic = None,
     classes: options.MergedInto = None,
-    network: options.Network,
+    settings: options.Network,
     knn: KnnParameters,
     batch: Annotated[
         str,
@@ -117,16 +117,16 @@ def predict(
     source, out = options.sources(context, scans, out, dataset, topic)
     rejects, reject = extras.reject is not None, extras.reject
     if extras.fuse:
-        _require_fusable(source, out, running, objects=extras.objects, reject=rejects)
+        _require_fusable(source, out, running, of_single=extras.objects or rejects)
     wanted = {"pixel_labels": extras.pixel_labels, "probabilities": extras.probabilities}
     wanted |= {ERROR: extras.error, "votes": extras.fuse and not extras.probabilities}
     wanted |= {"objects": extras.objects}
-    network = replace(network, classes=named_label_space(classes))
+    settings = replace(settings, classes=named_label_space(classes))
     with over_scans("predict", running, output.quiet) as run:
         if not isinstance(source, Path) or projected_sensor(source) is None:
             outcome: Outcome = predict_scans(
                 *(source, out),
-                network=network,
+                settings=settings,
                 knn=knn,
                 extras=tuple(name for name in wanted if wanted[name]),
                 reject="risk" if reject == "risk" else options.share("--reject", reject),
@@ -139,7 +139,7 @@ def predict(
             of_points = {f"--{name}": getattr(extras, name) for name in names}
             _require_no_scans(knn, batch, of_points | {"--reject": rejects})
             outcome = predict_range_images(
-                source, out, network=network, selection=selection, options=run
+                source, out, settings=settings, selection=selection, options=run
             )
     results, split = out, selection.split
     if extras.fuse and outcome.done + outcome.skipped:
@@ -148,14 +148,14 @@ def predict(
 
 
 def _require_fusable(
-    source: Path | list[Path], out: Path, running: RunOptions, **of_single: bool
+    source: Path | list[Path], out: Path, running: RunOptions, *, of_single: bool
 ) -> None:
     """Refuse what cannot be fused, and what holds for labels of single scans only."""
     from salsanext_cli.stages.fuse import require_fusable
 
-    for name in (name for name, given in of_single.items() if given):
-        remedy = "it is of the labels of single scans, which fusion changes"
-        raise UsageError("--fuse", f"with --{name}", "one of the two", remedy)
+    if of_single:
+        found, remedy = "with --objects or --reject", "those are of the labels of single scans"
+        raise UsageError("--fuse", found, "one of them", remedy)
     require_fusable(source, out, running)
 
 
@@ -272,7 +272,7 @@ def uncertainty(
     selection: ScanSelection,
     topic: options.Topic = None,
     classes: options.MergedInto = None,
-    network: options.Network,
+    settings: options.Network,
     knn: KnnParameters,
     running: RunOptions,
     strict: options.Strict = False,
@@ -290,7 +290,7 @@ def uncertainty(
         outcome = stage(
             source,
             out,
-            network=replace(network, classes=named_label_space(classes)),
+            settings=replace(settings, classes=named_label_space(classes)),
             knn=knn,
             method=UncertaintyMethod(method, samples, seed, aleatoric),
             selection=selection,

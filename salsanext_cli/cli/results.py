@@ -163,8 +163,8 @@ def evaluate(
         )
     output.result(found.to_dict(), _evaluation_shown(found, settings["reject"]))
     run_end.name_failures(found.failures)
-    done = f"eval: {counted(found.scans, 'scan')}{run_end.left_out(found.missing)} → {found.folder}"
-    output.say(f"{done}/scores.txt, eval.json, eval_*.png")
+    scans = f"{counted(found.counts.scans, 'scan')}{run_end.left_out(found.missing)}"
+    output.say(f"eval: {scans} → {found.folder}/scores.txt, eval.json, eval_*.png")
     run_end.leave(found.failures, found.missing)
 
 
@@ -176,7 +176,8 @@ def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
     from salsanext_cli.report.tables import kept_table, ring_table, score_table, uncertainty_tables
     from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
 
-    shown: list[Any] = [score_table(found.scores, ON_TRAINING_SCANS * found.on_training_scans)]
+    of_training = ON_TRAINING_SCANS if found.counts.trained_on else ""
+    shown: list[Any] = [score_table(found.scores, of_training)]
     shown += [ring_table(found.by_distance)] if found.by_distance else []
     shown += uncertainty_tables(found.uncertainty)
     shown += [Text(found.uncertainty.kept.sentence)] if found.uncertainty.kept else []

@@ -76,7 +76,7 @@ def train(
     *,
     start: Start,
     label_space: options.LabelSpaceName = None,
-    network: Annotated[options.Network, Only({"device"})],
+    settings: Annotated[options.Network, Only({"device"})],
     jobs: options.Jobs = 1,
     overwrite: options.Overwrite = False,
     strict: Annotated[
@@ -100,7 +100,7 @@ def train(
             recipe=start.plan(),
             sensor=start.seen(),
             space=named_label_space(label_space),
-            device=network.device,
+            device=settings.device,
             jobs=jobs,
             weights=start.weights and weights_file(start.weights),
             overwrite=overwrite,

@@ -20,7 +20,7 @@ def tune_temperature(
     target: options.WeightsOut,
     *,
     selection: options.LabelledSelection,
-    network: options.Network,
+    settings: options.Network,
     overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
@@ -30,7 +30,7 @@ def tune_temperature(
     """
     from salsanext_cli.report.tables import temperature_table
 
-    tuned = _tuned("temperature", dataset, target, network, selection, overwrite, output)
+    tuned = _tuned("temperature", dataset, target, settings, selection, overwrite, output)
     output.result(tuned, temperature_table(tuned["before"], tuned["after"]))
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     output.say(f"tune temperature: {points} → {target}")
@@ -41,7 +41,7 @@ def tune_error(
     target: options.WeightsOut,
     *,
     selection: options.LabelledSelection,
-    network: options.Network,
+    settings: options.Network,
     overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
@@ -51,7 +51,7 @@ def tune_error(
     """
     from salsanext_cli.report.tables import error_table
 
-    tuned = _tuned("error", dataset, target, network, selection, overwrite, output)
+    tuned = _tuned("error", dataset, target, settings, selection, overwrite, output)
     output.result(tuned, error_table(tuned) if tuned["folds"] else None)
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     points += f", {100 * tuned['wrong']:.1f} % wrong"
@@ -86,7 +86,7 @@ def tune_risk(
         ),
     ] = False,
     selection: options.LabelledSelection,
-    network: options.Network,
+    settings: options.Network,
     overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
@@ -104,7 +104,7 @@ def tune_risk(
         name: options.share(f"--{name.replace('_', '-')}", text) for name, text in given.items()
     }
     numbers["per_class"] = per_class
-    tuned = _tuned("risk", dataset, target, network, selection, overwrite, output, **numbers)
+    tuned = _tuned("risk", dataset, target, settings, selection, overwrite, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
     output.result(
         tuned, Group(kept_table(tuned["kept"]["classes"], tuned.get("classes", {})), *sentences)
@@ -124,7 +124,7 @@ def tune_dropout(
     ] = 10,
     seed: Annotated[int, typer.Option(help="Seed of the dropout masks.")] = 0,
     selection: Annotated[options.LabelledSelection, Default(limit=20)],
-    network: options.Network,
+    settings: options.Network,
     overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
@@ -135,7 +135,7 @@ def tune_dropout(
     from salsanext_cli.report.tables import rate_table
 
     rates = {"samples": samples, "seed": seed, "lowest": lowest, "highest": highest, "steps": steps}
-    tuned = _tuned("dropout", dataset, target, network, selection, overwrite, output, **rates)
+    tuned = _tuned("dropout", dataset, target, settings, selection, overwrite, output, **rates)
     best = tuned["best"]
     output.result(tuned, rate_table(tuned["rates"], tuned["objectives"], best))
     output.say(f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}, {tuned['curve']}")
@@ -145,7 +145,7 @@ def _tuned(
     part: str,
     source: Path,
     target: Path,
-    network: NetworkSettings,
+    settings: NetworkSettings,
     selection: ScanSelection,
     overwrite: bool,
     output: console.Output,
@@ -162,7 +162,7 @@ def _tuned(
             part,
             source,
             target,
-            network=network,
+            settings=settings,
             selection=selection,
             overwrite=overwrite,
             progress=on_progress,

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -63,35 +62,21 @@ def _is_edited(path: Path) -> bool:
     return path.suffix.lower() in EDITED_SUFFIXES
 
 
-class ScanNames:
-    """Scans of a data set by their stems, for `scan_of_edited`."""
-
-    def __init__(self, scans: Sequence[ScanFile]) -> None:
-        self.scans = scans
-        self.sequences = {scan.sequence for scan in scans}
-        self.of_stem: dict[str, list[ScanFile]] = {}
-        for scan in scans:
-            self.of_stem.setdefault(scan.stem, []).append(scan)
-
-    def within(self, sequence: str | None, stems: Iterable[str]) -> list[ScanFile]:
-        """Return the scans of some stems, in one sequence if it is named."""
-        scans = [scan for stem in stems for scan in self.of_stem.get(stem, ())]
-        fitting = [scan for scan in scans if sequence in (None, scan.sequence)]
-        return sorted(fitting)
-
-
-def scan_of_edited(path: Path, source: Path, names: ScanNames) -> ScanFile:
+def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanFile:
     """Return the scan of an edited file: the only one, or that of its stem or of a word in it.
 
     `source`: the file or folder that was named. If a folder above or a word of the name tells the
     sequence, only its scans count.
     """
-    if not is_folder(source) and len(names.scans) == 1:
-        return names.scans[0]
-    sequence = _sequence_of(path, source, names.sequences)
-    fitting = names.within(sequence, [path.stem]) or names.within(sequence, _words(path.stem))
+    if not is_folder(source) and len(scans) == 1:
+        return scans[0]
+    sequence = _sequence_of(path, source, {scan.sequence for scan in scans})
+    within = [scan for scan in scans if sequence in (None, scan.sequence)]
+    words = _words(path.stem)
+    fitting = [scan for scan in within if scan.stem == path.stem]
+    fitting = fitting or [scan for scan in within if scan.stem in words]
     if len(fitting) > 1:
-        fitting = [scan for scan in fitting if scan.sequence in _words(path.stem)] or fitting
+        fitting = [scan for scan in fitting if scan.sequence in words] or fitting
     if len(fitting) == 1:
         return fitting[0]
     where = "" if sequence is None else f" in sequence {sequence}"
@@ -123,20 +108,6 @@ def _words(text: str) -> set[str]:
     return {text[start:end] for start in starts for end in ends if start < end}
 
 
-class UnknownIds(LabelError):  # noqa: N818 - the name says what is wrong
-    """Ids of a file that mean nothing; `points` has their numbers of points."""
-
-    def __init__(self, subject: object, points: Counter[int], meanings: LabelIds) -> None:
-        listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(points.items()))
-        super().__init__(
-            subject,
-            f"unknown label ids {listed}",
-            meanings.described(),
-            "map a tool's own ids with --map",
-        )
-        self.points = points
-
-
 def read_file_labels(
     path: Path, points: Float, meanings: LabelIds, scalar: str | None = None
 ) -> tuple[LabelTransfer, str]:
@@ -144,7 +115,9 @@ def read_file_labels(
     has_points = path.suffix.lower() in READERS
     cloud = read_labelled_cloud(path, scalar) if has_points else _of_all_points(path, points)
     if unknown := meanings.unknown(cloud.ids):
-        raise UnknownIds(path, Counter(unknown), meanings)
+        listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
+        remedy = "map a tool's own ids with --map"
+        raise LabelError(path, f"unknown label ids {listed}", meanings.described(), remedy)
     raw, every = meanings.to_raw(cloud.ids), np.ones(len(points), bool)
     if has_points:
         transfer = transfer_labels(points, cloud.points, raw)

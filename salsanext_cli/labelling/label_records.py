@@ -62,15 +62,9 @@ class LabelImport:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
-        return {
-            "stage": STAGE,
-            "scans": self.scans,
-            "failures": self.failures,
-            "unedited": self.unedited,
-            "kept": self.kept,
-            "first_guesses": self.first_guesses,
-            "largest_classes": self.largest_classes(),
-        }
+        names = ("scans", "failures", "unedited", "kept", "first_guesses")
+        found = {name: getattr(self, name) for name in names}
+        return {"stage": STAGE, **found, "largest_classes": self.largest_classes()}
 
 
 def labels_root(scan: ScanFile) -> Path:

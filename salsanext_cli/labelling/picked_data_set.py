@@ -15,7 +15,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, OutputError, UsageError
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.reading import filled, present, reading
-from salsanext_cli.formats import read_scan, scan_suffix
+from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.fusion.poses import CALIBRATION, POSES, line_numbers
 from salsanext_cli.labelling.label_records import IMPORTED
@@ -27,7 +27,6 @@ from salsanext_cli.version import __version__
 
 STAGE = "pick"
 LABEL_SPACE, TABLE, SHEET = "labels.yaml", "picked.csv", "picked.png"
-COPIED_COLUMNS = ((), ("x", "y", "z", "intensity"))
 
 log = logging.getLogger(__name__)
 
@@ -111,23 +110,14 @@ class PickedDataSet(OwnedFolder):
         return ScanPaths(folder / SCAN_FOLDER / f"{stem}.bin", labels, cloud)
 
     def write_points(self, file: ScanFile, sensor: Sensor) -> None:
-        """Write a scan as `.bin`, byte by byte if it is one, with the intensity of its file."""
-        if scan_suffix(file.path.name) == ".bin" and sensor.columns in COPIED_COLUMNS:
-            with reading(file.path) as source:
-                content = source.read()
-        else:
-            content = encode_bin(read_scan(file.path, replace(sensor, intensity_scale=1.0)))
-        self.write_missing(self.paths(file.sequence, file.stem).points, content)
+        """Write a scan as `.bin`, with the intensity of its file."""
+        scan = read_scan(file.path, replace(sensor, intensity_scale=1.0))
+        self.write_missing(self.paths(file.sequence, file.stem).points, encode_bin(scan))
 
-    def write_guesses(self, labels: Mapping[ScanFile, bytes]) -> None:
+    def write_guesses(self, record: PickRecord, labels: Mapping[ScanFile, bytes]) -> None:
         """Write the labels of scans that the network guessed, and record that they are guesses."""
         paths = {file: self.paths(file.sequence, file.stem).labels for file in labels}
         missing = {file: content for file, content in labels.items() if not filled(paths[file])}
-        if not missing:
-            return
-        if (record := self._record()) is None:
-            remedy = "run again"
-            raise OutputError(self.record_path, "was removed during the run", remedy=remedy)
         digests = {file.name: hashlib.sha256(missing[file]).hexdigest() for file in missing}
         guesses = dict(sorted({**record.guesses, **digests}.items()))
         # Recorded first: in a run that is cut off nothing passes for labels of a person.
@@ -189,8 +179,6 @@ class PickedDataSet(OwnedFolder):
     def begin_anew(self, record: PickRecord) -> None:
         """Record what is picked; remove what an earlier run wrote."""
         earlier = self._record()
-        if earlier:
-            self._require_unchanged(earlier)
         self.begin(record.to_dict(), self._files(earlier) if earlier else [])
 
     def _record(self) -> PickRecord | None:

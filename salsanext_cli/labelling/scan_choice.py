@@ -49,7 +49,6 @@ def choose_scans(
     `features` (S, F) weigh equally, by their standard deviation; `uncertainty` (S,) is at least 0;
     `labelled` scans count as chosen before all others, and are not returned.
     """
-    require_choice(count, strategy, seed)
     weights = np.asarray(uncertainty, np.float64)
     points, before = standardised(features), list(labelled)
     total = min(len(before) + count, len(weights))
@@ -70,7 +69,7 @@ def choose_scans(
 
 
 def require_choice(count: int, strategy: str, seed: int) -> None:
-    """Raise what `choose_scans` raises, before any scan is read."""
+    """Refuse what `choose_scans` cannot take, before any scan is read."""
     if count < 1:
         raise UsageError("--count", str(count), "at least 1")
     if strategy not in STRATEGIES:

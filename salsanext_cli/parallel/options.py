@@ -113,12 +113,9 @@ class Shard:
         number, least, count, step = (int(t) if digits.fullmatch(t) else -1 for t in texts)
         index, rest = divmod(number - least, max(1, step))
         if rest or min(number, least, step) < 0 or not 0 <= index < count:
-            raise UsageError(
-                f"{names[0]}={texts[0]}",
-                f"an array of {texts[2]} tasks from {texts[1]} in steps of {texts[3]}",
-                "numbers without gaps",
-                "say which share with --shard i/n",
-            )
+            found = f"an array of {texts[2]} tasks from {texts[1]} in steps of {texts[3]}"
+            remedy = "say which share with --shard i/n"
+            raise UsageError(f"{names[0]}={texts[0]}", found, "numbers without gaps", remedy)
         return cls(index + 1, count)
 
     def of(self, scans: "Sequence[ScanFile]") -> "list[ScanFile]":

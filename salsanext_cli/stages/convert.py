@@ -45,18 +45,17 @@ def convert(
     owned, place = OwnedFolder(folder, "convert", str(sequence)), folder / sequence / SCAN_FOLDER
     require_none_hidden(folder)
     with owned.open():
-        _require_own(place, owned, listed)
+        there = sorted(place.iterdir()) if place.is_dir() else []
+        scans = [path for path in there if not path.name.startswith(".")]
+        owned.require_own([*scans, place.parent / TIMES])
         owned.begin(_source_of(listed[0], owned))
         empty: set[str] = set()
         task = partial(_convert_scan, owned=owned, place=place)
-        done = {_target(place, scan) for scan in chosen if filled(_target(place, scan))}
-        outcome = run_over_scans(
-            task,
-            chosen,
-            options,
-            is_done=lambda scan: _target(place, scan) in done,
-            on_result=empty.update,
-        )
+
+        def is_done(scan: ScanFile) -> bool:
+            return filled(_target(place, scan))
+
+        outcome = run_over_scans(task, chosen, options, is_done=is_done, on_result=empty.update)
         times = [_time(scan) for scan in listed if filled(_target(place, scan))]
         lines = [f"{(time - times[0]) / 1e9:.9f}\n" for time in times]
         owned.write(folder / sequence / TIMES, "".join(lines).encode())
@@ -91,22 +90,10 @@ def _source_of(first: ScanFile, owned: OwnedFolder) -> dict[str, str]:
     topic = str(first.path.parent.relative_to(recording))
     wanted = {"stage": "convert", "recording": recording.name, "topic": topic, "first": first.stem}
     recorded = owned.recorded()
-    if recorded is not None and any(recorded.get(key) != wanted[key] for key in wanted):
+    if recorded is not None and recorded != wanted:
         found = (
             f"scans of {shortened(recorded.get('recording'))}, {shortened(recorded.get('topic'))}"
         )
         expected = f"those of {recording.name}, {topic}"
         raise OutputError(owned.record_path.parent, found, expected, "choose another folder")
     return wanted
-
-
-def _require_own(place: Path, owned: OwnedFolder, listed: list[ScanFile]) -> None:
-    """Refuse a folder with scans of something else, or files that are not as they were written."""
-    names = {_target(place, scan).name for scan in listed}
-    there = sorted(place.iterdir()) if place.is_dir() else []
-    scans = [path for path in there if not path.name.startswith(".")]
-    for path in scans:
-        if path.name not in names:
-            found = "is not of this recording"
-            raise OutputError(path, found, "scans of it only", "choose another folder")
-    owned.require_own([*scans, place.parent / TIMES])

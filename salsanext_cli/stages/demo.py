@@ -45,7 +45,7 @@ def demo(
     *,
     scans: int,
     samples: int,
-    network: NetworkSettings,
+    settings: NetworkSettings,
     options: RunOptions,
     bars: StepProgress,
 ) -> Demonstration:
@@ -70,10 +70,10 @@ def demo(
             progress=run.progress,
         )
     with step("predict") as run:
-        extras = (ERROR,) if knows_error(network.load()) else ()
-        predicted = predict_scans(data, out, network=network, extras=extras, options=run)
+        extras = (ERROR,) if knows_error(settings.load()) else ()
+        predicted = predict_scans(data, out, settings=settings, extras=extras, options=run)
     with step("uncertainty") as run:
-        sampled = uncertainty(data, out, network=network, method=method, options=run)
+        sampled = uncertainty(data, out, settings=settings, method=method, options=run)
     with step("export-ply") as run:
         exported = export_ply(out, colour="label", options=run)
     with step("picture") as run:

@@ -25,7 +25,7 @@ from salsanext_cli.measures.scan_counts import (
     ScanCounts,
     count_scan,
 )
-from salsanext_cli.measures.scores import Confusion, Scores, plain, ring_rows, scores
+from salsanext_cli.measures.scores import Scores, plain, ring_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
@@ -54,16 +54,9 @@ class Evaluation:
     """Result of comparing predictions with labels."""
 
     space: LabelSpace  # Classes of the comparison
-    confusion: Confusion  # Counts of all points
+    counts: ScanCounts  # Of the scans compared: all if the weights were trained on every one
     scores: Scores  # Scores over all points
     by_distance: dict[str, Scores]  # Scores by name of the ring; empty if not requested
-    # Number of points by raw id in ``truth`` and ``predictions`` that the label space does not
-    # know; they count as unlabelled
-    unknown_ids: dict[str, dict[int, int]]
-    scans: int  # Number of scans compared
-    trained_on: int  # Number of scans left out since the weights were trained on them
-    # Whether the weights were trained on every scan, so that all are compared
-    on_training_scans: bool
     missing: MissingResults  # Scans without predictions, left out
     failures: tuple[Failure, ...]  # Scans that could not be compared, left out
     settings: dict[str, Any]  # Settings of the evaluation and of the predictions
@@ -73,7 +66,6 @@ class Evaluation:
     promise: KeptPromise | None  # What its threshold promised, if that came with the weights
     folder: Path  # Where it is written
     by_sequence: dict[str, Scores]
-    by_scan: dict[str, dict[str, Any]]  # Some scores of each scan, by name
     # Panoptic quality, if objects were predicted and the labels have instances
     panoptic: dict[str, Any] | None
 
@@ -86,27 +78,29 @@ class Evaluation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
+        counts = self.counts
+        unknown_ids = {"truth": counts.unknown_truth, "predictions": counts.unknown_predictions}
         return {
             "stage": "eval",
             "version": __version__,
             "settings": self.settings,
             "label_space": self.space.name,
-            "scans": self.scans,
-            "trained_on": self.trained_on,
-            "on_training_scans": self.on_training_scans,
+            "scans": counts.scans,
+            "trained_on": counts.left_out,
+            "on_training_scans": counts.trained_on > 0,
             **self.missing.to_dict(),
             "failures": [failure.to_dict() for failure in self.failures],
-            "unknown_ids": self.unknown_ids,
+            "unknown_ids": {name: dict(sorted(ids.items())) for name, ids in unknown_ids.items()},
             "scores": self.scores.to_dict(),
             "by_distance": {
                 name: ring.to_dict() | {"iou_mean_same": plain(mean), "absent": absent}
                 for name, ring, mean, absent in ring_rows(self.by_distance)
             },
             "by_sequence": {name: each.to_dict() for name, each in self.by_sequence.items()},
-            "by_scan": self.by_scan,
+            "by_scan": dict(sorted(counts.by_scan.items())),
             **({"panoptic": self.panoptic} if self.panoptic else {}),
             "classes": list(self.space.names),
-            "confusion": self.confusion.matrix.tolist(),
+            "confusion": counts.confusion.matrix.tolist(),
             **self.uncertainty.to_dict(self.space),
             "rejection": self.kept
             and asdict(self.kept) | {"promise": self.promise and asdict(self.promise)},
@@ -126,14 +120,10 @@ def evaluate(
 ) -> Evaluation:
     """Compare the predictions in an output folder with the labels of the scans.
 
-    Writes ``scores.txt``, ``eval.json`` and ``eval_*.png`` into the output folder. Probabilities
-    and uncertainties that lie there are evaluated too. An earlier result is replaced, whatever its
-    settings were. Scans that the weights were trained on are left out, unless all were.
-
-    `space`: classes to compare, as `ResultFolder.predicted` returns them; `by_distance`: score
-    rings of distance too, for which the scans are read; `settings`: settings of the selection and
-    of the predictions, for the record; `labels`: as `space_of_labels` takes it; `part`: name of a
-    part of the scans, which goes into ``eval/PART`` and leaves the evaluation of all as it is.
+    Writes `FILES`, in the place of earlier ones, into the folder or, of a part of the scans, into
+    ``eval/PART``; probabilities and uncertainties are evaluated too. Scans that the weights were
+    trained on are left out, unless all were. `space`: classes to compare; `by_distance`: also in
+    rings; `settings`: for the record; `labels`: as `space_of_labels` takes it.
     """
     folder = out / "eval" / part if part else out
     results = ResultFolder(out)
@@ -164,23 +154,15 @@ def evaluate(
     rings = zip(RING_NAMES, counts.rings, strict=by_distance)
     evaluation = Evaluation(
         space=space,
-        confusion=counts.confusion,
+        counts=counts,
         scores=scores(counts.confusion, space),
         by_distance={name: scores(ring, space) for name, ring in rings},
-        unknown_ids={
-            "truth": dict(sorted(counts.unknown_truth.items())),
-            "predictions": dict(sorted(counts.unknown_predictions.items())),
-        },
-        scans=counts.scans,
-        trained_on=counts.left_out,
-        on_training_scans=counts.trained_on > 0,
         missing=results.missing_predictions(counts.missing),
         failures=outcome.failures,
         settings=settings,
         uncertainty=evaluate_uncertainty(counts, space),
         folder=folder,
         by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
-        by_scan=dict(sorted(counts.by_scan.items())),
         panoptic=panoptic,
         kept=KeptLabels.of_confusion(counts.confusion, space, counts.kept) if counts.kept else None,
         promise=KeptPromise.of_scans(promised, counts.kept) if promised else None,
@@ -189,9 +171,14 @@ def evaluate(
         log.warning("%s", text)
     if evaluation.promise and evaluation.promise.is_broken:
         log.warning("%s", BROKEN)
-    compared = evaluation.scans + len(evaluation.failures) + len(counts.missing)
+    compared = counts.scans + len(evaluation.failures) + len(counts.missing)
     evaluation.missing.log_error(compared, "predictions")
-    files = _files(evaluation)
+    heading = f"# {ON_TRAINING_SCANS}\n" if counts.trained_on else ""
+    files = {
+        "scores.txt": (heading + evaluation.scores.official_yaml()).encode(),
+        **evaluation_pictures(evaluation.scores, counts.confusion, evaluation.uncertainty, space),
+        "eval.json": encode_json(escaped(evaluation.to_dict())),
+    }
     absent = [path for path in own_files if path.name not in files]
     OwnedFolder(out).replace({folder / name: content for name, content in files.items()}, absent)
     return evaluation
@@ -234,14 +221,3 @@ def _no_input(counts: ScanCounts, out: Path, failures: Sequence[Failure]) -> NoI
         "files like sequences/08/predictions/000000.label",
         "run `salsanext predict` first, or say where they are: salsanext eval OUT",
     )
-
-
-def _files(evaluation: Evaluation) -> dict[str, bytes]:
-    """Return the content of every file to write, by its name; the report is the last one."""
-    found = evaluation.scores, evaluation.confusion, evaluation.uncertainty
-    heading = f"# {ON_TRAINING_SCANS}\n" if evaluation.on_training_scans else ""
-    return {
-        "scores.txt": (heading + evaluation.scores.official_yaml()).encode(),
-        **evaluation_pictures(*found, evaluation.space),
-        "eval.json": encode_json(escaped(evaluation.to_dict())),
-    }

@@ -123,19 +123,17 @@ def export_ply(
         colour = results.meant_uncertainty(scans)
     results.require_column(colour, scans)
     sensor = results.sensor()
-    if voxel is not None:
-        marks = scale or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
-        return _export_maps(
-            results, chosen, PointColours(colour, marks, space), form, voxel, options
-        )
     stage, folder = _place(out, colour, form)
     made_of, earlier = results.origins(LABELLING_STAGES), results.settings(stage)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
-    if scale is None and earlier is not None and not overwrite:
+    if scale is None and voxel is None and earlier is not None and not overwrite:
         # A run that goes on colours alike.
         marks = earlier.numbers("scale")
     else:
         marks = scale or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
+    colours = PointColours(colour, marks, space)
+    if voxel is not None:
+        return _export_maps(results, chosen, colours, form, voxel, options)
     settings = {
         "colour": colour,
         "scale": list(marks),
@@ -144,7 +142,6 @@ def export_ply(
         **({} if max_error is None else {"max_error": max_error}),
     }
     rejected = list[int]()
-    colours = PointColours(colour, marks, space)
     with output_run(
         *(out, stage, settings, (folder,), scans), overwrite=overwrite, record_scans=False
     ) as output:

@@ -49,7 +49,8 @@ def export_rrd(
     colourings = {
         name: PointColours(name, scales.get(name, (0, 1)), space, dark=True) for name in known
     }
-    numbers = _numbers(results.scans())
+    sequences = groupby(results.scans(), lambda scan: scan.sequence)
+    numbers = {file: number for _, files in sequences for number, file in enumerate(files)}
     log_scan: dict[str, LogScan] = {}
     with ExitStack() as held:
 
@@ -78,19 +79,13 @@ def _recording(
     out: Path, sequence: str, colourings: Mapping[str, PointColours], space: LabelSpace
 ) -> Iterator[LogScan]:
     """Write the recording of a sequence, which appears under its name when it is complete."""
-    path, written = _path(out, sequence), OwnedFolder(out)
-    name = printable(f"{out.absolute().name}/{sequence}")
-    with written.writing(path, durable=True) as file:
-        with recording(file, name, colourings, space) as log_scan:
-            yield log_scan
-        written.require_own([path])
+    path, name = _path(out, sequence), printable(f"{out.absolute().name}/{sequence}")
+    with (
+        OwnedFolder(out).writing(path, durable=True) as file,
+        recording(file, name, colourings, space) as log_scan,
+    ):
+        yield log_scan
     log.log(NOTICE, "recording: %s", path)
-
-
-def _numbers(scans: list[ScanFile]) -> dict[ScanFile, int]:
-    """Return the place of every scan in its sequence, from 0."""
-    sequences = groupby(scans, lambda scan: scan.sequence)
-    return {scan: number for _, files in sequences for number, scan in enumerate(files)}
 
 
 def _read(

@@ -2,10 +2,10 @@
 """Stage `filter`: scans in their own format, without the points of some classes."""
 
 import logging
-import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,7 +15,7 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, contradiction
-from salsanext_cli.errors import NoInputError, SalsanextError, UsageError, counted, first_few
+from salsanext_cli.errors import NoInputError, UsageError, counted, first_few
 from salsanext_cli.files.reading import filled, is_folder, present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.bags import Bag
@@ -23,7 +23,7 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.recordings import files_of, recorded_paths, recording_of
 from salsanext_cli.formats.subsets import subsets_of, write_bag_subset
 from salsanext_cli.fusion.window import movable_classes
-from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Mask
 from salsanext_cli.results.layout import (
     ERROR,
@@ -201,38 +201,28 @@ def filter_scans(
 def _filter_bags(
     task: PointFilter, scans: list[ScanFile], options: RunOptions, counts: list[Count]
 ) -> Outcome:
-    """Write the bag of each sequence, whole or not at all; one that fails is a single failure."""
-    start, before, done, skipped = time.monotonic(), 0, 0, 0
-    failures, progress = list[Failure](), options.progress or (lambda done, total: None)
-    for _, group in groupby(scans, lambda file: file.sequence):
-        files = tuple(group)
+    """Write whole bags, each a unit of the run; those that fail leave nothing."""
+    first_of_bag = [next(group) for _, group in groupby(scans, lambda file: file.sequence)]
+    write = partial(_filter_bag, task=task, scans=scans, overwrite=options.overwrite)
 
-        def on_cloud(number: int, before: int = before) -> None:
-            progress(before + number, len(scans))
+    def add(of_bag: list[Count]) -> None:
+        counts.extend(of_bag)
+        if options.progress:
+            options.progress(len(counts), len(scans))
 
-        try:
-            of_bag = _filter_bag(task, files, options.overwrite, on_cloud)
-        except SalsanextError as error:
-            if options.on_error == "stop":
-                raise
-            failures.append(Failure(files[0], str(error), error.code))
-        else:
-            counts += of_bag
-            done, skipped = done + len(of_bag), skipped + len(files) * (not of_bag)
-        before += len(files)
-        progress(before, len(scans))
-    return Outcome(skipped, tuple(failures), done, seconds=time.monotonic() - start)
+    in_bags = replace(options, progress=None)
+    outcome = run_over_scans(write, first_of_bag, in_bags, on_result=add)
+    failed = {failure.scan.sequence for failure in outcome.failures}
+    there = len([file for file in scans if file.sequence not in failed])
+    return replace(outcome, done=len(counts), skipped=there - len(counts))
 
 
 def _filter_bag(
-    task: PointFilter,
-    scans: tuple[ScanFile, ...],
-    overwrite: bool,
-    on_cloud: Callable[[int], object],
+    first: ScanFile, task: PointFilter, scans: list[ScanFile], overwrite: bool
 ) -> list[Count]:
-    """Write the bag of scans, all of one topic; return their counts, none if it is there."""
-    files = {file.path: file for file in scans}
-    topic_folder = scans[0].path.parent
+    """Write the bag of a scan, all of one topic; return its counts, none if it is there."""
+    files = {file.path: file for file in scans if file.sequence == first.sequence}
+    topic_folder = first.path.parent
     recording = recording_of(topic_folder) or topic_folder
     clouds = recorded_paths(topic_folder)
     if missing := [path.name for path in clouds if path not in files]:
@@ -240,8 +230,8 @@ def _filter_bag(
         remedy = "predict and choose the whole bag, or write masks with --indices"
         raise NoInputError(recording, found, "those of all, as it is written whole", remedy)
     bag = Bag(recording, files_of(recording))
-    target = task.owned.root / (scans[0].sequence + ".bag" * (not bag.reader.is2))
-    before = [target, *target.rglob("*")][is_folder(target) :]
+    target = task.owned.root / (first.sequence + ".bag" * (not bag.reader.is2))
+    before = _files_in(target)
     if task.owned.others(before):
         raise not_own(target)
     if any(map(filled, before)) and not overwrite:
@@ -249,12 +239,11 @@ def _filter_bag(
     counts = list[Count]()
 
     def masks() -> Iterator[tuple[int, Mask]]:
-        for number, path in enumerate(clouds, 1):
+        for path in clouds:
             parts, count = task.parts(files[path])
             keep = parts.get(SCAN_FOLDER, np.zeros(count, bool))
             counts.append((files[path].name, count, int(keep.sum())))
             yield int(path.name.partition("_")[0]), keep
-            on_cloud(number)
 
     (topic,) = (t for t in bag.clouds() if recording / t.strip("/") == topic_folder)
     with TemporaryDirectory(dir=task.owned.root, prefix=".filter-") as temporary:
@@ -264,9 +253,14 @@ def _filter_bag(
         if is_folder(target):
             target.rmdir()
         written.rename(target)
-    for path in [target, *target.rglob("*")][is_folder(target) :]:
+    for path in _files_in(target):
         task.owned.add(path)
     return counts
+
+
+def _files_in(target: Path) -> list[Path]:
+    """Return a bag that is a file, or the files of one that is a folder."""
+    return [*target.rglob("*")] if is_folder(target) else [target]
 
 
 def _begin(owned: OwnedFolder, settings: dict[str, Any], overwrite: bool) -> None:

@@ -81,7 +81,6 @@ class DriveScans:
 
     files: tuple[ScanFile, ...]
     drive: Drive
-    numbers: dict[ScanFile, int]  # Place of each in the drive
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +106,10 @@ class FuseTask:
             if isinstance(scans, SalsanextError):
                 yield from ((file, None, scans) for file in group)
                 continue
-            window = self._window(scans)
+            window, numbers = self._window(scans), {f: n for n, f in enumerate(scans.files)}
             for file in group:
                 try:
-                    yield file, self._fuse(file, scans.numbers[file], window), None
+                    yield file, self._fuse(file, numbers[file], window), None
                 except SalsanextError as error:
                     yield file, None, error
 
@@ -202,13 +201,13 @@ def fuse_results(
         found = f"one file for {counted(len(chosen), 'sequence')}"
         raise UsageError("--poses", found, remedy="choose one of them with --sequences")
     sensor = results.sensor()
-    given = _of_each(
-        chosen, lambda name: _given(poses or _beside(members[name]), members[name], sensor), options
-    )
-    made_with = {
-        "reach": asdict(reach),
-        "origins": results.origins(FUSED_STAGES),
-    }
+
+    def given_of(name: str) -> Drive | None:
+        files, path = members[name], poses or _beside(members[name])
+        return _checked(path, _read_given(path, files), files, sensor) if path else None
+
+    given = _of_each(chosen, given_of, options)
+    made_with = {"reach": asdict(reach), "origins": results.origins(FUSED_STAGES)}
     network: Mapping[str, Any] = results.settings("predict") or {}
     of_labels = {
         **{key: network[key] for key in ABOUT_THE_NETWORK if key in network},
@@ -295,13 +294,6 @@ def _beside(files: Sequence[ScanFile]) -> Path | None:
     return path if present(path) else None
 
 
-def _given(path: Path | None, files: Sequence[ScanFile], sensor: Sensor) -> Drive | None:
-    """Read the poses of scans, if there are any, and look whether they fit the scans."""
-    if path is None:
-        return None
-    return _checked(path, _read_given(path, files), files, sensor)
-
-
 def _read_given(path: Path, files: Sequence[ScanFile]) -> Poses:
     beside = sorted(find_scans(files[0].path.parent), key=drive_order)
     stems, wanted = ([file.stem for file in each] for each in (beside, files))
@@ -338,7 +330,7 @@ def _drive_scans(
     before, edited = read_json(record), bool(fused.others([used]))
     known = before is not None and before.get("scans") == stems
     if before is not None and not known and not fused.overwrite:
-        raise _other_drive(record, before, stems, single)
+        raise _other_drive(record, single)
     if given is not None:
         drive = given
     elif edited:
@@ -355,14 +347,14 @@ def _drive_scans(
         if read_json(record) != recorded:
             results = [(run, _results_of(run, name)) for run in (single, fused)]
             if any(paths for _, paths in results) and not fused.overwrite:
-                raise _other_drive(record, before, stems, single)
+                raise _other_drive(record, single)
             for run, paths in results:
                 run.remove_own(paths)
             if not edited:
                 fused.write(used, encode_poses(drive.poses))
             # It comes last: without it, a run that was killed before begins anew.
             fused.write(record, encode_json(recorded))
-    return DriveScans(tuple(files), drive, {file: number for number, file in enumerate(files)})
+    return DriveScans(tuple(files), drive)
 
 
 def _results_of(run: OutputRun, sequence: str) -> list[Path]:
@@ -370,16 +362,10 @@ def _results_of(run: OutputRun, sequence: str) -> list[Path]:
     return [path for found in results for (of, _), path in found.items() if of == sequence]
 
 
-def _other_drive(
-    record: Path, before: Mapping[str, Any] | None, stems: Sequence[str], single: OutputRun
-) -> OutputError:
+def _other_drive(record: Path, single: OutputRun) -> OutputError:
     """Return the error of results that have votes of other scans, or by other poses."""
     target, sequence = record.parents[2], record.parent.name
-    found = "fused by other poses"
-    if before is None:
-        found = f"no such file for what `fuse` left in {single.root}"
-    elif (fused := before.get("scans", ())) != stems:
-        found = f"fused of {counted(len(fused), 'scan')}, not of the {len(stems)} that there are"
+    found = f"does not have the scans and poses that `fuse` found now for {single.root}"
     words = ["fuse", str(single.root), str(target), "--sequences", sequence, "--overwrite"]
     remedy = f"run `salsanext {shlex.join(words)}`, with --poses if you gave it"
     return OutputError(record, found, "the same scans and poses for all of it", remedy)

@@ -3,10 +3,9 @@
 
 import hashlib
 import logging
-from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +25,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.formats.label_scalars import LabelIds
 from salsanext_cli.formats.recordings import recording_of
-from salsanext_cli.geometry.label_transfer import LabelTransfer
 from salsanext_cli.labelling.edited_files import (
-    ScanNames,
-    UnknownIds,
     edited_labels,
     find_edited,
     read_file_labels,
@@ -75,21 +71,22 @@ def import_labels(
         remedy = "map the ids of the tool with --map, or change labels.yaml"
         raise UsageError("--label-space", found_space, own.name, remedy)
     space = space or own
-    work = _Work(scalar, LabelIds.of_space(space, ids), sensor, overwrite, not is_folder(edited))
+    meanings = LabelIds.of_space(space, ids)
     imported = LabelImport(space, class_points=np.zeros(space.class_count, np.int64))
     of_scan = _matched(_elsewhere(edited, scans), edited, scans, imported)
     records = {root: LabelRecords(root) for root in sorted({*map(labels_root, of_scan)})}
+    task = partial(_import_scan, imported=imported, meanings=meanings, scalar=scalar)
+    task = partial(task, sensor=sensor, overwrite=overwrite, is_named=not is_folder(edited))
     with ExitStack() as held:
         for each in records.values():
             held.enter_context(each.owned.open())
         for done, (scan, paths) in enumerate(of_scan.items(), start=1):
             try:
-                work.import_scan(scan, paths, records[labels_root(scan)], imported)
+                task(scan, paths, records[labels_root(scan)])
             except SalsanextError as error:
                 imported.fail(paths, error)
             if progress:
                 progress(done, len(of_scan))
-    work.fail_together(imported)
     if imported.unedited and not imported.scans and not imported.failures:
         text = "holds the first guess of `pick`, which nobody has corrected"
         remedy = "save the corrected labels; to take the guess as it is, name its file"
@@ -117,90 +114,61 @@ def _matched(
 ) -> dict[ScanFile, list[Path]]:
     """Return the files of each scan that has some; the others are failures."""
     of_scan: dict[ScanFile, list[Path]] = {}
-    names = ScanNames(scans)
     for path in files:
         try:
-            of_scan.setdefault(scan_of_edited(path, edited, names), []).append(path)
+            of_scan.setdefault(scan_of_edited(path, edited, scans), []).append(path)
         except LabelError as error:
             imported.fail([path], error)
     return {scan: of_scan[scan] for scan in scans if scan in of_scan}
 
 
-@dataclass(frozen=True, slots=True)
-class _Work:
-    """Settings of an import, and what is wrong in the same way with several files."""
+def _import_scan(
+    scan: ScanFile,
+    paths: Sequence[Path],
+    records: LabelRecords,
+    imported: LabelImport,
+    *,
+    meanings: LabelIds,
+    scalar: str | None,
+    sensor: Sensor | None,
+    overwrite: bool,
+    is_named: bool,
+) -> None:
+    """Write the labels of a scan, merged from those of some files that were edited."""
+    points = read_scan(scan.path, sensor).points
+    read = {path: read_file_labels(path, points, meanings, scalar) for path in paths}
+    none, space = meanings.unlabelled, imported.space
 
-    scalar: str | None
-    meanings: LabelIds
-    sensor: Sensor | None
-    overwrite: bool
-    is_named: bool
-    unknown: dict[Path, Counter[int]] = field(default_factory=dict)
-    refused: dict[Path, Path] = field(default_factory=dict)
+    def is_guess(raw: RawIds) -> bool:
+        return records.is_guess(scan, hashlib.sha256(encode_labels(raw)).hexdigest())
 
-    def import_scan(
-        self, scan: ScanFile, paths: Sequence[Path], records: LabelRecords, imported: LabelImport
-    ) -> None:
-        """Write the labels of a scan, merged from those of some files that were edited."""
-        points = read_scan(scan.path, self.sensor).points
-        read: dict[Path, tuple[LabelTransfer, str]] = {}
-        unknown: dict[Path, Counter[int]] = {}
-        for path in paths:
-            try:
-                read[path] = read_file_labels(path, points, self.meanings, self.scalar)
-            except UnknownIds as error:
-                unknown[path] = error.points
-        if unknown:
-            # No scan is imported in part: its other files fail too.
-            self.unknown.update({path: unknown.get(path, Counter()) for path in paths})
-            return
-        none, space = self.meanings.unlabelled, imported.space
-
-        def is_guess(raw: RawIds) -> bool:
-            return records.is_guess(scan, hashlib.sha256(encode_labels(raw)).hexdigest())
-
-        edited = {
-            path: part
-            for path, part in read.items()
-            if self.is_named or not is_guess(part[0].filled(none))
-        }
-        if edited:
-            raw, numbers = edited_labels(edited, space, none)
-            if is_guess(raw):
-                if self.is_named:
-                    log.warning("%s: holds the first guess, all of it", paths[0])
-                else:
-                    # Parts of it that nobody corrected.
-                    edited = {}
-        imported.unedited += [str(path) for path in paths if path not in edited]
-        if not edited:
-            return
-        if contradicted := numbers["contradicted"]:
-            text = "%s: %s left unlabelled, of different labels in %s"
-            log.warning(text, scan.name, counted(contradicted, "point"), first_few([*edited]))
-        by_these = records.is_replaceable(scan, paths, contradicted)
-        kept = [*paths] != [scan.label_path] and not by_these
-        if kept and not self.overwrite:
-            self.refused.update(dict.fromkeys(edited, scan.label_path))
-            return
-        about = {"files": [*map(str, edited)], "points": len(points), **numbers}
-        records.write(scan, encode_labels(raw), about)
-        imported.scans.append({"scan": scan.name, **about})
-        train = space.to_train(raw, strict=False)
-        imported.class_points += np.bincount(train, minlength=space.class_count)
-
-    def fail_together(self, imported: LabelImport) -> None:
-        """Add one failure for all files with unknown ids, and one for all that were refused."""
-        if self.unknown:
-            total = sum(self.unknown.values(), Counter[int]())
-            wrong = [path for path, points in self.unknown.items() if points]
-            error = UnknownIds(first_few(wrong), total, self.meanings)
-            imported.fail(self.unknown, error)
-        if self.refused:
-            there = first_few([*dict.fromkeys(self.refused.values())])
-            text = (
-                "kept: changed, not written by salsanext, imported from another file, or the files "
-                "contradict each other"
-            )
-            remedy = "leave out older files, move the labels, or replace them with --overwrite"
-            imported.fail(self.refused, OutputError(there, text, remedy=remedy))
+    edited = {
+        path: part for path, part in read.items() if is_named or not is_guess(part[0].filled(none))
+    }
+    if edited:
+        raw, numbers = edited_labels(edited, space, none)
+        if is_guess(raw):
+            if is_named:
+                log.warning("%s: holds the first guess, all of it", paths[0])
+            else:
+                # Parts of it that nobody corrected.
+                edited = {}
+    imported.unedited += [str(path) for path in paths if path not in edited]
+    if not edited:
+        return
+    if contradicted := numbers["contradicted"]:
+        text = "%s: %s left unlabelled, of different labels in %s"
+        log.warning(text, scan.name, counted(contradicted, "point"), first_few([*edited]))
+    in_place = [*paths] == [scan.label_path]
+    if not (overwrite or in_place or records.is_replaceable(scan, paths, contradicted)):
+        text = (
+            "kept: changed, not written by salsanext, imported from another file, or the files "
+            "contradict each other"
+        )
+        remedy = "leave out older files, move the labels, or replace them with --overwrite"
+        raise OutputError(scan.label_path, text, remedy=remedy)
+    about = {"files": [*map(str, edited)], "points": len(points), **numbers}
+    records.write(scan, encode_labels(raw), about)
+    imported.scans.append({"scan": scan.name, **about})
+    train = space.to_train(raw, strict=False)
+    imported.class_points += np.bincount(train, minlength=space.class_count)

@@ -88,7 +88,7 @@ def pick(
     count: int = 10,
     strategy: str = "both",
     seed: int = 0,
-    network: NetworkSettings = NetworkSettings(),
+    settings: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
     labelled: Sequence[Path] = (),
@@ -96,20 +96,17 @@ def pick(
 ) -> Picking:
     """Pick the scans most worth labelling; write a data set of them in SemanticKITTI's layout.
 
-    Files of it that are there already stay, since they may be edited. A pick that nobody changed is
-    replaced if `options.overwrite` says so.
-
-    `count`: number of scans to pick, all if there are no more; `strategy`: as `choose_scans` takes
-    it; `labelled`: data sets of scans that are labelled already, by sequence and name: other scans
-    are picked, unlike them; `disagreement`: output folder of `fuse`, whose disagreement, mean over
-    the points of a scan, counts as its uncertainty.
+    Files that are there stay, since they may be edited; a pick that nobody changed may be
+    overwritten. `strategy`: one of `STRATEGIES`; `labelled`: data sets of scans that are labelled
+    already: others are picked, unlike them; `disagreement`: output folder of `fuse`, whose
+    disagreement, mean over the points of a scan, counts as its uncertainty.
     """
     require_choice(count, strategy, seed)
-    loaded = network.load()
-    require_sampling(loaded, SAMPLES)
+    network = settings.load()
+    require_sampling(network, SAMPLES)
     every, data_set = scans_of(source), PickedDataSet(out)
     data_set.require_apart(every)
-    space = space_of(every, loaded.space)
+    space = space_of(every, network.space)
     selected = choose(every, replace(selection, limit=None), space, source)
     scans = evenly_spaced(selected, selection.limit or 0)
     if disagreement is not None:
@@ -119,33 +116,33 @@ def pick(
     if len(done) == len(scans):
         raise NoInputError(source, "every scan is labelled already", "others to pick")
     with data_set.open():
-        loaded = fit_scans(network, loaded, ScanSample(every, loaded.sensor))
+        network = fit_scans(settings, network, ScanSample(every, network.sensor))
         choice = {"strategy": strategy, "count": count, "seed": seed, "scans": _digest(scans)}
         if labelled:
             choice["labelled"] = _digest(sorted(done))
         if disagreement is not None:
             choice["disagreement"] = StageRecords(disagreement).origins(["fuse"])
-        settings = as_json(choice | {"samples": SAMPLES} | network.record(loaded))
-        record = data_set.earlier(settings, overwrite=options.overwrite)
+        recorded = as_json(choice | {"samples": SAMPLES} | settings.record(network))
+        record = data_set.earlier(recorded, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
             outcome = Outcome(len(record.picked), _failures(record, scans), 0)
             return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
-        resolved = network.resolved(loaded)
+        resolved = settings.resolved(network)
         if record is None:
             describe = partial(_describe, samples=SAMPLES, seed=seed, disagreement=disagreement)
-            task = NetworkTask(describe, resolved, loaded)
-            summary = RunSummary.of_scans(scans, loaded.sensor)
+            task = NetworkTask(describe, resolved, network)
+            summary = RunSummary.of_scans(scans, network.sensor)
             described, failures = _described(task, scans, options, summary)
             warnings = summary.warnings()
             if all(scan.file in done for scan in described):
                 return Picking((), len(scans), Outcome(0, failures, 0), warnings)
             picked = _chosen(described, count, strategy, seed, done)
             failed = [failure.to_dict() for failure in failures]
-            record = PickRecord(settings, picked, failed, warnings)
+            record = PickRecord(recorded, picked, failed, warnings)
             data_set.begin_anew(record)
         write = partial(write_scan, samples=SAMPLES, seed=seed, data_set=data_set)
-        task = NetworkTask(write, resolved, loaded)
-        classes = space if space.fits(loaded.space) else space_of([], loaded.space)
+        task = NetworkTask(write, resolved, network)
+        classes = space if space.fits(network.space) else space_of([], network.space)
         outcome = _written(task, data_set, record, scans, options, classes)
     return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
 
@@ -214,7 +211,9 @@ def _written(
 
     picked = [files[each.name] for each in record.picked if each.name in files]
     outcome = run_over_scans(task, picked, options, on_result=keep)
-    data_set.write_guesses({each.file: encode_labels(each.raw) for each in guesses.values()})
+    data_set.write_guesses(
+        record, {each.file: encode_labels(each.raw) for each in guesses.values()}
+    )
     written = [each for each in record.picked if each.name in guesses]
     data_set.write_label_space(space, record.picked)
     data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))

@@ -87,7 +87,7 @@ class LabelWriter:
         output.write_array(file, LEAST_CONFIDENCE, doubt)
         values = {"least_confidence": doubt}
         if "pixel_labels" in output.folders:
-            output.write_array(file, "pixel_labels", most_probable(softmax))
+            output.write_array(file, "pixel_labels", softmax.argmax(axis=0).astype(np.uint8))
         if {"probabilities", "votes"} & {*output.folders}:
             none = np.eye(1, space.class_count)  # certainly unlabelled
             of_points = points_from_pixels(softmax, image.pixel_of_point, none)
@@ -127,12 +127,6 @@ def object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> byt
     return file.getvalue().encode()
 
 
-def most_probable(probabilities: Float) -> TrainIds:
-    """Return the most probable class of every pixel: (C, H, W) to (H, W) uint8."""
-    labels: TrainIds = probabilities.argmax(axis=0).astype(np.uint8)
-    return labels
-
-
 def predict_scan(file: ScanFile, network: Network, writer: LabelWriter) -> ScanSteps:
     """Label the points of one scan, in steps; the last yields numbers about it."""
     writer.output.require_replaceable(file)
@@ -144,7 +138,7 @@ def predict_scans(
     source: Path | Sequence[Path],
     out: Path,
     *,
-    network: NetworkSettings = NetworkSettings(),
+    settings: NetworkSettings = NetworkSettings(),
     knn: KnnParameters = KnnParameters(),
     extras: tuple[str, ...] = (),
     reject: float | Literal["risk"] | None = None,
@@ -154,19 +148,18 @@ def predict_scans(
 ) -> Outcome:
     """Label scans into `OUT/sequences/<seq>/predictions`, beside their least confidence.
 
-    `extras`: further results to write, of "pixel_labels", "probabilities", "votes" for `fuse`,
-    "objects", whose numbers the labels hold too, and "uncertainty/error"; `reject`: error, 0…1,
-    above which points are unlabelled, or "risk" for the thresholds of all and of classes in the
-    weights; `batch`: scans computed together, None for what suits the device.
+    `extras`: further results, of "pixel_labels", "probabilities", "votes", "objects" and
+    "uncertainty/error"; `reject`: error, 0…1, above which points are unlabelled, or "risk" for the
+    thresholds in the weights; `batch`: scans computed together, None for what suits the device.
     """
     if batch is not None and batch < 1:
         raise UsageError("--batch", str(batch), "at least 1, or auto")
-    loaded = network.load()
+    network = settings.load()
     found = scans_of(source)
-    scans = choose(found, selection, space_of(found, loaded.card.space), source)
+    scans = choose(found, selection, space_of(found, network.card.space), source)
     reject_by, risk = "error", dict[str, Any]()
     if reject == "risk":
-        risk = _chosen_threshold(network, loaded, knn)
+        risk = _chosen_threshold(settings, network, knn)
         reject, reject_by = float(risk["threshold"]), str(risk["kind"])
     if reject is not None:
         if not 0 <= reject <= 1:
@@ -174,28 +167,30 @@ def predict_scans(
         if reject_by == "error":
             extras = tuple(dict.fromkeys((*extras, ERROR)))
     if ERROR in extras:
-        error_model(loaded)
-    loaded = network_of_run(network, loaded, found, out, overwrite=options.overwrite)
-    if "view" in risk and is_other_view(risk["view"], loaded.sensor):
+        error_model(network)
+    network = network_of_run(settings, network, found, out, overwrite=options.overwrite)
+    if "view" in risk and is_other_view(risk["view"], network.sensor):
         log.warning("--reject risk: %s", OTHER_VIEW)
-    temperature = loaded.card.temperature
-    settings = network.record(loaded) | {"temperature": temperature, "knn": asdict(knn)}
-    settings |= {} if reject is None else {"reject": reject}
-    settings |= {"promised": risk} if risk else {}
-    settings |= {} if reject_by == "error" else {"reject_by": reject_by}
-    settings |= {"objects": True} if "objects" in extras else {}
-    summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
+    temperature = network.card.temperature
+    recorded = settings.record(network) | {"temperature": temperature, "knn": asdict(knn)}
+    recorded |= {} if reject is None else {"reject": reject}
+    recorded |= {"promised": risk} if risk else {}
+    recorded |= {} if reject_by == "error" else {"reject_by": reject_by}
+    recorded |= {"objects": True} if "objects" in extras else {}
+    summary = RunSummary.of_scans(scans, network.sensor, network.space)
     if reject is None:
-        summary.accuracy = loaded.card.accuracy
+        summary.accuracy = network.card.accuracy
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
-    run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
+    run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
         of_classes = risk.get("classes", {})
-        limits = [of_classes.get(name, reject) for name in loaded.space.names]
+        limits = [of_classes.get(name, reject) for name in network.space.names]
         above = None if reject is None else np.array(limits, np.float32)
         writer = LabelWriter(knn, output, above, reject_by)
-        label = partial(predict_scan, writer=writer)
-        task = NetworkTask(label, network.resolved(loaded), loaded, takes_softmax=True, batch=batch)
+        function = partial(predict_scan, writer=writer)
+        task = NetworkTask(
+            function, settings.resolved(network), network, takes_softmax=True, batch=batch
+        )
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
@@ -204,15 +199,15 @@ def predict_scans(
 
 
 def _chosen_threshold(
-    settings: NetworkSettings, loaded: Network, knn: KnnParameters
+    settings: NetworkSettings, network: Network, knn: KnnParameters
 ) -> dict[str, Any]:
     """Return the threshold in the weights, with what it holds for; refuse where it is void."""
-    risk = dict(loaded.card.risk)
+    risk = dict(network.card.risk)
     if not risk:
         remedy = "`salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%` chooses one"
-        raise WeightsError(loaded.engine.name, "no threshold of risk", "weights with one", remedy)
-    own = {"--classes": loaded.merging, "--knn-…": knn != KnnParameters()}
-    tuned, given = risk.get("settings", {}), labels_depend_on(settings, loaded)
+        raise WeightsError(network.engine.name, "no threshold of risk", "weights with one", remedy)
+    own = {"--classes": network.merging, "--knn-…": knn != KnnParameters()}
+    tuned, given = risk.get("settings", {}), labels_depend_on(settings, network)
     own |= {name: given[name] != tuned.get(name) for name in given}
     if others := [name for name, given in own.items() if given]:
         found = "`--reject risk` promises nothing of other labels"
@@ -229,7 +224,7 @@ def predict_image(file: ScanFile, network: Network, folder: Path, output: Output
     (probabilities,) = network.pixel_probabilities([image])
     network.engine.require_finite(probabilities, path)
     yield
-    output.write_array(file, "pixel_labels", most_probable(probabilities))
+    output.write_array(file, "pixel_labels", probabilities.argmax(axis=0).astype(np.uint8))
     yield ScanSummary(file, check_image(image, network.sensor, network.card.sensor))
 
 
@@ -237,33 +232,33 @@ def predict_range_images(
     folder: Path,
     out: Path,
     *,
-    network: NetworkSettings = NetworkSettings(),
+    settings: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
     """Label range images that `project` wrote into `OUT/sequences/<seq>/pixel_labels`."""
-    loaded = network.load()
+    network = settings.load()
     projected = projected_sensor(folder)
     if projected is not None:
-        found_view = fitted_view([], loaded.sensor, projected, view=network.fits_view)
-        loaded = loaded.for_sensor(found_view)
-    loaded = loaded.for_sensor(sensor_of_images(folder, projected, loaded.sensor))
+        found_view = fitted_view([], network.sensor, projected, view=settings.fits_view)
+        network = network.for_sensor(found_view)
+    network = network.for_sensor(sensor_of_images(folder, projected, network.sensor))
     found = with_outputs(ResultFolder(folder).scans(), folder, "range")
-    scans = choose(found, selection, space_of(found, loaded.card.space), folder)
-    loaded = network_of_run(
+    scans = choose(found, selection, space_of(found, network.card.space), folder)
+    network = network_of_run(
+        settings,
         network,
-        loaded,
         found,
         out,
         overwrite=options.overwrite,
-        image_of=lambda file: range_image(file, folder, loaded.sensor)[1],
+        image_of=lambda file: range_image(file, folder, network.sensor)[1],
     )
-    settings, folders = network.record(loaded), ("pixel_labels",)
-    summary = RunSummary(loaded.sensor)
-    run = output_run(out, "predict", settings, folders, scans, overwrite=options.overwrite)
+    recorded, folders = settings.record(network), ("pixel_labels",)
+    summary = RunSummary(network.sensor)
+    run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
         steps = partial(predict_image, folder=folder, output=output)
-        task = NetworkTask(steps, network.resolved(loaded), loaded)
+        task = NetworkTask(steps, settings.resolved(network), network)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
@@ -374,11 +369,11 @@ def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterat
         `disagreement` (N,) float32, the share of the votes against the label, NaN without any.
     """
     source = Path(folder)
-    network = NetworkSettings(weights=None if weights is None else Path(weights))
+    settings = NetworkSettings(weights=None if weights is None else Path(weights))
     with TemporaryDirectory(prefix="salsanext-") as temporary:
         out, fused = Path(temporary), ResultFolder(Path(temporary) / FUSED)
         require_fusable(source, out, RunOptions())
-        outcome = predict_scans(source, out, network=network, extras=("votes",))
+        outcome = predict_scans(source, out, settings=settings, extras=("votes",))
         for failure in outcome.failures:
             log.error("%s", failure.reason)
         if not outcome.done:

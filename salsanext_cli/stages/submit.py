@@ -32,8 +32,6 @@ from salsanext_cli.results.layout import ScanFile, find_outputs
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import data_set_of, space_of, with_splits
 
-UNIX = 3
-FOLDER_IN_DOS = 0x10
 LEVEL = 6
 """Of compression; given, so that it is that of every Python."""
 SPLIT = "test"
@@ -42,14 +40,14 @@ SCANS_OF_TEST = {
     **{"17": 491, "18": 1801, "19": 4981, "20": 831, "21": 2721},
 }
 """Number of scans of each test sequence of SemanticKITTI, named 000000, 000001, …"""
-REFUSED_IDS = {
-    "unknown-id": ("ids that {} lacks", "write raw ids, not train ids, or give --label-space"),
-    "moving": (
-        "classes that move, which the benchmark of single scans does not know",
-        "give them the ids of their classes at rest, such as 10 instead of 252",
-    ),
+PROBLEMS = {
+    "length": "",
+    "unreadable": "",
+    "unknown-id": "ids that {1} lacks: {0} · write raw ids, not train ids, or give --label-space",
+    "moving": "{0}, which the benchmark of single scans does not know · give the ids of the "
+    "classes at rest, such as 10 instead of 252",
 }
-"""Meaning of the raw ids of these problems, in a label space of some name, and the remedy."""
+"""Kinds of problems of label files; of raw ids their description with these and a label space."""
 Predictions = dict[tuple[str, str], Path]
 """Label files by sequence and stem."""
 
@@ -64,19 +62,14 @@ def write_zip(path: Path, members: Mapping[str, Path], advance: Callable[[], Non
             for parent in reversed(PurePosixPath(name).parents[:-1]):
                 if parent not in folders:
                     folders.add(parent)
-                    made.writestr(_entry(f"{parent}/", stat.S_IFDIR | 0o755), b"")
+                    made.mkdir(str(parent), 0o755)
             with reading(member) as opened:
                 content = opened.read()
-            made.writestr(_entry(name, stat.S_IFREG | 0o644), content, ZIP_DEFLATED, LEVEL)
+            # Without the time and the mode of the file.
+            entry = ZipInfo(name)
+            entry.external_attr = (stat.S_IFREG | 0o644) << 16
+            made.writestr(entry, content, ZIP_DEFLATED, LEVEL)
             advance()
-
-
-def _entry(name: str, mode: int) -> ZipInfo:
-    entry = ZipInfo(name)
-    # Else the machine and its settings would be in the file.
-    entry.create_system = UNIX
-    entry.external_attr = mode << 16 | (FOLDER_IN_DOS if stat.S_ISDIR(mode) else 0)
-    return entry
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,31 +198,44 @@ def problems(
 
     `stems`: names of the scans that must be there; `files`, `scans`: labels and scans by stem.
     """
-    errors: dict[str, list[str]] = {"length": [], "unreadable": []}
-    refused_ids: dict[str, list[set[int]]] = {code: [] for code in REFUSED_IDS}
-    moving_ids = {i for i, name in space.labels.items() if name.startswith(MOVING)}
+    found: dict[str, list[str]] = {code: [] for code in PROBLEMS}
     for stem in stems:
         if stem in files:
-            try:
-                ids = _ids_of(files[stem], scans.get(stem))
-                refused_ids["unknown-id"].append(ids - space.learning_map.keys())
-                refused_ids["moving"].append(ids & moving_ids)
-            except SalsanextError as error:
-                code = "length" if isinstance(error, LabelError) else "unreadable"
-                errors[code].append(str(error))
+            for code, message in _wrong_with(files[stem], scans.get(stem), space):
+                found[code].append(message)
         advance()
-    yield from _missing(sequence, stems, files, scans)
-    for code, messages in errors.items():
+    if not stems:
+        message = f"sequence {sequence} · no predictions, and no scans to tell how many are needed"
+        yield Problem("missing", sequence, 0, f"{message} · predict it")
+    if lacking := [stem for stem in stems if stem not in files]:
+        gone = len([stem for stem in lacking if scans and stem not in scans])
+        remedy = f"{gone} of their scans are missing too: complete the data set"
+        share = f"{len(lacking):,} of {len(stems):,} predictions are missing"
+        message = f"sequence {sequence} · {share}: {first_few(lacking)}"
+        message += f" · {remedy if gone else 'predict them'}"
+        yield Problem("missing", sequence, len(lacking), message)
+    for code, messages in found.items():
         if messages:
             others = f" · and {len(messages) - 1} more" if len(messages) > 1 else ""
             yield Problem(code, sequence, len(messages), f"{messages[0]}{others}")
-    for code, of_scans in refused_ids.items():
-        if count := sum(map(bool, of_scans)):
-            what, remedy = REFUSED_IDS[code]
-            every = sorted(set().union(*of_scans))
-            shown = first_few([f"{i} {space.labels.get(i, '')}".rstrip() for i in every])
-            found = f"{what.format(space.name)}, in {counted(count, 'scan')}: {shown}"
-            yield Problem(code, sequence, count, f"sequence {sequence} · {found} · {remedy}")
+
+
+def _wrong_with(path: Path, scan: Path | None, space: LabelSpace) -> Iterator[tuple[str, str]]:
+    """Yield the code and the description of what is wrong with a label file."""
+    try:
+        ids = _ids_of(path, scan)
+    except SalsanextError as error:
+        yield "length" if isinstance(error, LabelError) else "unreadable", str(error)
+        return
+    names = {i: space.labels.get(i, "") for i in sorted(ids)}
+    refused = {
+        "unknown-id": [i for i in names if i not in space.learning_map],
+        "moving": [i for i, name in names.items() if name.startswith(MOVING)],
+    }
+    for code, of_code in refused.items():
+        if of_code:
+            shown = first_few([f"{i} {names[i]}".rstrip() for i in of_code])
+            yield code, f"{path} · {PROBLEMS[code].format(shown, space.name)}"
 
 
 def _ids_of(path: Path, scan: Path | None) -> set[int]:
@@ -244,21 +250,3 @@ def _ids_of(path: Path, scan: Path | None) -> set[int]:
         found = f"{counted(size // len(raw), 'byte')} per label"
         raise LabelError(path, found, "4, one uint32 per point", "write them as uint32")
     return {*np.flatnonzero(np.bincount(raw & 0xFFFF, minlength=RAW_ID_COUNT)).tolist()}
-
-
-def _missing(
-    sequence: str, stems: Sequence[str], files: Mapping[str, Path], scans: Mapping[str, Path]
-) -> Iterator[Problem]:
-    lacking = [stem for stem in stems if stem not in files]
-    if not stems:
-        message = f"sequence {sequence} · no predictions, and no scans to tell how many are needed"
-        yield Problem("missing", sequence, 0, f"{message} · predict it")
-    elif lacking:
-        gone = len([stem for stem in lacking if scans and stem not in scans])
-        found = f"{len(lacking):,} of {len(stems):,} predictions are missing: {first_few(lacking)}"
-        remedy = "predict them"
-        if gone:
-            remedy = f"{gone} of their scans are missing too: complete the data set"
-        yield Problem(
-            "missing", sequence, len(lacking), f"sequence {sequence} · {found} · {remedy}"
-        )

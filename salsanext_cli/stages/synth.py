@@ -3,11 +3,8 @@
 
 import logging
 import math
-import os
-import signal
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -19,13 +16,11 @@ import yaml
 
 from salsanext_cli.classes.label_space import RawIds, label_space
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.files.atomic import MARK
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.files.reading import filled
 from salsanext_cli.formats.kitti import encode_bin, encode_labels, read_labels
-from salsanext_cli.parallel.options import worker_count
-from salsanext_cli.parallel.run import Progress
-from salsanext_cli.parallel.worker import end_with_parent, signals_blocked
+from salsanext_cli.parallel.run import Progress, RunOptions, run_over_scans
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.stage_records import as_json, require_same_settings
 from salsanext_cli.synthesis.drive import record
@@ -38,8 +33,6 @@ MAX_DRIVE_M = 3000.0
 """Longest drive of one sequence; the whole street is held in memory."""
 SEQUENCE_FILES = ("poses.txt", "times.txt", "calib.txt")
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
-SequenceWriter = Callable[[str], Iterator[dict[int, int]]]
-"""Writes the sequence of a name; yields the number of points of each raw id, scan by scan."""
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +57,8 @@ def synthesise(
     the number of points by raw id, `points`.
     """
     counts = {"train": train, "valid": valid, "test": test}
-    _check({f"--{split}": count for split, count in counts.items()}, scans, seed, spacing, jobs)
+    options = RunOptions(jobs=jobs, on_error="stop", progress=progress)
+    _check({f"--{split}": count for split, count in counts.items()}, scans, seed, spacing)
     if sensor not in RIGS:
         raise UsageError("--sensor", sensor, f"one of {', '.join(RIGS)}")
     made_with = manifest(counts, scans, seed, spacing, sensor)
@@ -76,19 +70,18 @@ def synthesise(
     owned.require_new()
     if overwrite or not all(map(filled, files)):
         import_open3d()
-    total = len(names) * scans
     points: Counter[int] = Counter()
-    write = partial(_write_sequence, owned, scans, seed, spacing, sensor)
+    write = partial(_write_sequence, owned=owned, scans=scans, seed=seed, spacing=spacing)
+    write = partial(write, sensor=sensor)
+    # Sequences are the units of the run.
+    units = [ScanFile(name, name, out / "sequences" / name) for name in names]
     with owned.open():
         _begin(owned, made_with, files, overwrite)
-        for done, of_scan in enumerate(_write(write, names, jobs), start=1):
-            points.update(of_scan)
-            if progress:
-                progress(done, total)
+        run_over_scans(write, units, options, on_result=points.update)
         space = replace(label_space("semantic-kitti"), splits=splits)
         text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
         owned.write_missing(out / LABEL_SPACE, text.encode())
-    made = {"scans": total, "splits": splits, "points": dict(sorted(points.items()))}
+    made = {"scans": len(names) * scans, "splits": splits, "points": dict(sorted(points.items()))}
     return {"stage": "synth", **made}
 
 
@@ -102,7 +95,7 @@ def manifest(
     return {"stage": "synth", "version": __version__, "settings": {"splits": splits} | settings}
 
 
-def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, jobs: int) -> None:
+def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float) -> None:
     least = {**dict.fromkeys(sequences, 0), "--scans": 1, "--seed": 0}
     for name, count in {**sequences, "--scans": scans, "--seed": seed}.items():
         if count < least[name]:
@@ -116,7 +109,6 @@ def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, job
             f"more than 0 m, and drives of up to {MAX_DRIVE_M:.0f} m",
             "ask for more sequences with fewer scans",
         )
-    worker_count(jobs)
 
 
 def _begin(
@@ -167,45 +159,22 @@ def _scan_files(sequence: Path, index: int) -> tuple[Path, Path]:
     return sequence / "velodyne" / f"{stem}.bin", sequence / "labels" / f"{stem}.label"
 
 
-def _write(write: SequenceWriter, names: list[str], jobs: int) -> Iterator[dict[int, int]]:
-    """Write the sequences and yield, scan by scan, how many points each raw id has."""
-    workers = min(len(names), worker_count(jobs))
-    if workers == 1:
-        for name in names:
-            yield from write(name)
-        return
-    import joblib
-
-    with joblib.parallel_config(
-        backend="loky", n_jobs=workers, initializer=end_with_parent, initargs=(os.getpid(),)
-    ):
-        parallel = joblib.Parallel(return_as="generator_unordered")
-    with signals_blocked(signal.SIGINT, signal.SIGTERM):
-        sequences = parallel(
-            joblib.delayed(_write_whole)(MARK.get(), write, name) for name in names
-        )
-    with closing(sequences):
-        for counts in sequences:
-            yield from counts
-
-
-def _write_whole(mark: str, write: SequenceWriter, name: str) -> list[dict[int, int]]:
-    MARK.set(mark)
-    return list(write(name))
-
-
 def _write_sequence(
-    owned: OwnedFolder, scans: int, seed: int, spacing: float, sensor: str, name: str
-) -> Iterator[dict[int, int]]:
-    """Write what is missing of a sequence; poses are relative to the first scan."""
-    folder = owned.root / "sequences" / name
+    file: ScanFile, owned: OwnedFolder, scans: int, seed: int, spacing: float, sensor: str
+) -> Counter[int]:
+    """Write what is missing of a sequence; return how many points each raw id has.
+
+    Poses are relative to the first scan.
+    """
+    folder, points = file.path, Counter[int]()
     if all(map(filled, _files(folder, scans))):
         for index in range(scans):
-            yield _points_of(read_labels(_scan_files(folder, index)[1]))
-        return
+            points += _points_of(read_labels(_scan_files(folder, index)[1]))
+        return points
     poses, times = [], []
     first = np.eye(4)
-    for index, frame in enumerate(record(seed, int(name), scans, spacing, RIGS[sensor])):
+    frames = record(seed, int(file.sequence), scans, spacing, RIGS[sensor])
+    for index, frame in enumerate(frames):
         scan, labels = _scan_files(folder, index)
         owned.write_missing(scan, encode_bin(frame.scan))
         owned.write_missing(labels, encode_labels(frame.labels))
@@ -213,12 +182,13 @@ def _write_sequence(
         relative = np.linalg.inv(first) @ frame.pose
         poses.append(" ".join(f"{value:.9e}" for value in relative[:3].ravel()))
         times.append(f"{frame.time:.6e}")
-        yield _points_of(frame.labels)
+        points += _points_of(frame.labels)
     calibration = [f"{key}: {IDENTITY}" for key in ("P0", "P1", "P2", "P3", "Tr")]
-    for file, lines in zip(SEQUENCE_FILES, (poses, times, calibration), strict=True):
-        owned.write_missing(folder / file, ("\n".join(lines) + "\n").encode())
+    for name, lines in zip(SEQUENCE_FILES, (poses, times, calibration), strict=True):
+        owned.write_missing(folder / name, ("\n".join(lines) + "\n").encode())
+    return points
 
 
-def _points_of(labels: RawIds) -> dict[int, int]:
+def _points_of(labels: RawIds) -> Counter[int]:
     raw, counts = np.unique(labels, return_counts=True)
-    return dict(zip(raw.tolist(), counts.tolist(), strict=True))
+    return Counter(dict(zip(raw.tolist(), counts.tolist(), strict=True)))

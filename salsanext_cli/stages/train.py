@@ -19,7 +19,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.results.stage_records import as_json
 from salsanext_cli.sensors.sensor import Sensor
-from salsanext_cli.stages.synth import LABEL_SPACE, MANIFEST, manifest, synthesise
+from salsanext_cli.stages.synth import MANIFEST, manifest, synthesise
 from salsanext_cli.synthesis.rig import RIGS
 from salsanext_cli.training.cross_validation import Expectation
 from salsanext_cli.training.data.class_counts import ClassCounts, class_counts, require_labels
@@ -171,15 +171,9 @@ def _simulated_streets(
     splits = {"train": count, "valid": 0, "test": 0}
     for kind, root in roots.items():
         settings = as_json(manifest(splits, SCANS_OF_STREET, 0, STREET_SPACING_M, kind))
-        recorded = read_json(root / MANIFEST)
-        made = len([*root.glob("sequences/*/velodyne/*.bin")])
-        # The label space is written last.
-        whole = made == count * SCANS_OF_STREET and (root / LABEL_SPACE).exists()
-        if whole and recorded == settings:
-            continue
-        others = ": those there are of another version or settings"
-        why = "" if recorded in (None, settings) else others
-        log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
+        if (recorded := read_json(root / MANIFEST)) != settings:
+            why = ": those there are of another version or settings" if recorded else ""
+            log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
         synthesise(
             root,
             train=count,
@@ -189,7 +183,7 @@ def _simulated_streets(
             spacing=STREET_SPACING_M,
             sensor=kind,
             jobs=jobs,
-            overwrite=recorded != settings,
+            overwrite=recorded not in (None, settings),
         )
     sources = [further_source(root, classes, sensor) for root in roots.values()]
     return [replace(source, simulated=True) for source in sources]

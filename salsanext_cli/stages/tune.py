@@ -34,33 +34,31 @@ def tune(
     source: Path,
     target: Path,
     *,
-    network: NetworkSettings = NetworkSettings(),
+    settings: NetworkSettings = NetworkSettings(),
     selection: ScanSelection | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
     **numbers: Any,
 ) -> dict[str, Any]:
-    """Write a weights file of which one part is fitted to scans; tensors stay bit for bit.
+    """Write weights of which one part is fitted to scans; return what its fit reports.
 
     `part`: a name of `FITS`; `selection`: by default the scans for validation, and a limit takes
     evenly spaced ones; `numbers`: those of the part's fit.
-
-    Returns plain data: the name of the `stage`, and what its fit reports.
     """
     fit = FITS[part]
-    require_tensors(network.path)
-    loaded = network.load()
-    files, space = labelled_scans(source, selection or VALIDATION, loaded.card)
+    require_tensors(settings.path)
+    network = settings.load()
+    files, space = labelled_scans(source, selection or VALIDATION, network.card)
     require_target(target, overwrite)
     curve = curve_of(target, part) if part in CURVES else None
     if curve:
         require_absent(curve, overwrite)
-    tuned = fit(TuningScans(source, files, space, network, loaded, progress), **numbers)
+    tuned = fit(TuningScans(source, files, space, settings, network, progress), **numbers)
     report = {"stage": f"tune {part}", **tuned.report}
     if curve:
         CURVES[part](curve, report)
         report["curve"] = str(curve)
-    save_with_card(network.path, target, tuned.card)
+    save_with_card(settings.path, target, tuned.card)
     return report
 
 

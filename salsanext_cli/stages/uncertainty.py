@@ -2,7 +2,7 @@
 """Stage `uncertainty`: scans to labels and uncertainties of their points."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -66,7 +66,7 @@ def uncertainty(
     source: Path | Sequence[Path],
     out: Path,
     *,
-    network: NetworkSettings = NetworkSettings(),
+    settings: NetworkSettings = NetworkSettings(),
     knn: KnnParameters = KnnParameters(),
     method: UncertaintyMethod = UncertaintyMethod(),
     selection: ScanSelection = ScanSelection(),
@@ -76,27 +76,27 @@ def uncertainty(
 
     The labels of the mean softmax go to `predictions`, unless another stage has its labels there.
     """
-    loaded = network.load()
+    network = settings.load()
     listed = scans_of(source)
-    scans = choose(listed, selection, space_of(listed, loaded.card.space), source)
+    scans = choose(listed, selection, space_of(listed, network.card.space), source)
     # Labels of another stage stay, and with them what they were made with.
     labels_too = StageRecords(out).owner("predictions") in (None, "uncertainty")
     overwrite = options.overwrite and labels_too
-    loaded = network_of_run(network, loaded, listed, out, overwrite=overwrite)
-    method.require(loaded)
-    settings = network.record(loaded) | {"knn": asdict(knn)} | method.settings(loaded.sensor)
+    network = network_of_run(settings, network, listed, out, overwrite=overwrite)
+    method.require(network)
+    recorded = settings.record(network) | {"knn": asdict(knn)} | method.settings(network.sensor)
     kinds = tuple(f"uncertainty/{kind}" for kind in method.kinds)
     folders = (*kinds, "predictions") if labels_too else kinds
-    if knows_error(loaded) and labels_too:
+    if knows_error(network) and labels_too:
         folders = (ERROR, *folders)
-    elif knows_error(loaded) and StageRecords(out).owner(ERROR) is None:
+    elif knows_error(network) and StageRecords(out).owner(ERROR) is None:
         log.log(NOTICE, "no errors: the labels in %s are another stage's; see predict --error", out)
-    _require_network_of_labels(out, settings)
-    summary = RunSummary.of_scans(scans, loaded.sensor, loaded.space)
-    run = output_run(out, "uncertainty", settings, folders, scans, overwrite=options.overwrite)
+    _require_network_of_labels(out, recorded)
+    summary = RunSummary.of_scans(scans, network.sensor, network.space)
+    run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
         function = partial(uncertainty_scan, knn=knn, method=method, output=output)
-        task = NetworkTask(function, network.resolved(loaded), loaded)
+        task = NetworkTask(function, settings.resolved(network), network)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=summary.add
         )
@@ -110,28 +110,16 @@ def _require_network_of_labels(out: Path, settings: dict[str, Any]) -> None:
     recorded = records.settings(stage) if stage not in (None, "uncertainty") else None
     if recorded is None:
         return
-    compared: dict[str, tuple[str, Callable[..., object]]] = {"sensor": ("sensor", _view)}
+    same: dict[str, bool] = {}
+    if "sensor" in recorded:
+        before = recorded_view(Sensor.from_dict(recorded["sensor"]))
+        views = (as_json(view | {"name": ""}) for view in (before, settings["sensor"]))
+        same["sensor"] = next(views) == next(views)
     if weights := records.weights("predictions"):
-        recorded["weights"] = weights
-        compared = {"weights": ("weights", str)} | compared
-        # Those of other programs may be in any classes.
-        compared |= {"label_space": ("--classes", _classes)}
-    for key, (same, seen) in compared.items():
-        if key in recorded and seen(recorded[key]) != seen(as_json(settings[key])):
-            raise OutputError(
-                out / f"{stage}.json",
-                f"labels made with other {key}",
-                "the same for labels and uncertainty",
-                f"give the same {same}, or use another output folder",
-            )
-
-
-def _view(sensor: dict[str, Any]) -> dict[str, Any]:
-    """Leave out what labels do not depend on."""
-    return {**recorded_view(Sensor.from_dict(sensor)), "name": None}
-
-
-def _classes(space: dict[str, Any]) -> tuple[Any, ...]:
-    """Return names and raw ids of the classes."""
-    found = LabelSpace.from_dict(space)
-    return found.names, found.learning_map_inv
+        # Labels of other programs may be in any classes.
+        own, space = (LabelSpace.from_dict(each["label_space"]) for each in (settings, recorded))
+        same |= {"weights": weights == settings["weights"], "classes": space.fits(own)}
+    for name in (name for name, is_same in same.items() if not is_same):
+        found, expected = f"labels made with other {name}", "the same for labels and uncertainty"
+        remedy = f"give the same --{name}, or use another output folder"
+        raise OutputError(out / f"{stage}.json", found, expected, remedy)

@@ -94,7 +94,7 @@ def test_script_and_benchmark_label_a_scan_as_predict_does(plain, tmp_path, weig
     monkeypatch.setattr(sys, "argv", [*map(str, words)])
     plain.main()
     product.predict(file, tmp_path / "product.label", load_network(weights, "cpu"))
-    predict_scans(file, tmp_path / "out", network=NetworkSettings(weights, device="cpu"))
+    predict_scans(file, tmp_path / "out", settings=NetworkSettings(weights, device="cpu"))
     (stage,) = (tmp_path / "out").rglob("*.label")
     assert (tmp_path / "product.label").read_bytes() == stage.read_bytes()
     theirs, labels = (read_labels(path, 1500) for path in (tmp_path / "plain.label", stage))

@@ -2,18 +2,10 @@
 """Commands to look at results as they are typed; rerun-sdk is not needed."""
 
 import sys
-from contextlib import contextmanager
 
 import pytest
 from command_line import only_json
 from evaluated import CAR, ROAD, World
-
-from salsanext_cli.stages import export_rrd as stage
-
-KEYS = {
-    *("schema", "stage", "out", "done", "skipped", "failed", "failures", "seconds_per_scan"),
-    *("missing", "not_asked_for", "next", "seconds"),
-}
 
 
 @pytest.fixture
@@ -37,33 +29,6 @@ def test_the_command_says_where_the_page_is(run, world):
     assert run("report", "nowhere").exit_code == 1
     result = run(*given, "--scans", "08/000001", "--quiet")
     assert (result.exit_code, result.output) == (0, "")
-
-
-@pytest.fixture
-def recorded(monkeypatch):
-    """Take note of the numbers of scans instead of writing a recording."""
-    numbers: list[int] = []
-
-    @contextmanager
-    def recording(file, *_):
-        yield lambda number, *scan: numbers.append(number)
-        file.write(b"whole")
-
-    monkeypatch.setattr(stage, "import_rerun", lambda: None)
-    monkeypatch.setattr(stage, "recording", recording)
-    return numbers
-
-
-def test_the_command_says_where_the_recordings_are(run, world, recorded):
-    given = ("export-rrd", world.out, "--dataset", world.dataset)
-    result = run(*given)
-    assert (result.exit_code, recorded) == (0, [0, 1])
-    assert f"recording: {world.out / 'rrd/08.rrd'}" in result.stderr
-    assert "export-rrd: 2 scans" in result.stderr
-    found = only_json(run(*given, "--json", "--limit", 1))
-    assert {*found} == KEYS
-    assert (found["stage"], found["done"]) == ("export-rrd", 1)
-    assert run(*given, "-q").stderr == ""
 
 
 def test_without_rerun_the_extra_is_named(run, world, monkeypatch):

@@ -9,28 +9,14 @@ from typing import Annotated
 
 import pytest
 import typer
-from command_line import every_command, only_json, parsed
+from command_line import only_json
 from scans import SMALL, labels_below, write_weights
-from typer.testing import CliRunner
 
-from salsanext_cli.cli import options
 from salsanext_cli.cli.app import app
 from salsanext_cli.cli.option_groups import Default, Only, Shown, Without, expanded
 from salsanext_cli.engines.settings import NetworkSettings, weights_file
-from salsanext_cli.errors import UsageError
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.options import KnnParameters, ScanSelection
-
-SHARDED = {
-    "filter",
-    "fuse",
-    "project",
-    "predict",
-    "knn-refine",
-    "uncertainty",
-    "picture",
-    "export-ply",
-}
 
 
 def test_a_group_is_expanded_filled_and_handed_over():
@@ -63,22 +49,6 @@ def test_the_default_weights_have_a_name():
     assert weights_file(Path("a/default")) == Path("a/default")
 
 
-def test_the_error_of_an_unknown_sensor_lists_auto_where_that_is_one():
-    with pytest.raises(UsageError, match="expected one of auto, hdl64"):
-        NetworkSettings(sensor="atuo").named_sensor()
-    with pytest.raises(UsageError, match="expected one of hdl64"):
-        options.sensor("atuo")
-
-
-def test_results_over_all_scans_cannot_be_sharded():
-    flags = {
-        name: [flag for p in parsed(name).params for flag in p.opts] for name in every_command()
-    }
-    assert {name for name in flags if "--shard" in flags[name]} == SHARDED
-    backends = {name for name in flags if "--backend" in flags[name]}
-    assert backends == SHARDED | {"compare", "eval", "inspect", "convert", "pick", "report", "view"}
-
-
 @pytest.fixture
 def task(monkeypatch):
     """Return a function that makes this process a task of a Slurm array of two, from 4."""
@@ -104,14 +74,9 @@ def test_tasks_of_an_array_share_the_scans(run, data, tmp_path, weights, task):
     assert only_json(run("eval", "--out", out, "--json"))["scans"] == 2
     scans = json.loads((out / "predict.json").read_text())["scans"]
     assert scans["08"]["asked_for"] == ["000000", "000001"]
-
-
-def test_a_shard_that_is_typed_goes_before_the_array(run, data, tmp_path, weights, task):
-    task(4)
-    out = tmp_path / "out"
-    result = run("project", data, out, "--weights", weights, "--shard", "1/1", "--json")
-    assert "of the scans" not in result.stderr
-    assert only_json(result)["done"] == 2
+    # What is typed goes before the array.
+    result = run(*call, "--shard", "1/1", "--json")
+    assert only_json(result)["skipped"] == 2
 
 
 KNOWING = {"intensity_quantiles": (0.0,) * 64 + (1.0,), "row_gaps": 0.3}
@@ -151,9 +116,7 @@ def test_what_training_measured_is_not_taken_for_the_scans(network):
     ("command", "option", "begun", "completed"),
     [
         ("predict", "sensor", "os1", ["os1-64", "os1-128"]),
-        ("predict", "classes", "co", ["coarse"]),
         ("train", "recipe", "pa", ["paper", "paper-v1"]),
-        ("export-ply", "colour", "un", ["uncertainty"]),
         ("eval", "label_space", "s", ["semantic-kitti"]),
     ],
 )
@@ -163,9 +126,3 @@ def test_values_are_completed(command, option, begun, completed):
     (parameter,) = (p for p in group.commands[command].params if p.name == option)
     found = [item.value for item in parameter.shell_complete(context, begun)]
     assert found == completed
-
-
-def test_flags_have_no_type_in_the_help():
-    text = CliRunner().invoke(app, ["predict", "--help"], env={"COLUMNS": "100"}).output
-    assert "--help" in text
-    assert "<bool>" not in text

@@ -39,11 +39,9 @@ def test_the_commands_to_type_next_lead_from_scans_to_scores(run, data, weights,
     ("stage", "split", "done", "expected"),
     [
         ("uncertainty", "test", 1, "salsanext export-ply 'a b' --colour uncertainty"),
-        ("predict", None, 1, "salsanext export-ply 'a b'"),
         ("predict", "valid", 1, "salsanext export-ply 'a b'"),
         ("predict", "test", 1, "salsanext submit 'a b' submission.zip"),
         ("predict", "test", 0, None),
-        ("knn-refine", None, 1, "salsanext export-ply 'a b'"),
         ("knn-refine", "test", 1, "salsanext submit 'a b' submission.zip"),
     ],
 )

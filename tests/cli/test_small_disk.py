@@ -2,7 +2,6 @@
 """Every stage on a disk that is full: one line, no half file, and room lets it finish."""
 
 import os
-import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,18 +10,9 @@ from shutil import which
 
 import pytest
 from scans import SMALL, files_below, write_sequence, write_weights
-from tiny_network import TinyNetwork
-
-from salsanext_cli.cli import options
-from salsanext_cli.network.registry import ARCHITECTURES
 
 STAGES = {
-    "project": ("project {data} {out} --sensor {sensor}", ()),
     "predict": ("predict {data} {out} --weights {weights} --probabilities", ()),
-    "uncertainty": (
-        "uncertainty {data} {out} --weights {weights} --samples 2 --aleatoric none",
-        (),
-    ),
     "export-ply": ("export-ply --out {out} --colour label", ("predict",)),
     "picture": ("picture {out} --colour label --limit 1", ("predict",)),
     "eval": ("eval --out {out}", ("predict",)),
@@ -60,12 +50,10 @@ def filled(disk: Path, room: int) -> Iterator[None]:
 
 @pytest.fixture
 def places(tmp_path: Path) -> dict[str, Path]:
-    """Return scans, weights and a sensor on a disk that has room."""
+    """Return scans and weights on a disk that has room."""
     write_sequence(tmp_path / "data/sequences/08", ["000000"], count=COUNT)
-    sensor = tmp_path / "small.toml"
-    sensor.write_text("fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 2048\n")
     weights = write_weights(tmp_path / "w.safetensors", sensor=SMALL)
-    return {"data": tmp_path / "data", "weights": weights, "sensor": sensor}
+    return {"data": tmp_path / "data", "weights": weights}
 
 
 def require_one_line(result, out: Path, before: dict[str, bytes]) -> None:
@@ -108,24 +96,3 @@ def test_a_full_disk(run, places, disk, tmp_path, stage, room) -> None:
     again = go(stage, out)
     assert again.exit_code == 0, again.output
     assert files_below(out) == files_below(whole)
-
-
-@pytest.mark.parametrize("room", [pytest.param(0, marks=pytest.mark.slow), 20_000])
-def test_a_training_on_a_full_disk(run, disk, tmp_path, monkeypatch, room) -> None:
-    monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
-    monkeypatch.setattr(options, "sensor", lambda name: SMALL)
-    for sequence in ("00", "08"):
-        write_sequence(tmp_path / f"data/sequences/{sequence}", ["0", "1"], count=300)
-    given = ("--recipe", "quick", "--sensor", "small", "--epochs", 1, "--set", "batch=1")
-
-    def go(folder: Path):
-        return run("train", tmp_path / "data", folder, *given)
-
-    assert go(tmp_path / "whole").exit_code == 0
-    (disk / "run").mkdir()
-    with filled(disk, room):
-        require_one_line(go(disk / "run"), disk / "run", {})
-    assert go(disk / "run").exit_code == 0
-    for name in ("last.safetensors", "best.safetensors", "curve.png"):
-        assert (disk / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
-    shutil.rmtree(disk / "run")

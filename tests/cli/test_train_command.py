@@ -38,16 +38,3 @@ def test_a_batch_too_small_for_the_workers(run, data, tmp_path, monkeypatch):
     assert result.exit_code == 2
     assert "recipe key batch · 2 · expected at least one sample for each of 3" in result.stderr
     assert result.stderr.count("\n") == 1
-
-
-def test_further_data_sets(run, data, tmp_path):
-    write_sequence(data / "sequences/00", ["0", "1"], count=300)
-    write_sequence(tmp_path / "further/sequences/00", ["0"], count=300)
-    given = ("train", data, tmp_path / "run", "--recipe", "quick", "--sensor", "small", "--json")
-    result = run(*given, "--also", tmp_path / "further", "--also", data)
-    assert result.exit_code == 0, result.output
-    assert Path(only_json(result)["last"]).is_file()
-    missing = run(*given, "--overwrite", "--also", tmp_path / "nowhere")
-    assert missing.exit_code == 1
-    assert "nowhere" in missing.stderr
-    assert missing.stderr.count("\n") == 1

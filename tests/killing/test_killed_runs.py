@@ -85,8 +85,10 @@ def overwriting(folder: Path) -> Run:
 
     def run(out: Path) -> None:
         if not (out / "predict.json").exists():
-            predict_scans(data, out, network=network, knn=KnnParameters(k=1))
-        predict_scans(data, out, network=network, extras=extras, options=RunOptions(overwrite=True))
+            predict_scans(data, out, settings=network, knn=KnnParameters(k=1))
+        predict_scans(
+            data, out, settings=network, extras=extras, options=RunOptions(overwrite=True)
+        )
 
     # What is loaded here need not be in every run; one thread, so that forks find no others.
     run(folder / "warm")

@@ -91,13 +91,3 @@ def test_what_was_written_before_an_interrupt_is_told_and_nothing_is_written_aft
     with pytest.raises(type(error)):
         run()
     assert told == of("write", work.done) == ["0", "1"]
-
-
-@pytest.mark.parametrize("failing", STEPS)
-def test_who_stops_at_a_failure_finds_nothing_written_after_it(failing):
-    work = Work(fails=[(failing, "1")])
-    attempts = overlapping(work.begin, FILES)
-    assert [next(attempts)[2], next(attempts)[2]] == [None, work.error]
-    attempts.close()
-    assert of("write", work.done) == ["0"]
-    assert not [thread for thread in threading.enumerate() if "salsanext-files" in thread.name]

@@ -4,8 +4,6 @@
 import subprocess
 import sys
 
-import pytest
-
 from salsanext_cli.parallel import worker
 from salsanext_cli.parallel.worker import WORKER
 
@@ -41,11 +39,8 @@ def test_worker_processes_take_a_gpu_each_and_a_killed_one_leaves_it(tmp_path):
             assert fourth.stdout.readline() == "cuda:1 cuda:1\n"
 
 
-@pytest.mark.parametrize(("device", "count"), [("cpu", 4), ("cuda:3", 4), ("auto", 1), ("cuda", 0)])
-def test_a_device_that_was_named_or_is_alone_stays(device, count, monkeypatch):
-    monkeypatch.setattr(WORKER, "run", "a run")
-    assert worker.own_device(device, count) == device
-
-
-def test_a_process_that_is_no_worker_takes_the_first():
+def test_a_device_that_was_named_or_is_alone_or_of_no_worker_stays(monkeypatch):
     assert worker.own_device("auto", 4) == "auto"
+    monkeypatch.setattr(WORKER, "run", "a run")
+    for device, count in (("cpu", 4), ("cuda:3", 4), ("auto", 1), ("cuda", 0)):
+        assert worker.own_device(device, count) == device

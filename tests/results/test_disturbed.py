@@ -27,20 +27,20 @@ def run(world, meddle: Callable[[], object] = lambda: None, **options):
             meddle()
 
     given = RunOptions(progress=progress, **options)
-    return predict_scans(world.data, world.out, network=world.network, options=given)
+    return predict_scans(world.data, world.out, settings=world.network, options=given)
 
 
 @pytest.fixture
 def whole(world, tmp_path):
     """Return the labels of a run that nobody meddled with."""
-    predict_scans(world.data, tmp_path / "whole", network=world.network)
+    predict_scans(world.data, tmp_path / "whole", settings=world.network)
     return labels_below(tmp_path / "whole")
 
 
 def test_a_scan_that_is_deleted(world, tmp_path):
     """It is the fourth: when the first is done, the third may be read already."""
     write_sequence(world.data / "sequences/08", ["000000", "000001", "000002"])
-    predict_scans(world.data, tmp_path / "whole", network=world.network)
+    predict_scans(world.data, tmp_path / "whole", settings=world.network)
     path = world.scan("08", "000002")
     content = path.read_bytes()
     outcome = run(world, path.unlink)

@@ -40,7 +40,7 @@ def test_scans_are_found_where_they_came_from_or_where_one_says(world):
 
 def test_scans_of_one_sequence_may_move_under_another_name(world, tmp_path):
     drive, place = write_sequence(tmp_path / "drive"), "velodyne"
-    predict_scans(drive / place, world.out, network=world.network)
+    predict_scans(drive / place, world.out, settings=world.network)
     moved = drive.rename(tmp_path / "moved")
     with pytest.raises(NoInputError, match="--dataset"):
         ResultFolder(world.out).scans()
@@ -94,7 +94,7 @@ def test_results_of_scans_that_were_not_asked_for_are_not_missing(world):
 def test_refined_labels_are_those_that_predict_was_asked_for(world):
     project_scans(world.data, world.out, sensor=SMALL, selection=ScanSelection(sequences=("08",)))
     first = ScanSelection(limit=1)
-    predict_range_images(world.out, world.out, network=world.network, selection=first)
+    predict_range_images(world.out, world.out, settings=world.network, selection=first)
     assert knn_refine_scans(world.out).done == 1
     scans = find_scans(world.data, ["08"])
     assert names(ResultFolder(world.out).missing_predictions(scans)) == (["08/000000"], 1)

@@ -94,16 +94,6 @@ def test_scans_of_either_training_are_marked_and_have_no_part_in_the_scores(runs
     assert data["agreement"] < 1
 
 
-def test_without_truth_there_is_agreement(runs):
-    shutil.rmtree(runs[0].dataset / "sequences/08/labels")
-    found, _, data = compared(runs)
-    assert data["scores"] == {}
-    assert data["turned"][0][:2] == ["car", "road"]
-    assert data["agreement"] == pytest.approx(
-        1 - found.turned[1, 2:].sum() / found.turned[1:, 1:].sum(), abs=0.2
-    )
-
-
 def test_what_cannot_be_compared_is_said(runs, tmp_path, caplog):
     output_path(runs[1].out, "08", "predictions", "0").unlink()
     runs[1].add("1", None, [CAR] * 3)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from evaluated import CAR, ROAD, SPACE, World
 from scans import write_array
-from sklearn.metrics import average_precision_score, log_loss, roc_auc_score
 
 from salsanext_cli.measures.scan_counts import EVALUATED_KINDS, ScanCounts, count_scan
 from salsanext_cli.measures.uncertainty_evaluation import (
@@ -24,7 +23,6 @@ C = SPACE.class_count
 CAR_ID, ROAD_ID = SPACE.names.index("car"), SPACE.names.index("road")
 PICTURES = {
     "probabilities": {"eval_reliability.png", "eval_risk_coverage.png", "eval_sparsification.png"},
-    "uncertainty/entropy": {"eval_risk_coverage.png", "eval_sparsification.png"},
     "uncertainty/epistemic": {
         "eval_risk_coverage.png",
         "eval_sparsification.png",
@@ -97,34 +95,6 @@ def test_whatever_is_there_is_evaluated(world, folder):
     assert list(report["uncertainty"]) == kinds
 
 
-def test_scores_are_those_of_scikit_learn(world):
-    """Two scans are pooled; points whose truth is ignored do not count."""
-    world.add("000000", [CAR, CAR, ROAD, 0], [CAR, CAR, CAR, CAR])
-    world.add("000001", [ROAD, ROAD, ROAD], [ROAD, CAR, ROAD])
-    first, second = softmax(0.875, 0.75, 0.625, 0.5), softmax(0.25, 0.5625, 0.125)
-    world.put("probabilities", "000000", first)
-    world.put("probabilities", "000001", second)
-    world.put("uncertainty/entropy", "000000", [0.1, 0.3, 0.25, 9])
-    world.put("uncertainty/entropy", "000001", [0.2, 0.5, 0.35])
-    found = uncertainty_of(world)
-    cars = np.concatenate([first[:3], second])[:, CAR_ID].astype(float)
-    is_car = np.array([1, 1, 0, 0, 0, 0])
-    calibration = found.calibration
-    assert calibration.scores.points == 6
-    assert calibration.scores.nll == pytest.approx(log_loss(is_car, cars), abs=1e-12)
-    # The class of the probabilities, not of the predictions: the third and the fifth are wrong.
-    assert calibration.scores.accuracy == pytest.approx(4 / 6)
-    wrong = np.array([0, 0, 1, 0, 1, 0])
-    entropy = np.array([0.1, 0.3, 0.25, 0.2, 0.5, 0.35])
-    scores = found.kinds["entropy"].scores
-    assert scores.auroc == pytest.approx(roc_auc_score(wrong, entropy), abs=1e-12)
-    assert scores.aupr == pytest.approx(average_precision_score(wrong, entropy), abs=1e-12)
-    assert scores.mean == pytest.approx(entropy.mean(), rel=1e-6)
-    unsure = 1 - np.maximum(cars, 1 - cars)
-    scores = found.kinds["confidence"].scores
-    assert scores.auroc == pytest.approx(roc_auc_score(wrong, unsure), abs=1e-12)
-
-
 def test_the_error_per_scan_is_the_mean_over_the_scans_that_have_points(world):
     """Errors of a confident and of an unconfident scan cancel out when they are pooled."""
     for stem, truth in (("000000", [ROAD] * 10), ("000001", [0]), ("000002", [CAR] * 10)):
@@ -163,22 +133,6 @@ def test_classes_and_rings(world):
     assert len(report["risk_coverage"]) == 100
 
 
-def test_points_without_a_pixel_are_left_out_and_counted(world):
-    """`predict` gives them to class 0, certainly; `uncertainty` gives them NaN."""
-    world.add("000000", [CAR, CAR, ROAD], [CAR, 0, ROAD])
-    rows = softmax(0.75, 0, 0.25)
-    rows[1] = np.eye(1, C)
-    world.put("probabilities", "000000", rows)
-    world.put("uncertainty/total", "000000", [0.1, np.nan, 0.2])
-    world.put("uncertainty/epistemic", "000000", [np.nan] * 3)
-    report = world.evaluate().uncertainty.to_dict(SPACE)["uncertainty"]["epistemic"]
-    assert (report["auroc"], report["left_out"]) == (None, 3)
-    found = uncertainty_of(world)
-    for result in (found.calibration, found.kinds["total"], found.kinds["confidence"]):
-        assert (result.scores.points, result.left_out) == (2, 1)
-    assert found.calibration.scores.accuracy == 1
-
-
 def test_files_of_some_scans_are_used_with_a_warning(world, caplog):
     for i in range(4):
         world.add(f"{i:06d}", [CAR, ROAD], [CAR, CAR])
@@ -196,8 +150,6 @@ def test_files_of_some_scans_are_used_with_a_warning(world, caplog):
 
 BAD = {
     "probabilities": (np.full((2, 3), 1 / 3, np.float16), r"float16 \(2, 20\)"),
-    "uncertainty/entropy": (np.float32([0.1, -0.1]), "negative or infinite at 1 of 2 points"),
-    "uncertainty/total": (np.array([0.1, 0.2]), "<f8"),
     "uncertainty/error": (np.float32([0.5, 1.5]), "below 0 or above 1 at 1 of 2 points"),
 }
 
@@ -210,7 +162,7 @@ def test_a_bad_file_is_named_and_the_other_scans_are_scored(world, folder):
         world.put(folder, stem, softmax(1, 0) if folder == "probabilities" else [0.1, 0.2])
     write_array(output_path(world.out, "08", folder, "000001"), np.asarray(values))
     evaluation = world.evaluate()
-    assert evaluation.scans == 1
+    assert evaluation.counts.scans == 1
     (failure,) = evaluation.failures
     assert str(output_path(world.out, "08", folder, "000001")) in failure.reason
     assert re.search(message, failure.reason)
@@ -277,10 +229,8 @@ def test_an_error_that_is_worse_than_the_softmax_is_said(world, caplog, error, s
     ("truth", "error", "entropy", "kind"),
     [
         ([CAR, ROAD], [0.1, 0.5], [0.5, 0.1], "error"),
-        ([CAR, ROAD], None, [0.5, 0.1], "entropy"),
         ([CAR, ROAD], [np.nan, np.nan], [0.5, 0.1], "entropy"),
         ([CAR, ROAD], [np.nan, np.nan], None, None),
-        ([CAR, ROAD], None, None, None),
         ([0, 0], [0.1, 0.5], [0.5, 0.1], None),
     ],
 )

@@ -82,12 +82,6 @@ def test_what_moves_leaves_no_trail_and_what_is_parked_stays(street):
     assert cars_and_buildings(street) == (True, False, True)
 
 
-def test_what_a_single_scan_sees_stays(street):
-    drive = Drive(street.drive.poses[:1], street.drive.parts[:1])
-    one = replace(street, files=street.files[:1], drive=drive)
-    assert cars_and_buildings(one) == (True, True, True)
-
-
 def test_only_scans_in_reach_and_of_the_part_tell_what_moves(street):
     assert cars_and_buildings(replace(street, reach=0)) == (True, True, True)
     apart = Drive(street.drive.poses, np.arange(5))
@@ -106,7 +100,7 @@ def fused(world):
     seen = (scan.points - [0.2, 0, 0] + noise).astype(np.float32)
     write_bin(world.scan(stem="000001"), Scan(seen, scan.intensity))
     (folder / "poses.txt").write_bytes(encode_poses(poses))
-    predict_scans(folder, world.out, network=world.network, extras=("votes",))
+    predict_scans(folder, world.out, settings=world.network, extras=("votes",))
     fuse_results(world.out)
     return world
 
@@ -167,7 +161,7 @@ def test_parts_of_a_drive_do_not_cover_each_other(world, caplog):
     poses[:, 0, 3] = 0, 60, 120, 120
     poses[1, :2, :2] = [[0, -1], [1, 0]]  # Else they would fit in millimetres
     (folder / "poses.txt").write_bytes(encode_poses(poses))
-    predict_scans(folder, world.out, network=world.network, extras=("votes",))
+    predict_scans(folder, world.out, settings=world.network, extras=("votes",))
     fuse_results(world.out)
     caplog.clear()
     caplog.set_level(NOTICE)
@@ -201,14 +195,11 @@ def test_las_has_the_same_points_with_an_offset(fused):
     np.testing.assert_array_equal(las.views, ply["scalar_views"])
 
 
-def test_workers_change_nothing(fused):
+def test_workers_change_nothing_and_a_map_of_the_user_is_kept(fused):
     export(fused)
     alone = map_of(fused).read_bytes()
     export(fused, options=RunOptions(jobs=2, backend="threading"))
     assert map_of(fused).read_bytes() == alone
-
-
-def test_a_map_of_the_user_is_kept(fused):
     map_of(fused).write_text("mine")
     with pytest.raises(OutputError, match="kept"):
         export(fused)
@@ -247,13 +238,10 @@ def test_the_command_writes_a_map(fused):
     assert CliRunner().invoke(app, words).exit_code == 2
 
 
-def test_a_report_shows_the_drive_from_above(fused):
+def test_a_report_shows_the_drive_from_above_or_says_why_not(fused):
     page = report(fused.out / "fused").page.read_text()
     assert page.count('alt="08: ') == 2
     assert 'alt="08: ' not in report(fused.out).page.read_text()
-
-
-def test_a_report_says_why_there_is_no_map(fused):
     path = fused.out / "fused/sequences/08/poses.txt"
     path.write_text(path.read_text() * 2)
     page = report(fused.out / "fused").page.read_text()

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Which scans go into which recording, and what is refused; rerun-sdk is not needed."""
 
-import sys
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -10,9 +9,8 @@ import pytest
 from evaluated import CAR, MOVING_CAR, ROAD, World
 
 from salsanext_cli import read_labels, read_scan
-from salsanext_cli.errors import MissingDependency, OutputError
+from salsanext_cli.errors import OutputError
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.report.rerun_recording import import_rerun
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages import export_rrd as stage
@@ -135,29 +133,3 @@ def test_recordings_of_others_are_kept_and_ones_own_replaced(world, recorded):
     recorded.clear()
     assert export(world, selection=ScanSelection(sequences=("00",))).done == 1
     assert [*recorded] == ["öut/00"]
-
-
-def test_a_recording_that_appears_meanwhile_is_kept(world, recorded, monkeypatch):
-    mine, fake = world.out / "rrd/00.rrd", stage.recording
-
-    @contextmanager
-    def slow(*given):
-        with fake(*given) as log_scan:
-            yield log_scan
-        mine.write_bytes(b"mine")
-
-    monkeypatch.setattr(stage, "recording", slow)
-    with pytest.raises(OutputError, match=r"00\.rrd"):
-        export(world)
-    assert written(world) == {"00.rrd": b"mine"}
-
-
-def test_an_older_rerun_is_one_that_lacks_a_module(tmp_path, monkeypatch):
-    (tmp_path / "rerun").mkdir()
-    (tmp_path / "rerun/__init__.py").touch()
-    for name in [name for name in sys.modules if name.partition(".")[0] == "rerun"]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(MissingDependency, match=r"rerun\.chunk · not installed · pip install"):
-        import_rerun()
-    monkeypatch.delitem(sys.modules, "rerun")

@@ -24,11 +24,10 @@ from salsanext_cli.errors import (
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.fusion.poses import encode_poses, read_poses
 from salsanext_cli.fusion.window import FusionWindow, disagreement, fuse, fused_labels
-from salsanext_cli.options import FusionReach, ScanSelection
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.fuse import fuse_results
@@ -75,18 +74,12 @@ def typed(remedy, *more, **names):
 def drive(world):
     """Predict a drive of three scans of one place."""
     folder = write_drive(world, 3)
-    predict_scans(folder, world.out, network=world.network, extras=("probabilities",))
+    predict_scans(folder, world.out, settings=world.network, extras=("probabilities",))
     return world
 
 
 def fused_folder(world):
     return world.out / "fused/sequences/08"
-
-
-def test_fused_labels_know_the_weights_of_the_single_ones(drive):
-    own = StageRecords(drive.out).weights("predictions")
-    fuse_results(drive.out)
-    assert StageRecords(drive.out / "fused").weights("predictions") == own
 
 
 def test_labels_are_those_of_the_function(drive):
@@ -113,7 +106,7 @@ def test_labels_are_those_of_the_function(drive):
     assert changed
 
 
-def test_fused_labels_are_a_folder_of_results(drive):
+def test_fused_labels_are_a_folder_of_results_and_rejected_ones_are_not_fused(drive):
     fuse_results(drive.out)
     results = ResultFolder(drive.out / "fused")
     assert results.owner("predictions") == "fuse"
@@ -124,16 +117,12 @@ def test_fused_labels_are_a_folder_of_results(drive):
         found = evaluate(scans, folder, space).uncertainty
         assert found is not None
         assert {*found.kinds} >= {"disagreement", *kinds}
-
-
-def test_rejected_labels_are_not_fused(drive):
     path = drive.out / "predict.json"
     record = json.loads(path.read_text())
     record["settings"] |= {"reject": 0.9, "reject_by": "least_confidence"}
     path.write_text(json.dumps(record))
     with pytest.raises(OutputError, match="some were rejected"):
         fuse_results(drive.out)
-    assert not (drive.out / "fused").exists()
 
 
 def test_a_run_goes_on_with_the_same_bytes(drive, tmp_path):
@@ -146,42 +135,18 @@ def test_a_run_goes_on_with_the_same_bytes(drive, tmp_path):
     assert files_below(fused_folder(drive)) == before
 
 
-def test_other_settings_are_not_mixed(drive):
-    fuse_results(drive.out)
-    with pytest.raises(OutputError, match="reach"):
-        fuse_results(drive.out, reach=FusionReach(5, 1))
-    fuse_results(drive.out, reach=FusionReach(5, 1), options=RunOptions(overwrite=True))
-
-
 def test_new_labels_take_away_what_is_known_against_the_old(drive):
     fuse_results(drive.out)
     predict_scans(
         drive.data / "sequences/08",
         drive.out,
-        network=drive.network,
+        settings=drive.network,
         knn=KnnParameters(k=1),
         extras=("probabilities",),
         options=RunOptions(overwrite=True),
     )
     assert not any(drive.result("uncertainty/disagreement").parent.iterdir())
     assert not any(drive.result("views").parent.iterdir())
-
-
-def test_fused_labels_of_other_ones_are_refused(drive):
-    fuse_results(drive.out)
-    predict_scans(
-        drive.data / "sequences/08",
-        drive.out,
-        network=drive.network,
-        knn=KnnParameters(k=1),
-        options=RunOptions(overwrite=True),
-    )
-    with pytest.raises(OutputError, match="made anew") as found:
-        ResultFolder(drive.out / "fused").scans()
-    words = ("--weights", drive.network.weights, "--engine", "torch")
-    done = typed(found.value.remedy, *words, SCANS=drive.data / "sequences/08")
-    assert done.exit_code == 0, done.output
-    assert ResultFolder(drive.out / "fused").scans()
 
 
 def test_fused_labels_of_refined_ones_are_fused_anew(drive):
@@ -201,12 +166,12 @@ def test_votes_of_other_scans_are_not_mixed(drive):
     hidden.rename(hidden.with_suffix(".hidden"))
     assert [scan.stem for scan in fuse_results(drive.out).missing.scans] == ["000002"]
     hidden.with_suffix(".hidden").rename(hidden)
-    with pytest.raises(OutputError, match="fused of 2 scans, not of the 3") as found:
+    with pytest.raises(OutputError, match="not have the scans and poses") as found:
         fuse_results(drive.out)
     assert typed(found.value.remedy).exit_code == 0
     assert fuse_results(drive.out).skipped == 3
     (fused_folder(drive) / "drive.json").unlink()
-    with pytest.raises(OutputError, match="no such file"):
+    with pytest.raises(OutputError, match="not have the scans and poses"):
         fuse_results(drive.out)
 
 
@@ -218,7 +183,7 @@ def test_unpadded_numbers_are_in_order_for_labels_and_map(world):
     poses = way(3)
     poses[2, 0, 3] = 500
     (folder / "poses.txt").write_bytes(encode_poses(poses))
-    predict_scans(folder, world.out, network=world.network, extras=("votes",))
+    predict_scans(folder, world.out, settings=world.network, extras=("votes",))
     fuse_results(world.out)
     views = {n: np.load(fused_folder(world) / f"views/{n}.npy").max() for n in ("9", "10", "11")}
     assert views == {"9": 2, "10": 2, "11": 1}
@@ -267,7 +232,7 @@ def test_a_sequence_with_bad_poses_fails_alone(world, caplog):
 
 def test_poses_may_be_named_for_one_sequence(world, tmp_path):
     (write_drive(world, 3) / "poses.txt").unlink()
-    predict_scans(world.data, world.out, network=world.network, extras=("votes",))
+    predict_scans(world.data, world.out, settings=world.network, extras=("votes",))
     half = [0.05 * number for number in range(3)]
     lines = [f"{n} {0.2 * n} {0.1 * n} 0 0 0 {np.sin(h)} {np.cos(h)}" for n, h in enumerate(half)]
     path = tmp_path / "tum.txt"
@@ -283,48 +248,41 @@ def test_poses_may_be_named_for_one_sequence(world, tmp_path):
     assert CliRunner().invoke(app, [*words, "--sequences", "08"]).exit_code == 1
 
 
-@pytest.mark.parametrize("lines", [2, 4])
-def test_poses_of_other_scans_are_refused_before_anything_is_written(drive, lines):
-    poses = drive.data / "sequences/08/poses.txt"
-    poses.write_bytes(encode_poses(np.tile(np.eye(4) * 1.0, (lines, 1, 1)) * 1.5))
-    with pytest.raises(FormatError):
-        fuse_results(drive.out)
-    assert not fused_folder(drive).exists()
-
-
-def test_a_scan_that_is_damaged_fails_and_has_no_vote(drive):
-    drive.result("probabilities", stem="000001").write_bytes(b"no array")
-    outcome = fuse_results(drive.out)
-    assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
-    assert np.load(fused_folder(drive) / "views/000000.npy").max() == 2
-
-
 def test_what_cannot_be_fused_is_said(world, drive):
     with pytest.raises(UsageError, match="another folder"):
         fuse_results(drive.out, drive.out)
     with pytest.raises(NoInputError, match="no scans of sequence 77"):
         fuse_results(drive.out, query=ResultQuery(selection=ScanSelection(sequences=("77",))))
+    poses = drive.data / "sequences/08/poses.txt"
+    poses.write_bytes(encode_poses(way(2)))
+    with pytest.raises(FormatError):
+        fuse_results(drive.out)
     shutil.rmtree(drive.out / "sequences/08/probabilities")
     with pytest.raises(NoInputError, match="--fuse"):
         fuse_results(drive.out)
+    assert not fused_folder(drive).exists()
 
 
-def test_votes_for_classes_that_there_are_not_are_damage(drive):
+def test_votes_for_classes_that_there_are_not_are_damage_and_have_no_vote(drive):
     shutil.rmtree(drive.out / "sequences/08/probabilities")
     folder = drive.data / "sequences/08"
     again = RunOptions(overwrite=True)
-    predict_scans(folder, drive.out, network=drive.network, extras=("votes",), options=again)
+    predict_scans(folder, drive.out, settings=drive.network, extras=("votes",), options=again)
     np.save(drive.result("votes"), np.full((1500, 3), 200 * 256, np.uint16))
     outcome = fuse_results(drive.out)
     assert [failure.code for failure in outcome.failures] == ["format"]
+    assert np.load(fused_folder(drive) / "views/000001.npy").max() == 2
 
 
 def test_computed_poses_are_written_and_kept(drive):
     pytest.importorskip("small_gicp")
     (drive.data / "sequences/08/poses.txt").unlink()
     fuse_results(drive.out)
-    path = fused_folder(drive) / "poses.txt"
+    path, before = fused_folder(drive) / "poses.txt", files_below(fused_folder(drive))
     assert len(path.read_text().splitlines()) == 3
+    (fused_folder(drive) / "predictions/000001.label").unlink()
+    assert fuse_results(drive.out).done == 1
+    assert files_below(fused_folder(drive)) == before
     edited = encode_poses(way(3))
     path.write_bytes(edited)
     fuse_results(drive.out, options=RunOptions(overwrite=True))
@@ -374,16 +332,6 @@ def test_edited_poses_are_not_those_of_the_labels(drive):
             fuse_results(drive.out, options=RunOptions(overwrite=overwrite))
 
 
-def test_computed_poses_are_the_same_when_a_run_goes_on(drive):
-    pytest.importorskip("small_gicp")
-    (drive.data / "sequences/08/poses.txt").unlink()
-    fuse_results(drive.out)
-    before = files_below(fused_folder(drive))
-    (fused_folder(drive) / "predictions/000001.label").unlink()
-    assert fuse_results(drive.out).done == 1
-    assert files_below(fused_folder(drive)) == before
-
-
 def test_predict_can_fuse_at_once(world):
     folder = write_drive(world, 2)
     words = ["predict", folder, world.out, "--weights", world.network.weights, "--fuse", "--json"]
@@ -407,7 +355,7 @@ def test_predict_can_fuse_at_once(world):
 def test_python_labels_a_drive_as_the_command_line_does(world, caplog, monkeypatch):
     folder, weights = write_drive(world, 3), world.network.weights
     (folder / "velodyne/000001.bin").write_bytes(b"damaged")
-    predict_scans(folder, world.out, network=NetworkSettings(weights), extras=("votes",))
+    predict_scans(folder, world.out, settings=NetworkSettings(weights), extras=("votes",))
     fuse_results(world.out)
     single = [world.labels(stem=stem) for stem in ("000000", "000002")]
     caplog.clear()
@@ -422,10 +370,6 @@ def test_python_labels_a_drive_as_the_command_line_does(world, caplog, monkeypat
         assert (written != raw).any()
         against = np.load(fused_folder(world) / f"uncertainty/disagreement/{stem}.npy")
         np.testing.assert_array_equal(each.disagreement, against)
-    for path in (folder / "velodyne").iterdir():
-        path.write_bytes(b"damaged")
-    with pytest.raises(NoInputError, match="no scan that can be labelled"):
-        next(label_drive(folder, weights))
     (folder / "poses.txt").unlink()
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     with pytest.raises(SalsanextError, match=r"salsanext\[fuse\]"):

@@ -33,16 +33,12 @@ def knowing(world, tmp_path):
 
 
 def run(world, out=None, source=None, **options):
-    return predict_scans(source or world.data, out or world.out, network=world.network, **options)
+    return predict_scans(source or world.data, out or world.out, settings=world.network, **options)
 
 
 def scaled(world, folder, scale):
     """Write the scans of the world with another scale of intensity; return the data set."""
-    for file in sorted(world.data.rglob("*.bin")):
-        scan, copy = read_scan(file), folder / file.relative_to(world.data)
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        write_bin(copy, Scan(scan.points, scan.intensity * np.float32(scale)))
-    return folder
+    return changed(world, folder, ["00", "08"], lit(lambda scan: scale * scan.intensity))
 
 
 def share_alike(one, other):
@@ -67,7 +63,7 @@ def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, t
     run(knowing)
     steps = tmp_path / "steps"
     project_scans(knowing.data, steps, sensor=SMALL)
-    predict_range_images(steps, steps, network=knowing.network)
+    predict_range_images(steps, steps, settings=knowing.network)
     knn_refine_scans(steps)
     for number in (1, 2):
         run(knowing, tmp_path / "shards", options=RunOptions(shard=Shard(number, 2)))
@@ -87,7 +83,7 @@ def test_scans_that_come_later_are_matched_as_the_first_ones(knowing):
     assert run(knowing).done == 1
     assert StageRecords(knowing.out).settings("predict")["sensor"] == before
     few = UncertaintyMethod(samples=2, aleatoric="none")
-    uncertainty(knowing.data, knowing.out, network=knowing.network, method=few)
+    uncertainty(knowing.data, knowing.out, settings=knowing.network, method=few)
     assert StageRecords(knowing.out).settings("uncertainty")["sensor"] == before
 
 
@@ -104,21 +100,6 @@ def changed(world, folder, scans, change):
 def lit(intensity):
     """Return a function that gives a scan other intensities."""
     return lambda scan: Scan(scan.points, np.asarray(intensity(scan), np.float32))
-
-
-def test_named_columns_do_not_switch_it_off(knowing, tmp_path):
-    run(knowing)
-    # As --columns does: the sensor of the weights, with its intensity, and other columns.
-    columns = ("x", "y", "z", "intensity")
-    named = replace(knowing.network.load().card.sensor, columns=columns)
-    knowing.network = replace(knowing.network, sensor=named)
-    outcome = run(knowing, tmp_path / "named", scaled(knowing, tmp_path / "large", 65535))
-    assert {warning["code"] for warning in outcome.summary.warnings()} <= {
-        "one-class",
-        "low-confidence",
-    }
-    matched = labels_below(tmp_path / "named")
-    assert share_alike(labels_below(knowing.out), matched) > 0.999
 
 
 def test_what_is_selected_makes_no_difference(knowing, tmp_path):
@@ -138,8 +119,6 @@ def test_what_is_selected_makes_no_difference(knowing, tmp_path):
 @pytest.mark.parametrize(
     ("odd", "is_labelled"),
     [
-        (lit(lambda scan: 0 * scan.intensity), True),
-        (lit(lambda scan: np.linalg.norm(scan.points, axis=1)), True),
         (lambda scan: Scan(scan.points[:3], scan.intensity[:3]), True),
         (lambda scan: Scan(1000 * scan.points, scan.intensity**3), False),
     ],
@@ -163,21 +142,15 @@ def without(world, folder):
     return folder / "one"
 
 
-@pytest.mark.parametrize(
-    "none",
-    [
-        lambda scan: 0 * scan.intensity,
-        lambda scan: np.linalg.norm(scan.points, axis=1),
-        lambda scan: np.round(40 * scan.points[:, 2] / np.linalg.norm(scan.points, axis=1)),
-    ],
-)
-def test_what_is_no_intensity_is_taken_for_none(knowing, tmp_path, none):
+def test_what_is_no_intensity_is_taken_for_none(knowing, tmp_path):
+    def none(scan):
+        return np.round(40 * scan.points[:, 2] / np.linalg.norm(scan.points, axis=1))
+
     blind = replace(knowing, network=replace(knowing.network, intensity="none"))
     run(blind)
     expected = labels_below(knowing.out)
-    outcome = run(
-        knowing, tmp_path / "all", changed(knowing, tmp_path / "a", ["00", "08"], lit(none))
-    )
+    every = changed(knowing, tmp_path / "a", ["00", "08"], lit(none))
+    outcome = run(knowing, tmp_path / "all", every)
     (warning,) = (w for w in outcome.summary.warnings() if w["code"] == "no-intensity")
     assert len(warning["scans"]) == 3
     assert labels_below(tmp_path / "all") == expected
@@ -194,26 +167,16 @@ def test_scans_of_another_scale_than_those_before_are_warned_of(knowing, tmp_pat
     (warning,) = (w for w in outcome.summary.warnings() if w["code"] == "intensity-scale")
     assert warning["scans"] == ["08/000000", "08/000001"]
     assert "in the scans fitted to" in warning["message"]
-    mixed = changed(knowing, tmp_path / "mixed", ["00"], lit(lambda scan: 255 * scan.intensity))
-    outcome = run(knowing, tmp_path / "both", mixed)
-    (warning,) = (w for w in outcome.summary.warnings() if w["code"] == "intensity-scale")
-    assert warning["scans"] == ["00/000000"]
+    raw = replace(knowing.network, intensity="raw")
+    with pytest.raises(OutputError, match=r"intensity was matched and is raw \(--intensity\)"):
+        predict_scans(knowing.data / "sequences/00", knowing.out, settings=raw)
 
 
-def test_results_of_another_way_are_refused_in_words(knowing):
-    run(knowing)
-    for other, said in (("raw", "matched and is raw"), ("none", "matched and is none")):
-        network = replace(knowing.network, intensity=other)
-        with pytest.raises(OutputError, match=rf"intensity was {said} \(--intensity\)"):
-            predict_scans(knowing.data, knowing.out, network=network)
-
-
-@pytest.mark.parametrize("how", ["match", "none"])
-def test_weights_that_do_not_know_it(world, how):
-    network = replace(world.network, intensity=how)
-    with pytest.raises(UsageError, match=f"--intensity · {how}, but these weights do not know"):
-        predict_scans(world.data, world.out, network=network)
-    predict_scans(world.data, world.out, network=replace(network, intensity="auto"))
+def test_weights_that_do_not_know_it(world):
+    network = replace(world.network, intensity="match")
+    with pytest.raises(UsageError, match="--intensity · match, but these weights do not know"):
+        predict_scans(world.data, world.out, settings=network)
+    predict_scans(world.data, world.out, settings=replace(network, intensity="auto"))
     recorded = StageRecords(world.out).settings("predict")["sensor"]
     assert "intensity_quantiles" not in recorded
 
@@ -222,7 +185,6 @@ def test_range_images_without_intensity_are_doubted_as_their_scans_are(knowing, 
     dark = scaled(knowing, tmp_path / "dark", 0.0)
     steps = tmp_path / "steps"
     project_scans(dark, steps, sensor=SMALL)
-    for _ in range(2):  # Once found, and once kept.
-        outcome = predict_range_images(steps, steps, network=knowing.network)
-        (warning,) = outcome.summary.warnings()
-        assert (warning["code"], len(warning["scans"])) == ("no-intensity", 3)
+    outcome = predict_range_images(steps, steps, settings=knowing.network)
+    (warning,) = outcome.summary.warnings()
+    assert (warning["code"], len(warning["scans"])) == ("no-intensity", 3)

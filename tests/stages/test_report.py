@@ -199,25 +199,6 @@ def test_missing_results_missing_scans_and_others_pages_are_one_line_each(world)
         report(world.out)
 
 
-def test_labels_with_their_own_ids_are_compared_by_class(world):
-    """The truth in the page has the raw ids of the predictions."""
-    own = SPACE.to_dict()
-    own["labels"] = {raw + 1000: name for raw, name in own["labels"].items()}
-    own["learning_map"] = {raw + 1000: i for raw, i in own["learning_map"].items()}
-    own["learning_map_inv"] = {i: raw + 1000 for i, raw in own["learning_map_inv"].items()}
-    own["color_map"] = {raw + 1000: bgr for raw, bgr in own["color_map"].items()}
-    space = type(SPACE).from_dict(own)
-    for stem in ("000000", "000001"):
-        path = world.dataset / f"sequences/08/labels/{stem}.label"
-        (np.fromfile(path, np.uint32) + 1000).tofile(path)
-    settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
-    StageRecord("predict", settings, ("predictions",)).write(world.out)
-    found, _ = made(world, space=space)
-    assert found.to_dict()["accuracy"] == 7 / 8
-    results = [shown.results for shown in shown_of(world, space)]
-    assert {int(raw) for each in results for raw in each.truth} == {CAR, ROAD}
-
-
 def test_probabilities_of_merged_classes_are_added(world):
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
     StageRecord("predict", settings, ("predictions", "probabilities")).write(world.out)

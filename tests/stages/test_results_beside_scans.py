@@ -45,12 +45,12 @@ NETWORK = "--weights WEIGHTS --device cpu --engine torch --json --columns x,y,z,
 @pytest.mark.parametrize(
     ("source", "out"),
     [
-        ("plain", "plain"),
-        ("plain", "plain/out"),
         ("tables", "tables"),
+        *(
+            pytest.param(*places, marks=pytest.mark.slow)
+            for places in (("plain", "plain/out"), ("data", "data"), ("streets", "streets"))
+        ),
         ("data/sequences/00/velodyne", "data/sequences/00/velodyne"),
-        pytest.param("data", "data", marks=pytest.mark.slow),
-        ("streets", "streets"),
     ],
 )
 def test_later_commands_find_the_scans(drive: Path, call, source: str, out: str) -> None:
@@ -69,20 +69,10 @@ def test_later_commands_find_the_scans(drive: Path, call, source: str, out: str)
         assert labels.read_bytes() == (out / labels.relative_to("elsewhere")).read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("place", "hidden"),
-    [
-        ("plain", True),
-        ("data/sequences/00", True),
-        ("streets", True),
-        ("data", False),
-        ("tables", False),
-        ("new", False),
-    ],
-)
-def test_sequences_with_scans_would_hide_others(drive: Path, place: str, hidden: bool) -> None:
-    if hidden:
+@pytest.mark.usefixtures("drive")
+def test_sequences_with_scans_would_hide_others() -> None:
+    for place in ("plain", "data/sequences/00", "streets"):
         with pytest.raises(OutputError, match="an output folder of its own · give another"):
             require_none_hidden(Path(place))
-    else:
+    for place in ("data", "tables", "new"):
         require_none_hidden(Path(place))

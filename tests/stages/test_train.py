@@ -140,7 +140,6 @@ OTHERWISE = dict.fromkeys(CHANGES, 0.5) | {"sensors": "fitted", "no_intensity": 
 @pytest.mark.parametrize(
     ("stop", "changes"),
     [
-        (4, {"optimiser": "sgd", "schedule": "decay", "average": 0.0}),
         (1, {"accumulate": 2, "clip_gradient": 0.5, "precision": "float16", "whole_epochs": 1}),
         (4, {"precision": "bfloat16", "samples_per_epoch": 8, **OTHERWISE}),
     ],
@@ -183,17 +182,14 @@ def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset, tmp_path):
     assert same(again.last, go(dataset, tmp_path / "other", recipe=fewer).last)
 
 
-@pytest.mark.parametrize(("multiplies", "found"), [(False, "float32"), (True, "bfloat16")])
-def test_another_cpu_resumes_in_the_precision_of_the_first(
-    dataset, tmp_path, monkeypatch, multiplies, found
-):
+def test_another_cpu_resumes_in_the_precision_of_the_first(dataset, tmp_path, monkeypatch):
     wanted, has = TINY.with_changes(epochs=1, precision="auto"), "training.learner.has_bfloat16"
-    monkeypatch.setattr(f"salsanext_cli.{has}", lambda: multiplies)
+    monkeypatch.setattr(f"salsanext_cli.{has}", lambda: True)
     first = go(dataset, tmp_path / "run", recipe=wanted)
-    assert recipe(tmp_path / "run/recipe.toml") == wanted.with_changes(precision=found)
-    monkeypatch.setattr(f"salsanext_cli.{has}", lambda: not multiplies)
+    assert recipe(tmp_path / "run/recipe.toml") == wanted.with_changes(precision="bfloat16")
+    monkeypatch.setattr(f"salsanext_cli.{has}", lambda: False)
     assert go(dataset, tmp_path / "run", recipe=wanted) == first
-    with pytest.raises(OutputError, match=f'precision was "{found}" and is "float16"'):
+    with pytest.raises(OutputError, match='precision was "bfloat16" and is "float16"'):
         go(dataset, tmp_path / "run", recipe=wanted.with_changes(precision="float16"))
 
 
@@ -210,29 +206,20 @@ def test_a_training_of_before_a_key_goes_on(dataset, tmp_path):
     assert go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1)) == first
 
 
-def test_the_parts_of_a_batch_may_change_on_the_way(dataset, tmp_path):
-    """As they must when a training has run out of memory."""
-    stop_at(dataset, tmp_path / "run", 3)
-    steps = []
-    halves = TINY.with_changes(accumulate=2)
-    go(dataset, tmp_path / "run", recipe=halves, progress=lambda r: steps.append(r.step))
-    assert steps[0] == 3
-    assert recipe(tmp_path / "run/recipe.toml") == halves
-
-
 def test_the_recipe_of_a_run_resumes_it_unless_it_was_edited(dataset, tmp_path):
-    run = tmp_path / "run"
+    """The parts of a batch may change, as they must when there is no memory left."""
+    run, steps, halves = tmp_path / "run", [], TINY.with_changes(accumulate=2)
     stop_at(dataset, run, 3)
+    go(dataset, run, recipe=halves, progress=lambda r: steps.append(r.step))
+    assert steps[0] == 3
+    assert recipe(run / "recipe.toml") == halves
     before = (run / "recipe.toml").stat()
-    parts = go(dataset, run, recipe=recipe(run / "recipe.toml"))
-    after = (run / "recipe.toml").stat()
-    assert (before.st_ino, before.st_mtime_ns) == (after.st_ino, after.st_mtime_ns)
-    require_same(go(dataset, tmp_path / "whole"), parts)
+    go(dataset, run, recipe=recipe(run / "recipe.toml"), progress=no_step)
+    assert before.st_ino == (run / "recipe.toml").stat().st_ino
     text = "# shorter\n" + TINY.with_changes(epochs=1).to_toml()
     (run / "recipe.toml").write_text(text, "utf-8")
-    for overwrite in (False, True):
-        with pytest.raises(OutputError, match=r"recipe\.toml · was changed"):
-            go(dataset, run, recipe=recipe(run / "recipe.toml"), overwrite=overwrite)
+    with pytest.raises(OutputError, match=r"recipe\.toml · was changed"):
+        go(dataset, run, recipe=recipe(run / "recipe.toml"), overwrite=True)
     assert (run / "recipe.toml").read_text("utf-8") == text
 
 
@@ -251,9 +238,8 @@ def test_more_epochs_go_on_as_if_they_had_been_asked_for_at_first(dataset, tmp_p
         go(dataset, run, recipe=steady.with_changes(epochs=2), progress=no_step)
 
 
-@pytest.mark.parametrize("changes", [{}, {"schedule": "decay", "whole_epochs": 1}])
-def test_more_epochs_are_refused_where_the_first_ones_would_be_others(dataset, tmp_path, changes):
-    plan = TINY.with_changes(epochs=1, **changes)
+def test_more_epochs_are_refused_where_the_first_ones_would_be_others(dataset, tmp_path):
+    plan = TINY.with_changes(epochs=1)
     go(dataset, tmp_path / "run", recipe=plan)
     with pytest.raises(OutputError, match=r"1 epoch, and .* --weights .*last\.safetensors"):
         go(dataset, tmp_path / "run", recipe=plan.with_changes(epochs=2), progress=no_step)
@@ -261,7 +247,7 @@ def test_more_epochs_are_refused_where_the_first_ones_would_be_others(dataset, t
 
 def test_files_that_no_training_wrote_are_not_replaced(dataset, tmp_path):
     stop_at(dataset, tmp_path / "run", 3)
-    for name in ("best.safetensors", "checkpoint.safetensors", "log.csv", "recipe.toml"):
+    for name in ("best.safetensors", "log.csv"):
         for theirs in (tmp_path / f"new {name}" / name, tmp_path / "run" / name):
             theirs.parent.mkdir(exist_ok=True)
             before = theirs.read_bytes() if theirs.exists() else None
@@ -303,8 +289,6 @@ def test_labels_edited_since_they_were_counted_are_counted_again(dataset, tmp_pa
     go(dataset, tmp_path / "run", recipe=recipe)
     counted = tmp_path / "run" / "class_counts.json"
     before = counted.read_bytes()
-    go(dataset, tmp_path / "run", recipe=recipe)
-    assert counted.read_bytes() == before
     path = dataset / "sequences" / "00" / "labels" / "1.label"
     write_labels(path, np.full(600, 40, np.uint32))
     go(dataset, tmp_path / "run", recipe=recipe)
@@ -350,13 +334,11 @@ def test_labels_are_learnt_in_merged_classes_by_the_splits_of_the_data_set(datas
     assert load_file(result.best)["logits.weight"].shape[0] == 8
 
 
-def test_a_loss_that_is_not_finite_names_the_scans(dataset, tmp_path, monkeypatch):
+def test_a_loss_that_is_not_finite_and_lack_of_memory(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(Learner, "step", lambda *_: math.nan)
     with pytest.raises(TrainingError, match=r"finite with .*00/velodyne/\d\.bin, .*bin ·"):
         go(dataset, tmp_path / "run")
 
-
-def test_no_memory_left_is_one_line_with_a_remedy(dataset, tmp_path, monkeypatch):
     def full(*_):
         raise torch.OutOfMemoryError
 
@@ -379,9 +361,7 @@ def test_what_fails_before_the_first_step_costs_no_earlier_training(dataset, tmp
     ("sequence", "stems", "count", "label", "error", "says"),
     [
         ("00", "1", None, 0, LabelError, r"00/labels/1\.label · no such file"),
-        ("08", "1", None, 0, LabelError, r"08/labels/1\.label · no such file"),
         ("08", "1", 9, 40, LabelError, r"1\.label · 9 labels · expected 600"),
-        ("00", "1", 600, 77, LabelError, r"1\.label · unknown label ids 77 \(600×\)"),
         ("00", "012", 600, 0, TrainingError, "none of 1,800 points in 3 scans"),
         # Of the two, only the first is scored, and only the second is labelled.
         ("08", "0", 600, 0, TrainingError, "none of 600 points in 1 scan "),
@@ -402,9 +382,6 @@ def test_labels_that_cannot_be_trained_on_stop_it_before_the_first_step(
 
 
 def test_folders_that_cannot_be_used(dataset, tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="cannot be written"):
-        go(dataset, tmp_path / "file" / "run", progress=no_step)
     (dataset / "sequences" / "08").rename(dataset / "sequences" / "99")
     with pytest.raises(NoInputError, match="no scans of split valid"):
         go(dataset, tmp_path / "run")

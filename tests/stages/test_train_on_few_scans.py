@@ -15,7 +15,7 @@ from scans import SMALL, write_sequence
 from tiny_network import TinyNetwork
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
-from salsanext_cli.errors import NOTICE, LabelError, NoInputError, OutputError
+from salsanext_cli.errors import NOTICE, LabelError, NoInputError
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.labelling.label_records import first_guesses
@@ -25,9 +25,9 @@ from salsanext_cli.results.layout import find_scans
 from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.train import TrainResult, train
-from salsanext_cli.training import fit, setup
+from salsanext_cli.training import setup
 from salsanext_cli.training.fit import StepReport
-from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.tuning import error
 
 FEW = Recipe(
@@ -111,26 +111,18 @@ def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(data, tmp_path
     assert again == result
 
 
-def test_without_a_gain_there_is_no_model_of_errors(data, tmp_path, monkeypatch, caplog):
+def test_the_card_says_what_the_training_began_from(data, tmp_path, initial, monkeypatch, caplog):
     monkeypatch.setattr(setup, "gains", lambda _: False)
-    assert read_card(go(data, tmp_path / "run").best).error is None
-    assert "no model of errors: it would tell no more than the confidence" in caplog.messages
-
-
-def test_the_card_says_what_the_training_began_from(data, tmp_path, initial):
     few = FEW.with_changes(epochs=1)
     card = read_card(go(data, tmp_path / "default", few).best)
     assert card.recipe == few.to_dict()
+    assert card.error is None
+    assert "no model of errors: it would tell no more than the confidence" in caplog.messages
     other = initial.rename(tmp_path / "other.safetensors")
     result = go(data, tmp_path / "run", few, weights=other)
     origin = f"other.safetensors (SHA-256 {fingerprint(other)[:16]})"
     for path in (result.best, result.last, tmp_path / "run/folds/1/last.safetensors"):
         assert read_card(path).recipe == few.to_dict() | {"initial": origin}
-    # The file of the recipe is one.
-    again = go(data, tmp_path / "run", recipe(tmp_path / "run/recipe.toml"), weights=other)
-    assert again == result
-    chance = go(data, tmp_path / "random", few.with_changes(initial="random"))
-    assert read_card(chance.best).recipe["initial"] == "random"
 
 
 class Stopped(BaseException):
@@ -204,17 +196,6 @@ def test_a_validation_split_that_names_every_scan_is_used(data, tmp_path):
     assert not (tmp_path / "run/folds").exists()
 
 
-def test_scans_of_other_splits_are_not_trained_on(data, tmp_path, caplog):
-    own = label_space().to_dict() | {"split": {"train": [], "valid": ["b"], "test": ["c"]}}
-    (data / "labels.yaml").write_text(json.dumps(own))
-    go(data, tmp_path / "run")
-    assert "left out, since they are of other splits than train: b, c" in caplog.messages
-    own["split"]["test"] = ["a", "c"]
-    (data / "labels.yaml").write_text(json.dumps(own))
-    with pytest.raises(NoInputError, match="every labelled scan is of another split"):
-        go(data, tmp_path / "none")
-
-
 def test_without_named_splits_all_labelled_scans_are_trained_on(data, tmp_path, initial, caplog):
     # SemanticKITTI trains on 00 and validates 08.
     for seed, (name, usual) in enumerate((("a", "00"), ("b", "08"), ("c", "c"))):
@@ -233,8 +214,6 @@ def test_without_named_splits_all_labelled_scans_are_trained_on(data, tmp_path, 
     assert read_card(result.best).trained_on == {"0" * 24, *every}
     folds = [read_card(path).trained_on for path in (tmp_path / "run/folds").glob("*/last.*")]
     assert {*map(len, folds)} == {2, 3}
-    again = go(data, tmp_path / "run", FEW.with_changes(epochs=1))
-    assert read_card(again.last).trained_on == {"0" * 24, *every}
     # Without folds the splits are SemanticKITTI's, and what these leave out is named.
     split = go(data, tmp_path / "split", FEW.with_changes(epochs=1, folds=0))
     assert read_card(split.best).trained_on == {"0" * 24, every[0]}
@@ -242,22 +221,6 @@ def test_without_named_splits_all_labelled_scans_are_trained_on(data, tmp_path, 
     shutil.rmtree(data / "sequences/08")
     with pytest.raises(NoInputError, match=r"no scans of split valid .* --set folds=3$"):
         go(data, tmp_path / "none", FEW.with_changes(folds=0))
-
-
-def test_the_checkpoint_of_a_first_fold_is_kept(data, tmp_path, monkeypatch):
-    monkeypatch.setattr(fit, "SAVE_INTERVAL_S", 0.0)
-    run = tmp_path / "run"
-
-    def stop(report: StepReport) -> None:
-        raise Stopped
-
-    with pytest.raises(Stopped):
-        go(data, run, progress=stop)
-    assert not (run / "best.safetensors").exists()
-    before = (run / "folds/1/checkpoint.safetensors").read_bytes()
-    with pytest.raises(OutputError, match="learning_rate"):
-        go(data, run, FEW.with_changes(learning_rate=1e-3))
-    assert (run / "folds/1/checkpoint.safetensors").read_bytes() == before
 
 
 @pytest.fixture
@@ -298,7 +261,7 @@ def test_simulated_streets_are_trained_on_beside_the_scans(data, tmp_path, simul
     assert not with_streets.warnings
     own = {scan_digest(read_scan(file.path)) for file in find_scans(data)}
     assert read_card(with_streets.best).trained_on == own
-    # They are what further data sets would be, and are made once.
+    # They are what further data sets would be.
     alone = FEW.with_changes(also=0.5)
     given = go(data, tmp_path / "given", alone, also=both)
     assert {each["code"] for each in given.warnings} == {"few-points"}
@@ -310,10 +273,6 @@ def test_simulated_streets_are_trained_on_beside_the_scans(data, tmp_path, simul
         torch.equal(tensor, load_file(given.best)[name])
         for name, tensor in load_file(go(data, tmp_path / "without", alone).best).items()
     )
-    go(data, run, recipe)
-    assert simulated == both
-    go(data, run, recipe.with_changes(streets=2), overwrite=True)
-    assert simulated == 2 * both
 
 
 def test_streets_of_an_older_version_or_settings_are_simulated_anew(
@@ -325,22 +284,16 @@ def test_streets_of_an_older_version_or_settings_are_simulated_anew(
     streets = run / "streets/random"
     assert f"simulating 1 street in {streets}" in caplog.messages
     record = json.loads((streets / "synth.json").read_text())
-    older = record | {"version": "0.0.1"}
     denser = record | {"settings": record["settings"] | {"spacing": 3.0}}
-    unversioned = {key: value for key, value in record.items() if key != "version"}
-    for other in (older, denser, unversioned):
-        simulated.clear()
+    for other in (record | {"version": "0.0.1"}, denser):
         caplog.clear()
         write_json(streets / "synth.json", other)
         go(data, run, recipe)
-        assert simulated == [streets]
         anew = f"simulating 1 street in {streets}: those there are of another version or settings"
-        assert anew in caplog.messages
-    # What was cut off goes on without a word on others.
-    (streets / "labels.yaml").unlink()
+        assert [text for text in caplog.messages if "simulating" in text] == [anew]
     caplog.clear()
     go(data, run, recipe)
-    assert f"simulating 1 street in {streets}" in caplog.messages
+    assert "simulating" not in caplog.text
 
 
 def test_streets_of_other_classes_are_not_simulated(data, tmp_path, simulated, caplog):

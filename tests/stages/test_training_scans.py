@@ -2,25 +2,20 @@
 """Scores on scans that the weights were trained on: left out, or said to be that."""
 
 import json
-import shutil
 from dataclasses import replace
 from pathlib import Path
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan
-from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.measures.scores import Confusion
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
-from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.report import read_run, report
 
@@ -40,7 +35,7 @@ def trained(world: World, tmp_path: Path) -> World:
 
 
 def predict(world: World, **options: object) -> None:
-    predict_scans(world.data, world.out, network=world.network, **options)  # type: ignore[arg-type]
+    predict_scans(world.data, world.out, settings=world.network, **options)  # type: ignore[arg-type]
 
 
 def judged(world: World) -> Evaluation:
@@ -67,8 +62,8 @@ def test_they_are_left_out_whatever_their_name_and_format(trained, caplog):
     caplog.clear()
     trained.network.path.unlink()
     found = judged(trained)
-    assert (found.scans, found.trained_on, found.on_training_scans) == (2, 1, False)
-    np.testing.assert_array_equal(found.confusion.matrix, counts_of(trained, *EVERY[:2]))
+    assert (found.counts.scans, found.counts.left_out, found.counts.trained_on) == (2, 1, 0)
+    np.testing.assert_array_equal(found.counts.confusion.matrix, counts_of(trained, *EVERY[:2]))
     assert caplog.messages == ["1 of 3 labelled scans was trained on: left out of the scores"]
     assert json.loads((trained.out / "eval.json").read_text())["trained_on"] == 1
 
@@ -79,8 +74,8 @@ def test_where_all_are_the_scores_are_said_to_be_that(trained, caplog):
     predict(trained)
     caplog.clear()
     found = judged(trained)
-    assert (found.scans, found.trained_on, found.on_training_scans) == (1, 0, True)
-    np.testing.assert_array_equal(found.confusion.matrix, counts_of(trained, EVERY[2]))
+    assert (found.counts.scans, found.counts.left_out, found.counts.trained_on) == (1, 0, 1)
+    np.testing.assert_array_equal(found.counts.confusion.matrix, counts_of(trained, EVERY[2]))
     assert caplog.messages[0].startswith("every labelled scan was trained on")
     heading = (trained.out / "scores.txt").read_text().splitlines()[0]
     assert heading == "# scores on scans that the weights were trained on"
@@ -89,18 +84,6 @@ def test_where_all_are_the_scores_are_said_to_be_that(trained, caplog):
     assert (numbers["trained_on"], numbers["on_training_scans"]) == (0, True)
     assert numbers["accuracy"] == found.scores.accuracy
     assert "accuracy, 1 scan trained on" in made.page.read_text("utf-8")
-
-
-def test_scans_of_another_size_are_not_read(trained, monkeypatch):
-    path = trained.scan("08", "000001")
-    write_bin(path, read_scan(path).take(np.arange(1000)))
-    labels = trained.data / "sequences/08/labels/000001.label"
-    labels.write_bytes(labels.read_bytes()[:4000])
-    predict(trained)
-    read = Mock(side_effect=read_scan)
-    monkeypatch.setattr("salsanext_cli.measures.scan_counts.read_scan", read)
-    assert judged(trained).trained_on == 0
-    assert path not in {call.args[0] for call in read.call_args_list}
 
 
 def test_a_report_leaves_out_the_same(trained):
@@ -112,19 +95,3 @@ def test_a_report_leaves_out_the_same(trained):
     assert "1 of 3 labelled scans was trained on: left out" in made.page.read_text("utf-8")
     rows, _ = read_run(trained.out)
     assert [row.confusion is None for row in rows.rows] == [False, False, True]
-
-
-def test_labels_refined_anew_are_still_of_the_same_weights(trained):
-    predict(trained, extras=("pixel_labels",))
-    shutil.rmtree(trained.out / "sequences/08/predictions")
-    assert not knn_refine_scans(trained.out, options=RunOptions(overwrite=True)).failures
-    assert judged(trained).trained_on == 1
-
-
-def test_a_record_that_was_changed_is_refused(trained):
-    predict(trained)
-    record = json.loads((trained.out / "predict.json").read_text())
-    record["settings"]["trained_on"] = "all"
-    (trained.out / "predict.json").write_text(json.dumps(record))
-    with pytest.raises(OutputError, match="no digests of scans under trained_on"):
-        judged(trained)

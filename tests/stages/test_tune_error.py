@@ -39,7 +39,7 @@ def in_few_steps(monkeypatch) -> None:
 @pytest.fixture
 def far_is_wrong(world: World, tmp_path) -> World:
     """Label all scans as the network does, but for points beyond their median range."""
-    predict_scans(world.data, tmp_path / "own", network=world.network)
+    predict_scans(world.data, tmp_path / "own", settings=world.network)
     for path in sorted(world.data.rglob("*.bin")):
         sequence = path.parent.parent.name
         own = tmp_path / "own/sequences" / sequence / "predictions" / f"{path.stem}.label"
@@ -61,16 +61,16 @@ def test_labels_of_several_classes_are_left_out_and_said(world: World, target) -
         seen = image.pixel_of_point >= 0
         raw = read_labels(file.label_path)
         shares.append((raw[seen] == 10).sum() / (space.to_train(raw[seen]) > 0).sum())
-    tuned = tune("error", world.data, target, network=world.network, selection=ALL)
+    tuned = tune("error", world.data, target, settings=world.network, selection=ALL)
     assert tuned["several"] == pytest.approx(np.mean(shares), abs=1e-3)
     assert 0 < tuned["several"] < 1
-    again = tune("error", world.data, target, network=world.network, selection=ALL, overwrite=True)
+    again = tune("error", world.data, target, settings=world.network, selection=ALL, overwrite=True)
     assert again == tuned
 
 
 def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, tmp_path) -> None:
     world = far_is_wrong
-    tuned = tune("error", world.data, target, network=world.network, selection=ALL)
+    tuned = tune("error", world.data, target, settings=world.network, selection=ALL)
     assert (tuned["scans"], tuned["sequences"], tuned["folds"]) == (3, ["00", "08"], 2)
     assert tuned["error"]["auroc"] > 0.97 > tuned["confidence"]["auroc"]
     assert tuned["error"]["aurc"] < tuned["confidence"]["aurc"]
@@ -80,7 +80,7 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     assert stored.scores == {key: tuned[key] for key in tuned if key != "stage"}
     assert describe_weights(target)["error"] == stored.scores
     network = replace(world.network, weights=target)
-    predict_scans(world.data, world.out, network=network, extras=(ERROR,))
+    predict_scans(world.data, world.out, settings=network, extras=(ERROR,))
     error = np.load(world.result(ERROR))
     path = world.scan()
     ranges = np.linalg.norm(np.fromfile(path, "f4").reshape(-1, 4)[:, :3], axis=1)
@@ -89,14 +89,14 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     far = (ranges > np.median(ranges))[known]
     assert error[known][far].mean() > 0.8 > 0.2 > error[known][~far].mean()
     few = tmp_path / "few"
-    rejected = predict_scans(world.data, few, network=network, reject=0.5).rejected_points
+    rejected = predict_scans(world.data, few, settings=network, reject=0.5).rejected_points
     above = [np.load(path) > 0.5 for path in world.out.rglob("error/*.npy")]
     assert rejected == sum(each.sum() for each in above)
     labels = read_labels(world.result("predictions"))
     kept = read_labels(few / "sequences/08/predictions/000000.label")
     np.testing.assert_array_equal(kept, np.where(error > 0.5, 0, labels))
     with pytest.raises(OutputError, match=r"reject was 0\.5 and is 0\.4"):
-        predict_scans(world.data, few, network=network, reject=0.4)
+        predict_scans(world.data, few, settings=network, reject=0.4)
     assert ResultFolder(few).provenance(ALL)["reject"] == 0.5
     # What was rejected is missed, but says nothing of how good the error is.
     space, scans = label_space(), find_scans(world.data)
@@ -115,28 +115,28 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     assert found.ece < 0.1
     # Errors go with the labels that they are of.
     some = UncertaintyMethod(samples=2, aleatoric="none")
-    uncertainty(world.data, world.out, network=network, method=some)
+    uncertainty(world.data, world.out, settings=network, method=some)
     np.testing.assert_array_equal(np.load(world.result(ERROR)), error)
     # Passes of dropout change the labels, not the model.
     other = tmp_path / "uncertain"
-    uncertainty(world.data, other, network=network, method=some)
+    uncertainty(world.data, other, settings=network, method=some)
     assert {p.name for p in (other / "sequences/08/uncertainty").iterdir()} >= {"error", "entropy"}
     # Other labels take the place of these: their errors are not known.
-    predict_scans(world.data, other, network=network, options=RunOptions(overwrite=True))
+    predict_scans(world.data, other, settings=network, options=RunOptions(overwrite=True))
     assert (other / "sequences/08/uncertainty/entropy/000000.npy").exists()
     assert not list(other.rglob("error/*.npy"))
-    uncertainty(world.data, other, network=network, method=some)
+    uncertainty(world.data, other, settings=network, method=some)
     assert not list(other.rglob("error/*.npy"))
 
 
 def test_weights_without_it_are_refused(world: World, target, tmp_path) -> None:
     with pytest.raises(WeightsError, match=r"no probability of errors .* `salsanext tune error"):
-        predict_scans(world.data, world.out, network=world.network, extras=(ERROR,))
+        predict_scans(world.data, world.out, settings=world.network, extras=(ERROR,))
     assert not world.out.exists()
     uncertainty(
         world.data,
         world.out,
-        network=world.network,
+        settings=world.network,
         method=UncertaintyMethod(samples=2, aleatoric="none"),
     )
     assert not world.result(ERROR).exists()
@@ -145,35 +145,35 @@ def test_weights_without_it_are_refused(world: World, target, tmp_path) -> None:
 @pytest.mark.usefixtures("in_few_steps")
 def test_other_features_and_merged_classes_are_refused(far_is_wrong: World, target) -> None:
     world = far_is_wrong
-    tune("error", world.data, target, network=world.network, selection=ALL)
+    tune("error", world.data, target, settings=world.network, selection=ALL)
     network = replace(world.network, weights=target)
     coarse = replace(network, classes=label_space("coarse"))
     with pytest.raises(UsageError, match=r"--classes · .*labels before merging"):
-        predict_scans(world.data, world.out, network=coarse, extras=(ERROR,))
+        predict_scans(world.data, world.out, settings=coarse, extras=(ERROR,))
     card = read_card(target)
     assert card.error is not None
     names = ("something else", *FEATURES[1:])
     save_with_card(target, target, replace(card, error=replace(card.error, features=names)))
     with pytest.raises(WeightsError, match="errors by other features"):
-        predict_scans(world.data, world.out, network=network, extras=(ERROR,))
+        predict_scans(world.data, world.out, settings=network, extras=(ERROR,))
     # Another temperature changes the features that it was fitted to.
     tuned = target.with_name("tempered.safetensors")
-    tune("temperature", world.data, tuned, network=network)
+    tune("temperature", world.data, tuned, settings=network)
     assert read_card(tuned).error is None
 
 
 def test_labels_that_teach_nothing(world: World, target, tmp_path) -> None:
     own = tmp_path / "own"
-    predict_scans(world.data, own, network=world.network)
+    predict_scans(world.data, own, settings=world.network)
     for sequence in ("00", "08"):
         labels = world.data / "sequences" / sequence / "labels"
         shutil.copytree(own / "sequences" / sequence / "predictions", labels, dirs_exist_ok=True)
     with pytest.raises(TrainingError, match=r"no label of \d+ points is wrong"):
-        tune("error", world.data, target, network=world.network, selection=ALL)
+        tune("error", world.data, target, settings=world.network, selection=ALL)
     for path in (world.data / "sequences").rglob("*.label"):
         write_labels(path, np.zeros(1500, np.uint32))
     with pytest.raises(LabelError, match="no point is of a class that counts"):
-        tune("error", world.data, target, network=world.network, selection=ALL)
+        tune("error", world.data, target, settings=world.network, selection=ALL)
     assert not target.exists()
 
 
@@ -181,7 +181,7 @@ def test_labels_that_teach_nothing(world: World, target, tmp_path) -> None:
 def test_a_single_scan_is_not_cross_validated(far_is_wrong: World, target, caplog) -> None:
     world = far_is_wrong
     selection = ScanSelection(split="valid", limit=1)
-    tuned = tune("error", world.data, target, network=world.network, selection=selection)
+    tuned = tune("error", world.data, target, settings=world.network, selection=selection)
     assert (tuned["folds"], tuned["error"], tuned["confidence"]) == (0, None, None)
     assert "1 scan: not cross-validated" in caplog.messages
     assert read_card(target).error is not None

@@ -15,7 +15,6 @@ from scans import SMALL
 from served import served
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.report.page.run_results import RunResults
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import report, view
@@ -62,29 +61,6 @@ def test_every_scan_is_as_a_report_holds_it(world, ask):
         assert cloud["name"] == name
 
 
-@pytest.mark.slow
-def test_of_a_thousand_scans_any_can_be_looked_at(world, monkeypatch):
-    for number in range(7, 1000):
-        world.add(f"{number:06}", [CAR, ROAD], [CAR, CAR])
-    read = []
-    shown = RunResults.read
-    monkeypatch.setattr(RunResults, "read", lambda *a, **k: read.append(a) or shown(*a, **k))
-    with view(world.out, query=ResultQuery(world.dataset)) as server, served(server):
-        assert server.scans == 1000
-        assert len(read) < 10
-        _, text = asker(server)("/cloud/TOKEN/999")
-    assert json.loads(text)["name"] == "08/000999"
-
-
-def test_names_and_scans_without_labels_are_text_and_no_markup(tmp_path):
-    world = World(tmp_path / "<script>\"'")
-    world.add("a<b>", None, [CAR, ROAD])
-    with view(world.out, query=ResultQuery(world.dataset)) as server:
-        page = server.page.decode()
-    assert "<h1>&lt;script&gt;&quot;&#x27;/öut</h1>" in page
-    assert "<b>" not in page.partition('id="data">')[2].partition("</script>")[0]
-
-
 def test_nothing_else_is_served(ask):
     assert ask("/")[0] == 200
     assert ask("/?from=a-link")[0] == 200
@@ -94,9 +70,7 @@ def test_nothing_else_is_served(ask):
         assert ask(path)[0] == 404, path
     assert ask("/", method="POST")[0] == 501
     assert ask("/", host="[")[0] == 400
-
-
-def test_the_page_of_an_earlier_server_is_told_so(ask):
+    # So is the page of an earlier server.
     status, text = ask("/cloud/another/1")
     assert status == 410
     assert "reload it" in json.loads(text)["error"]
@@ -125,10 +99,8 @@ def test_a_browser_that_leaves_is_no_error(ask, world, capfd):
 
 
 def test_a_forwarded_port_may_have_another_number_but_no_other_page_reads_the_scans(ask):
-    for host in ("localhost", "localhost:9000", "127.0.0.1"):
-        assert ask("/cloud/TOKEN/0", host)[0] == 200, host
-    for host in ("evil.example", "evil.example:8765", "127.0.0.1.evil.example"):
-        assert ask("/cloud/TOKEN/0", host)[0] == 403, host
+    for host, status in (("localhost:9000", 200), ("127.0.0.1.evil.example", 403)):
+        assert ask("/cloud/TOKEN/0", host)[0] == status, host
 
 
 def test_a_scan_moved_away_is_an_answer_and_not_the_end(world, ask):
@@ -145,27 +117,8 @@ def test_a_taken_port_is_one_line(world):
         view(world.out, port=first.server_port, query=ResultQuery(world.dataset))
 
 
-def test_scans_that_cannot_be_read_and_scans_moved_away_are_told(world, caplog):
-    scans = world.dataset / "sequences/08/velodyne"
-    (scans / "000000.bin").write_bytes(b"damaged")
-    (scans / "000004.bin").unlink()
-    (scans / "000005.bin").unlink()
-    server = view(world.out, query=ResultQuery(world.dataset))
-    server.server_close()
-    assert server.scans == 5
-    assert [failure.scan.stem for failure in server.failures] == ["000000"]
-    assert "2 scans with results not found any more and left out: 08/000004, 08/000005" in (
-        caplog.text
-    )
-
-
-@pytest.mark.parametrize(
-    ("ending", "damaged"),
-    [pytest.param(signal.SIGINT, False, marks=pytest.mark.slow), (signal.SIGTERM, True)],
-)
-def test_it_ends_when_it_is_told_to(world, ending, damaged):
-    if damaged:
-        (world.dataset / "sequences/08/velodyne/000000.bin").write_bytes(b"damaged")
+def test_it_ends_when_it_is_told_to(world):
+    (world.dataset / "sequences/08/velodyne/000000.bin").write_bytes(b"damaged")
     command = [sys.executable, "-m", "salsanext_cli", "view", str(world.out), "--port", "0"]
     given = [*command, "--dataset", str(world.dataset), "--json"]
     ssh = {"SSH_CONNECTION": "10.0.0.1 5000 10.0.0.2 22"}
@@ -177,11 +130,11 @@ def test_it_ends_when_it_is_told_to(world, ending, damaged):
             found = json.loads(run.stdout.readline())
             assert found["scans"] == 7
             assert found["url"].startswith("http://127.0.0.1:")
-            run.send_signal(ending)
+            run.send_signal(signal.SIGTERM)
             more, said = run.communicate(timeout=60)
         finally:
             run.kill()
-    assert run.returncode == int(damaged)
+    assert run.returncode == 1
     assert more == ""
     assert "Traceback" not in said
     assert "ssh -N -L" in said
