@@ -266,7 +266,7 @@ ON_DATA = "{data} other --weights {weights}"
         ("tune dropout {data} other.safetensors --weights {weights} --samples 1", "--samples · 1"),
         ("tune dropout {data} other.safetensors --weights {weights} --steps 1", "--steps · 1"),
         ("tune dropout {data} other.safetensors --weights {weights} --lowest 0.9", "--lowest"),
-        ("tune dropout {data} other.safetensors --weights {weights} --highest 1", "--highest · 1"),
+        ("tune dropout {data} other.safetensors --weights {weights} --highest 1", "--highest"),
         (f"predict {ON_DATA} --ego a,b,c,d,e,f", "--ego"),
         (f"predict {ON_DATA} --precision half", "precision"),
         (f"predict {ON_DATA} --backend threading --scheduler tcp://h:1", "--scheduler tcp://h:1"),

@@ -10,7 +10,6 @@ from edited_clouds import WRITERS
 from salsanext_cli import label_space
 from salsanext_cli.errors import FormatError, LabelError, SalsanextError, UsageError
 from salsanext_cli.formats.label_scalars import (
-    LABEL_NAMES,
     NO_VALUE,
     LabelIds,
     read_labelled_cloud,
@@ -44,12 +43,6 @@ def test_labels_and_coordinates_are_read(tmp_path, name, scalar, kind):
     assert found.scalar == scalar
     rounding = 0.00051 if name.endswith("z") or name.endswith("las") else 0
     np.testing.assert_allclose(found.points, POINTS.astype("f4"), rtol=0, atol=rounding)
-
-
-@pytest.mark.parametrize("name", LABEL_NAMES)
-def test_the_usual_names_of_labels_are_known(tmp_path, name):
-    path = write_ply(tmp_path / "s.ply", {f"scalar_{name.title()}": IDS.astype("f4")})
-    np.testing.assert_array_equal(read_labelled_cloud(path).ids, IDS)
 
 
 def test_the_scalar_is_chosen_where_none_or_several_may_be_meant(tmp_path):

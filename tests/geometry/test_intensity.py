@@ -106,7 +106,7 @@ def test_what_is_no_intensity(intensity, reason):
 def test_every_real_intensity_is_one_and_no_other_column(real_data):
     usual, without = sensor("hdl64-512"), set()
     five = replace(usual, columns=("x", "y", "z", "intensity", "ring"))
-    for path in sorted((real_data / "data").rglob("*.*"))[::2]:
+    for path in sorted((real_data / "data").rglob("*.*"))[::9]:
         if not path.name.endswith(SCAN_SUFFIXES) or path.name == "poses.txt":
             continue
         if path.suffix == ".las":  # in map coordinates

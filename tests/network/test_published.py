@@ -11,7 +11,7 @@ import pytest
 import torch
 from scans import lively
 
-from salsanext_cli import load_network, sensor
+from salsanext_cli import load_network
 from salsanext_cli.errors import OutputError, WeightsError
 from salsanext_cli.network import published
 from salsanext_cli.network.card import read_card
@@ -219,15 +219,3 @@ def test_probabilities_are_the_published_ones(golden, tmp_path):
     probabilities = torch.softmax(logits, dim=1)[0, :, :, ::16].numpy()
     assert np.abs(probabilities - expected).max() < 1e-4
     assert len(np.unique(expected.argmax(0))) > 3
-
-
-@pytest.mark.real
-def test_the_published_file_is_imported(golden, tmp_path):
-    target = tmp_path / "w.safetensors"
-    import_weights(golden / "SalsaNext", target, half=True, dropout=0.1)
-    module, card = read_weights(target)
-    assert target.stat().st_size < 15e6
-    assert card.sensor == sensor("hdl64")
-    assert card.architecture == {"name": "salsanext", "class_count": 20, "dropout": 0.1}
-    assert "SalsaNext" in card.description
-    assert module.bottom.rate == 0.1
