@@ -242,7 +242,7 @@ def are_possible(values: npt.NDArray[np.floating]) -> Mask:
 
 COUNTS = range(3, 17)  # Numbers of columns that are told apart
 BLOCKS = 32  # Places of a file that are looked at, evenly spaced
-ROWS = 64  # Rows of each
+ROWS, VALUES = 64, 128  # Rows of each, for their order, and about so many values, for their kinds
 STEP_DEG = 5.0  # Largest difference in azimuth between points that a scanner measured in turn
 IN_TURN = 0.6
 """Least share of such points that shows the rows to be points; in real scans it is 0.8 or more, in
@@ -274,12 +274,12 @@ def evident_count(values: Float, expected: int) -> int | None:
     return _padded_count(values, count) or count
 
 
-def _rows(values: Float, columns: int) -> Double:
-    """Return evenly spaced blocks of rows of so many values, (BLOCKS, ROWS, columns), or all."""
+def _rows(values: Float, columns: int, length: int = ROWS) -> Double:
+    """Return evenly spaced blocks of rows of so many values, (BLOCKS, length, columns), or all."""
     rows = values[: len(values) // columns * columns].reshape(-1, columns)[None]
-    if rows.shape[1] > BLOCKS * ROWS:
-        starts = np.linspace(0, rows.shape[1] - ROWS, BLOCKS).astype(np.intp)
-        rows = rows[0, starts[:, None] + np.arange(ROWS)]
+    if rows.shape[1] > BLOCKS * length:
+        starts = np.linspace(0, rows.shape[1] - length, BLOCKS).astype(np.intp)
+        rows = rows[0, starts[:, None] + np.arange(length)]
     with np.errstate(invalid="ignore"):  # of a signalling NaN
         return rows.astype(np.float64)
 
@@ -305,7 +305,7 @@ def _padded_count(values: Float, columns: int) -> int | None:
 
 def _explained(values: Float, columns: int) -> float:
     """Return the share of the variance of what values are like that lies between columns."""
-    sample = _rows(values, columns).reshape(-1, columns)
+    sample = _rows(values, columns, VALUES // columns).reshape(-1, columns)
     size = np.where(np.isfinite(sample), np.abs(sample), 1.0)
     is_whole = (size > 0) & (sample == np.rint(sample))
     magnitude = np.log10(np.maximum(size, 10**-RANGE_LOG10)) / RANGE_LOG10

@@ -86,7 +86,6 @@ def test_a_classification_that_may_be_the_asprs_is_taken_where_it_is_named(tmp_p
         (np.float64([np.nan, np.inf]), "label of point 1 is inf"),
         (np.float32([0, 1 << 25]), "expected a number up to 16777216, since 32-bit floats"),
         (np.float64([1 << 33]), "expected a number up to 4294967295"),
-        (np.int64([1 << 40]), "expected a number up to 4294967295"),
         (np.uint64([1 << 63]), "expected a number up to 4294967295"),
         (np.int64([-(1 << 63)]), "expected a number up to 4294967295"),
     ],
@@ -142,12 +141,9 @@ def test_a_tools_own_ids_are_mapped_by_name_or_raw_id(tmp_path):
     [
         ("1: tree", "unknown 1: 'tree' · expected whole numbers for 0 unlabeled, 1 outlier"),
         ("car: 1", "unknown 'car': 1"),
-        ("1: 7", "unknown 1: 7"),
         ("true: car", "unknown True: 'car'"),
         ("1: 1.0", "unknown 1: 1.0"),
-        ("1: [car]", "unknown 1:"),
         ("- car", "a list"),
-        ("", "a NoneType"),
         ("1: *a", "reference"),
     ],
 )

@@ -80,11 +80,8 @@ def test_every_key_can_be_set_to_what_a_recipe_says(name: str) -> None:
     [
         ("epochs", r"--set epochs · no key and value · expected key=value"),
         ("=3", "no key and value"),
-        ("epochs=", "no key and value"),
-        ("", "no key and value"),
         ("epoch=3", r"--set epoch=3 · unknown key epoch · expected keys .*epochs"),
         ("epochs=3.5", r"--set epochs=3\.5 · '3\.5' · expected a whole number"),
-        ("epochs=many", "expected a whole number"),
         ("flip=often", "'often' · expected a number"),
     ],
 )
