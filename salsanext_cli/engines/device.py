@@ -7,12 +7,9 @@ import platform
 import sys
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from salsanext_cli.errors import MissingDependency, UsageError, error_text, warn_once
-
-if TYPE_CHECKING:
-    import openvino
 
 PRECISIONS = ("auto", "float32", "bfloat16", "float16")
 ENGINES = ("auto", "openvino", "torch")
@@ -78,7 +75,7 @@ def choose_engine(name: str, device: str) -> str:
 
 
 @cache
-def openvino_core() -> "openvino.Core":
+def openvino_core() -> Any:
     """Return OpenVINO for this process, until it ends."""
     # The CPU plugin gives the thread that loads it a stack for signal handlers, and takes the
     # memory back when it is unloaded: the next signal would end the process.

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -23,10 +23,6 @@ from salsanext_cli.engines.device import openvino_core, processor
 from salsanext_cli.errors import OutputError, error_text
 from salsanext_cli.files.user_cache import cached, store
 from salsanext_cli.records import CHANNELS
-
-if TYPE_CHECKING:
-    import openvino
-    from torch import Tensor, nn
 
 HINTS = {"float32": "f32", "bfloat16": "bf16"}
 LOGITS = "logits"  # Name of the last convolution, in every architecture
@@ -42,12 +38,12 @@ _COMPILING = threading.Lock()
 
 
 def compiled_graph(
-    make: "Callable[[], openvino.Model]",
+    make: Callable[[], Any],
     key: object,
     precision: str = "float32",
     threads: int = 1,
     streams: int = 1,
-) -> "openvino.CompiledModel":
+) -> Any:
     """Return a model, compiled; from the cache if it was compiled before.
 
     `make` is called only if the cache does not hold it; `key` is what the model depends on, with a
@@ -90,9 +86,7 @@ def _sources() -> str:
     return digest.hexdigest()
 
 
-def converted(
-    module: "nn.Module", function: Callable[..., Any], inputs: "Sequence[Tensor]"
-) -> "openvino.Model":
+def converted(module: Any, function: Callable[..., Any], inputs: Sequence[Any]) -> Any:
     """Return ``function(module, *inputs)`` as a graph for inputs of these shapes."""
     import torch
     from openvino.frontend import FrontEndManager
@@ -113,7 +107,7 @@ def converted(
         front_end = FrontEndManager().load_by_framework("pytorch")
         front_end.add_extension(ConversionExtension("aten::special_erfc", _erfc))
         decoder = TorchScriptPythonDecoder(traced, example_input=tuple(inputs))
-        model: openvino.Model = front_end.convert(front_end.load(decoder))
+        model = front_end.convert(front_end.load(decoder))
     shapes = (list(tensor.shape) for tensor in inputs)
     model.reshape(dict(zip(model.inputs, shapes, strict=True)))
     return model
@@ -134,7 +128,7 @@ def _erfc(node: Any) -> Any:
     return ops.multiply(t, ops.exp(ops.subtract(power, ops.multiply(x, x)))).outputs()
 
 
-def partly_float32(core: "openvino.Core", model: "openvino.Model") -> "openvino.Model":
+def partly_float32(core: Any, model: Any) -> Any:
     """Mark layers of the range image, logits and what follows as float32, in OpenVINO's XML."""
     import openvino
 

@@ -4,7 +4,7 @@
 import hashlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,8 +25,6 @@ from salsanext_cli.records import CHANNELS
 from salsanext_cli.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
-    import openvino
-
     from salsanext_cli.network.segmentation import SegmentationNetwork
 
 
@@ -135,7 +133,7 @@ class OnnxEngine(Engine):
 
     path: Path = Path()
 
-    def model(self, temperature: float | None = None) -> "openvino.Model":
+    def model(self, temperature: float | None = None) -> Any:
         """Read the file; with a temperature, for the softmax of the logits divided by it."""
         try:
             content = self.path.read_bytes()
@@ -183,9 +181,7 @@ def _load_onnx(
     return loaded
 
 
-def read_onnx(
-    content: bytes, source: object, card: WeightsCard, size: tuple[int, int]
-) -> "openvino.Model":
+def read_onnx(content: bytes, source: object, card: WeightsCard, size: tuple[int, int]) -> Any:
     """Read an ONNX model of range images (1, 5, H, W) to logits; `source` names it in errors."""
     import openvino
 
@@ -210,7 +206,7 @@ def read_onnx(
     return model
 
 
-def _with_softmax(model: "openvino.Model", temperature: float) -> "openvino.Model":
+def _with_softmax(model: Any, temperature: float) -> Any:
     """Return the model that ends with the softmax of its logits divided by a temperature."""
     import openvino
     from openvino import opset13 as ops

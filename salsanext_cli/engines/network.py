@@ -23,7 +23,6 @@ from salsanext_cli.records import CHANNELS, Float, RangeImage
 from salsanext_cli.sensors.sensor import Sensor
 
 if TYPE_CHECKING:
-    import openvino
     from torch import Tensor
 
     from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -37,7 +36,7 @@ log = logging.getLogger(__name__)
 class Graph:
     """Compiled part of a network: float32 arrays in, float32 arrays out, the same bits always."""
 
-    def __init__(self, compiled: "openvino.CompiledModel") -> None:
+    def __init__(self, compiled: Any) -> None:
         self.compiled = compiled
         self.request = compiled.create_infer_request()
 
@@ -57,7 +56,7 @@ class Graph:
 
         outputs: list[list[Float]] = [[]] * len(calls)
 
-        def keep(request: "openvino.InferRequest", number: int) -> None:
+        def keep(request: Any, number: int) -> None:
             outputs[number] = [tensor.data.copy() for tensor in request.output_tensors]
 
         queue = AsyncInferQueue(self.compiled)
@@ -116,13 +115,13 @@ class Engine:
         the engine's by default; `streams` calls are computed side by side.
         """
 
-        def make() -> "openvino.Model":
+        def make() -> Any:
             return converted(self.module, function, inputs() if inputs else [self.example_input()])
 
         return self.compiled(name, make, precision or self.precision, streams)
 
     def compiled(
-        self, name: str, make: "Callable[[], openvino.Model]", precision: str, streams: int = 1
+        self, name: str, make: Callable[[], Any], precision: str, streams: int = 1
     ) -> Graph:
         """Return a model that is compiled once for each thread, as `compiled_graph` does."""
         settings = (precision, thread_count(), streams)

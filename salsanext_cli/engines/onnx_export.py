@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,9 +21,6 @@ from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.onnx_metadata import OPSET
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import CHANNELS, Float
-
-if TYPE_CHECKING:
-    import onnx
 
 INPUT, OUTPUT = "image", "logits"
 TOLERANCE = 1e-3  # Largest difference from torch, relative to the largest logit
@@ -51,9 +48,7 @@ class _Traced(nn.Module):
         return logits[..., : self.width] if len(self.columns) != self.width else logits
 
 
-def exported(
-    module: SegmentationNetwork, card: WeightsCard, *, dynamic_width: bool = False
-) -> "onnx.ModelProto":
+def exported(module: SegmentationNetwork, card: WeightsCard, *, dynamic_width: bool = False) -> Any:
     """Return a network as an ONNX model, for one width or for every multiple of its stride."""
     package = import_extra("onnx", "onnx")
     height, width = card.sensor.height, card.sensor.width
@@ -78,7 +73,7 @@ def exported(
         )
         model = package.load_model(file)
     package.helper.set_model_props(model, card.to_metadata())
-    return cast("onnx.ModelProto", model)
+    return model
 
 
 def run(content: bytes, images: list[Float]) -> list[Float]:
@@ -108,9 +103,7 @@ def difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -
     return largest
 
 
-def quantised(
-    model: "onnx.ModelProto", scans: Sequence[Any], image_of: Callable[[Any], Float]
-) -> "onnx.ModelProto":
+def quantised(model: Any, scans: Sequence[Any], image_of: Callable[[Any], Float]) -> Any:
     """Return a model from `exported` whose convolutions multiply bytes."""
     # Float32 stay the first part of the network, which sees ranges of 0 to 80 metres to the
     # centimetre, and the logits. The ranges of feature maps are means over the scans of high and
@@ -121,7 +114,7 @@ def quantised(
     logging.getLogger("nncf").setLevel(logging.ERROR)
     dataset = nncf.Dataset(scans, lambda scan: {INPUT: image_of(scan)})
     with redirect_stdout(io.StringIO()):  # bars of progress
-        short: onnx.ModelProto = nncf.quantize(
+        short = nncf.quantize(
             model,
             dataset,
             preset=nncf.QuantizationPreset.MIXED,
@@ -135,7 +128,7 @@ def quantised(
     return short
 
 
-def left_in_float32(model: "onnx.ModelProto") -> list[str]:
+def left_in_float32(model: Any) -> list[str]:
     """Return the names of the nodes of the part that sees the range image, and of the logits."""
     channels = {each.name: each.dims[1] for each in model.graph.initializer if each.dims[1:]}
     parts = {LOGITS}
@@ -150,7 +143,7 @@ def _part(name: str) -> str:
     return name.split("/")[1] if "/" in name else ""
 
 
-def _make_unsigned(model: "onnx.ModelProto") -> None:
+def _make_unsigned(model: Any) -> None:
     """Let feature maps be unsigned bytes of the same values."""
     # OpenVINO 2026.4 computes convolutions of concatenated signed ones wrongly on x86.
     from onnx import numpy_helper

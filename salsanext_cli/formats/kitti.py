@@ -20,7 +20,7 @@ from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import USUAL_COLUMNS, ring_of, scan_of, unnamed_columns
-from salsanext_cli.records import Double, Float, Indices, Mask, Scan, normalised_intensity
+from salsanext_cli.records import Double, Float, Mask, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
 COLUMNS = 4  # x, y, z in metres, remission
@@ -242,8 +242,7 @@ def are_possible(values: npt.NDArray[np.floating]) -> Mask:
 
 COUNTS = range(3, 17)  # Numbers of columns that are told apart
 BLOCKS = 32  # Places of a file that are looked at, evenly spaced
-ROWS = 64  # Rows of each that are looked at for their order
-VALUES = 128  # Values of each that are looked at for their kinds
+ROWS, VALUES = 64, 128  # Rows of each, for their order, and about so many values, for their kinds
 STEP_DEG = 5.0  # Largest difference in azimuth between points that a scanner measured in turn
 IN_TURN = 0.6
 """Least share of such points that shows the rows to be points; in real scans it is 0.8 or more, in
@@ -259,14 +258,13 @@ RANGE_LOG10 = 3.0  # Magnitudes count up to a factor of a thousand
 
 def evident_count(values: Float, expected: int) -> int | None:
     """Return another number of columns than expected that values (M,) evidently have, else None."""
-    if len(values) < LEAST_EXPLAINED_BY_CHANCE:
+    if len(values) < 2 * max(expected, *COUNTS):
         return None
     if _are_in_turn(values, expected):
         return _padded_count(values, expected)
-    places, properties = _properties(values)
-    explained = {n: _explained(places, properties, n) for n in {*COUNTS, expected}}
+    explained = {n: _explained(values, n) for n in {*COUNTS, expected}}
     most = max(explained.values())
-    if most < LEAST_EXPLAINED + LEAST_EXPLAINED_BY_CHANCE / len(places):
+    if most < LEAST_EXPLAINED + LEAST_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE):
         return None
     if explained[expected] >= SHARE_OF_LARGEST * most:
         return None
@@ -276,61 +274,42 @@ def evident_count(values: Float, expected: int) -> int | None:
     return _padded_count(values, count) or count
 
 
-def _places(count: int, length: int) -> Indices:
-    """Return evenly spaced blocks of the indices of so many items, (BLOCKS, length or less)."""
-    length = min(length, count)
-    starts = np.linspace(0, count - length, BLOCKS).astype(np.intp)
-    return starts[:, None] + np.arange(length)
+def _rows(values: Float, columns: int, length: int = ROWS) -> Double:
+    """Return evenly spaced blocks of rows of so many values, (BLOCKS, length, columns), or all."""
+    rows = values[: len(values) // columns * columns].reshape(-1, columns)[None]
+    if rows.shape[1] > BLOCKS * length:
+        starts = np.linspace(0, rows.shape[1] - length, BLOCKS).astype(np.intp)
+        rows = rows[0, starts[:, None] + np.arange(length)]
+    with np.errstate(invalid="ignore"):  # of a signalling NaN
+        return rows.astype(np.float64)
 
 
 def _are_in_turn(values: Float, columns: int) -> bool:
     """Say whether rows of so many values are points measured in the order of a scanner's turn."""
-    rows = values[: len(values) // columns * columns].reshape(-1, columns)
-    # A NaN may signal.
-    with np.errstate(invalid="ignore"):
-        x, y = (rows[:, axis][_places(len(rows), ROWS)].astype(np.float64) for axis in (0, 1))
-        azimuth = np.degrees(np.arctan2(y, x))
-        measured = np.isfinite(azimuth) & ((x != 0) | (y != 0))
-        # What follows from one block to the next is little.
-        steps = np.abs((np.diff(azimuth[measured]) + 180) % 360 - 180)
+    x, y = np.moveaxis(_rows(values, columns), -1, 0)[:2]
+    azimuth = np.degrees(np.arctan2(y, x))
+    measured = np.isfinite(azimuth) & ((x != 0) | (y != 0))
+    # What follows from one block to the next is little.
+    steps = np.abs((np.diff(azimuth[measured]) + 180) % 360 - 180)
     return int((steps < STEP_DEG).sum()) > IN_TURN * max(1, int(steps.size))
 
 
 def _padded_count(values: Float, columns: int) -> int | None:
     """Return the number of columns of a table that has only zeros beside the columns expected."""
     for count in reversed(range(2 * columns, COUNTS.stop, columns)):
-        rows = values[: len(values) // count * count].reshape(-1, count)
-        # A NaN may signal.
-        with np.errstate(invalid="ignore"):
-            sample = rows[_places(len(rows), ROWS)].astype(bool)
+        sample = _rows(values, count)
         if not sample[..., columns:].any() and sample.any():
             return count
     return None
 
 
-def _properties(values: Float) -> tuple[Indices, Double]:
-    """Return the places (K,) of a sample of values, and their properties (5, K)."""
-    places = np.unique(_places(len(values), VALUES))
-    with np.errstate(invalid="ignore"):
-        sample = values[places].astype(np.float64)
-    size = np.abs(sample)
-    finite = np.isfinite(size)
-    measured = np.where(finite & (size > 0), size, 1.0)
-    kinds = (sample < 0, sample == 0, finite & (sample != 0) & (sample == np.rint(sample)), ~finite)
-    magnitude = np.where(size > 0, np.clip(np.log10(measured) / RANGE_LOG10, -1, 1), -1)
-    return places, np.stack([*kinds, magnitude]).astype(np.float64)
-
-
-def _explained(places: Indices, properties: Double, columns: int) -> float:
-    """Return the mean share of the properties' variance that lies between columns (adjusted R²)."""
-    index, count = places % columns, len(places)
-    sizes = np.maximum(np.bincount(index, minlength=columns), 1)
-    shares = []
-    for values in properties:
-        total = values.var()
-        if total > LEAST_VARIANCE:
-            means = np.bincount(index, values, columns) / sizes
-            between = float(sizes @ (means - values.mean()) ** 2) / count
-            unexplained = max(0.0, 1 - between / total)
-            shares.append(1 - unexplained * (count - 1) / max(1, count - columns))
-    return float(np.mean(shares)) if shares else 0.0
+def _explained(values: Float, columns: int) -> float:
+    """Return the share of the variance of what values are like that lies between columns."""
+    sample = _rows(values, columns, VALUES // columns).reshape(-1, columns)
+    size = np.where(np.isfinite(sample), np.abs(sample), 1.0)
+    is_whole = (size > 0) & (sample == np.rint(sample))
+    magnitude = np.log10(np.maximum(size, 10**-RANGE_LOG10)) / RANGE_LOG10
+    properties = np.stack([sample < 0, is_whole, np.minimum(magnitude, 1)])
+    within, total = properties.var(axis=1, ddof=1).mean(axis=1), properties.var(axis=(1, 2))
+    vary = total > LEAST_VARIANCE
+    return float(np.mean(1 - within[vary] / total[vary])) if vary.any() else 0.0

@@ -46,7 +46,7 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
     """Read a `.npy` file of a required dtype and shape, in which None stands for any length."""
     required = np.dtype(dtype)
     expected = f"a .npy file of {required} {_words(shape)}"
-    array = _read(path, expected)
+    array = load_npy(path, expected)
     fits = all(want in (None, length) for length, want in zip(array.shape, shape, strict=False))
     if array.dtype != required or array.ndim != len(shape) or not fits:
         raise FormatError(path, f"{array.dtype.str} {_words(array.shape)}", expected)
@@ -56,14 +56,15 @@ def read_array(path: Path, dtype: npt.DTypeLike, shape: tuple[int | None, ...]) 
 def read_integers(path: Path) -> npt.NDArray[np.integer[Any]]:
     """Read an array (N,) of integers of any size."""
     expected = "a .npy file of integers (N,)"
-    array = _read(path, expected)
+    array = load_npy(path, expected)
     if array.dtype.kind not in "iu" or array.ndim != 1:
         remedy = "save array.ravel().astype(np.uint32)"
         raise FormatError(path, f"{array.dtype.str} {_words(array.shape)}", expected, remedy)
     return array
 
 
-def _read(path: Path, expected: str) -> npt.NDArray[Any]:
+def load_npy(path: Path, expected: str) -> npt.NDArray[Any]:
+    """Read the array of a `.npy` file."""
     with reading(path) as file:
         return load_array(file, size_of(file), path, expected)
 
@@ -87,12 +88,10 @@ def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[
 def read_uncertainty(path: Path, count: int | None, highest: float = math.inf) -> Float:
     """Read one kind of uncertainty, 0 to `highest`, (count,) float32; NaN where there is none."""
     values: Float = read_array(path, np.float32, (count,))
-    bounded = math.isfinite(highest)
-    found = f"below 0 or above {highest:g}" if bounded else "negative or infinite"
-    numbers = f"numbers from 0 to {highest:g}" if bounded else "numbers from 0"
-    expected = f"{numbers}, or NaN for a point without a pixel"
+    expected = f"finite numbers from 0 to {highest:g}, or NaN for a point without a pixel"
     unsound = (values < 0) | np.isinf(values) | (values > highest)
-    _require_all(~unsound, path, found, expected, "run `salsanext uncertainty` again")
+    remedy = "run `salsanext uncertainty` again"
+    _require_all(~unsound, path, "impossible uncertainty", expected, remedy)
     return values
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from salsanext_cli.errors import FormatError, shortened
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import Columns, unnamed_columns
-from salsanext_cli.formats.npy import load_array
+from salsanext_cli.formats.npy import load_array, load_npy
 
 EXPECTED = "a table (N, columns), or columns x, y, z, of numbers"
 TABLE_NAMES = ("points", "xyz")  # Names of the table in an archive of several
@@ -22,13 +22,7 @@ MAX_RATIO = 100  # Largest size of an archive's content, as a multiple of its ow
 
 def npy_columns(path: Path, names: tuple[str, ...]) -> Columns:
     """Read a `.npy` file: (N, C) numbers of the names or the usual ones, or (N,) named records."""
-    return _columns(npy_table(path), names, path)
-
-
-def npy_table(path: Path) -> npt.NDArray[Any]:
-    """Read the array of a `.npy` file."""
-    with reading(path) as file:
-        return load_array(file, size_of(file), path, EXPECTED)
+    return _columns(load_npy(path, EXPECTED), names, path)
 
 
 def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:

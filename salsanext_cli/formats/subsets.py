@@ -19,6 +19,7 @@ from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats import kitti, las, numpy_scans, pcd, ply, scan_suffix, text
 from salsanext_cli.formats.bags import EXPECTED, POINT_CLOUD2, REMEDY, Bag, columns_of
+from salsanext_cli.formats.npy import load_npy
 from salsanext_cli.records import Mask
 
 NUMBERS = re.compile(rb"(?m)^(\s*(?:WIDTH|POINTS|element\s+vertex)\s+)\d+")
@@ -38,7 +39,7 @@ def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Callable[[Mask], byte
     if suffix in (".las", ".laz"):
         return partial(_las_subset, path, *las.read_points(path, further_records=True))
     if suffix == ".npy":
-        return partial(_npy_subset, path, numpy_scans.npy_table(path))
+        return partial(_npy_subset, path, load_npy(path, numpy_scans.EXPECTED))
     if suffix == ".npz":
         return partial(_npz_subset, path, *numpy_scans.npz_arrays(path))
     number, width = NUMBERS, 0

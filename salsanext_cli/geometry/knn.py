@@ -28,18 +28,9 @@ LAST = np.int64(2**63 - 256)  # Candidate farther than all others, with label 0
 
 
 def candidates(parameters: KnnParameters, width: int) -> tuple[Int, Float]:
-    """Return the offsets of a point's candidates and the factors of their distances.
-
-    In an image narrower than the window no pixel comes round twice.
-
-    Returns
-    -------
-    offsets : (M,) int32
-        Flat offsets from the point's pixel, itself left out, in an image that is framed by
-        ``window // 2`` pixels on each side.
-    weights : (M,) float32
-        Their factors, 1 − Gaussian.
-    """
+    """Return flat offsets and distance factors, (M,) each, of the candidates of a point's pixel."""
+    # In an image framed by ``window // 2`` pixels on each side; in one narrower than the window no
+    # pixel comes round twice. The pixel itself is left out; the factors are 1 − Gaussian.
     half = parameters.window // 2
     dy, dx = np.mgrid[-half : half + 1, -half : half + 1]
     kept = (dx >= -((width - 1) // 2)) & (dx <= width // 2) & ((dx != 0) | (dy != 0))

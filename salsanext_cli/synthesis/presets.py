@@ -14,8 +14,8 @@ _FILE = resources.files("salsanext_cli").joinpath("presets/streets.toml")
 _TABLES = tomllib.loads(_FILE.read_text("utf-8"))
 
 
-class Numbers(SimpleNamespace):
-    """Numbers of one table as attributes; the file says what each is."""
+Numbers = SimpleNamespace
+"""Numbers of one table as attributes; the file says what each is."""
 
 
 def weighted_choice(rng: Rng, weights: Mapping[str, float]) -> str:

@@ -11,6 +11,7 @@ from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError, WeightsError
+from salsanext_cli.geometry.objects import root
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float, Int, Mask, RangeImage
 from salsanext_cli.uncertainty.estimate import entropy
@@ -82,13 +83,7 @@ def mean_of_regions(occupied: Mask, classes: TrainIds, values: Float, means: Flo
                 row, column = v + dv, (u + du) % width
                 if row < 0 or not occupied[row, column] or classes[row, column] != classes[v, u]:
                     continue
-                one, other = v * width + u, row * width + column
-                while parent[one] != one:
-                    parent[one] = parent[parent[one]]
-                    one = parent[one]
-                while parent[other] != other:
-                    parent[other] = parent[parent[other]]
-                    other = parent[other]
+                one, other = root(parent, v * width + u), root(parent, row * width + column)
                 parent[max(one, other)] = min(one, other)
     count, total = np.zeros(parent.size), np.zeros(parent.size)
     for i in range(parent.size):

@@ -10,7 +10,6 @@ from edited_clouds import WRITERS
 from salsanext_cli import label_space
 from salsanext_cli.errors import FormatError, LabelError, SalsanextError, UsageError
 from salsanext_cli.formats.label_scalars import (
-    LABEL_NAMES,
     NO_VALUE,
     LabelIds,
     read_labelled_cloud,
@@ -44,12 +43,6 @@ def test_labels_and_coordinates_are_read(tmp_path, name, scalar, kind):
     assert found.scalar == scalar
     rounding = 0.00051 if name.endswith("z") or name.endswith("las") else 0
     np.testing.assert_allclose(found.points, POINTS.astype("f4"), rtol=0, atol=rounding)
-
-
-@pytest.mark.parametrize("name", LABEL_NAMES)
-def test_the_usual_names_of_labels_are_known(tmp_path, name):
-    path = write_ply(tmp_path / "s.ply", {f"scalar_{name.title()}": IDS.astype("f4")})
-    np.testing.assert_array_equal(read_labelled_cloud(path).ids, IDS)
 
 
 def test_the_scalar_is_chosen_where_none_or_several_may_be_meant(tmp_path):
@@ -93,7 +86,6 @@ def test_a_classification_that_may_be_the_asprs_is_taken_where_it_is_named(tmp_p
         (np.float64([np.nan, np.inf]), "label of point 1 is inf"),
         (np.float32([0, 1 << 25]), "expected a number up to 16777216, since 32-bit floats"),
         (np.float64([1 << 33]), "expected a number up to 4294967295"),
-        (np.int64([1 << 40]), "expected a number up to 4294967295"),
         (np.uint64([1 << 63]), "expected a number up to 4294967295"),
         (np.int64([-(1 << 63)]), "expected a number up to 4294967295"),
     ],
@@ -149,12 +141,9 @@ def test_a_tools_own_ids_are_mapped_by_name_or_raw_id(tmp_path):
     [
         ("1: tree", "unknown 1: 'tree' · expected whole numbers for 0 unlabeled, 1 outlier"),
         ("car: 1", "unknown 'car': 1"),
-        ("1: 7", "unknown 1: 7"),
         ("true: car", "unknown True: 'car'"),
         ("1: 1.0", "unknown 1: 1.0"),
-        ("1: [car]", "unknown 1:"),
         ("- car", "a list"),
-        ("", "a NoneType"),
         ("1: *a", "reference"),
     ],
 )

@@ -86,16 +86,12 @@ def test_uncertainties_are_read_with_their_gaps(path):
             read_uncertainty(path, count)
 
 
-@pytest.mark.parametrize(
-    ("highest", "value", "found"),
-    [
-        *((np.inf, value, "negative or infinite") for value in (-1e-9, np.inf, -np.inf)),
-        *((1, value, "below 0 or above 1") for value in (-1e-9, 1.0000001, np.inf)),
-    ],
-)
-def test_impossible_uncertainties_are_refused(path, highest, value, found):
+@pytest.mark.parametrize("highest", [np.inf, 1])
+@pytest.mark.parametrize("value", [-1e-9, np.inf, -np.inf, 1.0000001])
+def test_impossible_uncertainties_are_refused(path, highest, value):
     write_array(path, np.array([0, 1, np.nan, value], np.float32))
-    with pytest.raises(FormatError, match=rf"{found} at 1 of 4 points"):
-        read_uncertainty(path, 4, highest)
-    write_array(path, np.array([0, 1, np.nan], np.float32))
-    assert np.nanmax(read_uncertainty(path, 3, highest)) == 1
+    if highest < value or not 0 <= value < np.inf:
+        with pytest.raises(FormatError, match="impossible uncertainty at 1 of 4 points"):
+            read_uncertainty(path, 4, highest)
+    else:
+        assert np.nanmax(read_uncertainty(path, 4, highest)) > 1

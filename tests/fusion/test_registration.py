@@ -53,11 +53,3 @@ def test_a_real_drive_may_begin_in_motion(real_data, drive, start):
     assert np.linalg.norm(steps[0][:, :3, 3], axis=1).min() > 2
     np.testing.assert_allclose(steps[1][:, :3, 3], steps[0][:, :3, 3], atol=0.3)
     assert not found.parts.any()
-
-
-@pytest.mark.real
-def test_a_jump_back_along_a_real_drive_begins_a_part(real_data):
-    folder = real_data / "data/drives/sequences/0004/velodyne"
-    clouds = [read_scan(folder / f"{number:06d}.bin").points for number in [*range(8)] * 2]
-    found = register(points[np.isfinite(points).all(axis=1)] for points in clouds)
-    assert found.parts.tolist() == [0] * 8 + [1] * 8

@@ -81,17 +81,13 @@ IDS = np.random.default_rng(1).permutation(64)
     ("intensity", "reason"),
     [
         (STREET.intensity, "^$"),
-        (STREET.intensity * 1e-4, "^$"),
         (np.floor(3 * STREET.intensity), "^$"),
         (STREET.intensity / RANGES**2, "^$"),
         (np.zeros(4000), "all points have the same"),
         (STREET.intensity > 0.975, "9[78]% of the points have the same"),
-        (np.arange(4000) == 7, "have the same"),
         (np.full(4000, np.nan), "100% of the points have no intensity: NaN or above"),
         (np.where(STREET.intensity < 0.3, np.inf, STREET.intensity), "(28|29|3.)% of the points"),
-        (STREET.intensity * 4e9, "100% of the points have no intensity"),
         (RANGES, "follow the range"),
-        (np.exp(-0.004 * RANGES), "follow the range"),
         (RINGS, "follow the elevation"),
         (IDS[RINGS], "follow the elevation"),
         (np.arctan2(Y, X) % 1, "follow the azimuth"),
@@ -106,7 +102,7 @@ def test_what_is_no_intensity(intensity, reason):
 def test_every_real_intensity_is_one_and_no_other_column(real_data):
     usual, without = sensor("hdl64-512"), set()
     five = replace(usual, columns=("x", "y", "z", "intensity", "ring"))
-    for path in sorted((real_data / "data").rglob("*.*"))[::2]:
+    for path in sorted((real_data / "data").rglob("*.*"))[::9]:
         if not path.name.endswith(SCAN_SUFFIXES) or path.name == "poses.txt":
             continue
         if path.suffix == ".las":  # in map coordinates

@@ -102,13 +102,6 @@ def test_one_row_by_hand(ranges, labels, pixel, parameters, expected):
     assert knn_refine(image, [labels], parameters=parameters).tolist() == [expected]
 
 
-def test_hidden_point_gets_the_label_of_its_own_distance():
-    """A wall at 9 m behind a fence at 5 m is labelled as the wall beside it."""
-    ranges, labels = np.full((3, 8), 9.0), np.full((3, 8), 13)
-    ranges[1, 4], labels[1, 4] = 5.0, 14
-    assert knn_refine(image_of(ranges, [12, 12], [5.0, 9.0]), labels).tolist() == [14, 13]
-
-
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -120,12 +120,6 @@ def test_a_box_is_that_of_an_l_shape(yaw, distance, azimuth):
     assert (x, y, z) == pytest.approx((*place[:, 0], -0.95), abs=0.1)
 
 
-def test_the_labels_decide_not_the_number_of_the_object(monkeypatch):
-    one, other = thing(0, 8), thing(0, 8, seed=1) + np.float32([0.3, 0, 0])
-    (first, second) = objects_of([one, other], [CAR, PERSON])
-    assert not set(first[first > 0]) & set(second[second > 0])
-
-
 @pytest.mark.real
 def test_true_labels_give_most_true_objects(real_scan, real_image: RangeImage, real_data):
     raw = read_labels(real_data / "data/semantickitti/sequences/08/labels/000000.label")

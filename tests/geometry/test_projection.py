@@ -75,14 +75,6 @@ def test_compass():
     assert (up, down) == (0, 3)
 
 
-def test_field_of_view_of_one_sign():
-    """A sensor that looks up from +10° to +50° has +11° in its last row and +49° in its first."""
-    angle = np.radians([11, 29, 31, 49])
-    points = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
-    image = project(scan_of(*points), Sensor("up", 50, 10, 4, 1))
-    assert image.pixel_of_point.tolist() == [3, 2, 1, 0]
-
-
 def test_takes_views_and_read_only_arrays(rings):
     columns = np.column_stack([rings.points, rings.intensity])
     columns.setflags(write=False)

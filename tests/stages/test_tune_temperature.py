@@ -94,7 +94,7 @@ def test_predict_uses_it_and_keeps_the_labels(drawn, target, tmp_path):
 @pytest.mark.parametrize(
     ("weight", "bias", "error", "says"),
     [
-        (0.0, [0.0, 1.0], TrainingError, r"each of \d+ points is right"),
+        (0.0, [0.0, 1.0], TrainingError, r"for \d+ points is 0 "),
         (3e38, [0.0, 0.0], WeightsError, "logits are not finite"),
     ],
 )

@@ -7,7 +7,6 @@ import pytest
 from salsanext_cli.synthesis.lidar import INTENSITY_NOISE, USUAL_ECHO, Lasers, Scene, measure
 from salsanext_cli.synthesis.mesh import Skin, quads
 from salsanext_cli.synthesis.presets import HDL64, Numbers
-from salsanext_cli.synthesis.rig import hdl64_rig
 from salsanext_cli.synthesis.surfaces import BUILDING, CAR, ROAD, Material
 
 
@@ -65,18 +64,6 @@ def test_roads_seen_at_a_grazing_angle_fade_out():
     assert shares[0] > 0.98
     assert shares[0] >= shares[1] > shares[2] > shares[3]
     assert brightness[0] > brightness[1] > brightness[2]
-
-
-def test_a_floor_is_hit_at_the_beams_angles():
-    beams = hdl64_rig(np.random.default_rng(0)).beams
-    origins, directions, _ = beams.rays()
-    distance, _, _ = look([floor(Material.PAVING)], np.concatenate([origins, directions], 1))
-    laser = np.repeat(np.arange(64), beams.columns)
-    for row in (40, 50, 63):
-        found = distance[laser == row]
-        expected = (1.73 + beams.height[row]) / np.sin(-beams.elevation[row])
-        assert np.nanmedian(found) == pytest.approx(expected, abs=0.005)
-    assert np.isnan(distance[beams.elevation[laser] > 0]).all()
 
 
 def test_glass_and_dark_paint_swallow_pulses_in_runs():

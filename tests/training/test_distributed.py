@@ -7,18 +7,19 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
-from safetensors.torch import load_file
 from scans import SMALL, write_sequence
 from torch.distributed import is_gloo_available
 from two_workers import CASES, batch, learner, share, stepped
 
 import salsanext_cli
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import TrainingError, UsageError
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, process_group
+from salsanext_cli.training.fit import Training
 
 SCRIPT = Path(__file__).with_name("two_workers.py")
 
@@ -112,26 +113,18 @@ def test_the_command_line_under_torchrun(tmp_path: Path) -> None:
     assert len((run / "log.csv").read_text("utf-8").splitlines()) == 3
 
 
-@gloo
-@pytest.mark.slow
-def test_workers_that_were_killed_go_on_as_if_they_had_not_been(tmp_path: Path) -> None:
-    """In the middle of an epoch; from another folder than the first worker's none goes on."""
-    data = tmp_path / "data"
-    write_sequence(data / "sequences/00", ["0", "1", "2"], count=600)
-    write_sequence(data / "sequences/08", ["0", "1", "2"], count=600)
-    script = SCRIPT.with_name("stopped_training.py")
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    assert torchrun(script, data, whole).returncode == 0
-    assert torchrun(script, data, parts, 6).returncode != 0
-    assert (parts / "checkpoint.safetensors").exists()
-    severed = torchrun(script, data, parts, "severed")
-    assert severed.returncode != 0
-    assert "the first worker goes on after step 6, this one after step 0" in severed.stderr
-    ended = torchrun(script, data, parts)
-    assert ended.returncode == 0, ended.stderr
-    for name in ("last.safetensors", "best.safetensors"):
-        one, other = load_file(whole / name), load_file(parts / name)
-        assert all(torch.equal(one[key], other[key]) for key in one)
+def test_workers_go_on_from_one_step_or_not_at_all(tmp_path: Path) -> None:
+    """The first worker's folder has a checkpoint after step 6, this one's has none."""
+
+    class Apart(ProcessGroup):
+        def on_main(self, work):
+            return 6
+
+    single = SimpleNamespace(group=Apart(1, 2))
+    samples = SimpleNamespace(plan=SimpleNamespace(steps_per_epoch=4))
+    training = Training(tmp_path, single, samples, *[None] * 5)  # type: ignore[arg-type]
+    with pytest.raises(TrainingError, match="after step 6, this one after step 0"):
+        training.fit()
 
 
 @gloo

@@ -21,14 +21,6 @@ def test_the_papers_recipe_is_the_papers() -> None:
     assert recipe("paper-v1") == Recipe(architecture="salsanext-v1")
 
 
-def test_recipes_of_the_paper_change_scans_only_as_the_paper_does() -> None:
-    of_modern = ("mix", "paste", "label_smoothing", "whole_epochs")
-    keys = (*of_modern, "intensity", "fewer_beams", "jitter", "holes")
-    others = {name for name in presets() if any(getattr(recipe(name), key) for key in keys)}
-    assert others == {"finetune", "modern", "street"}
-    assert all(getattr(recipe("modern"), key) for key in of_modern)
-
-
 @pytest.mark.parametrize("name", presets())
 def test_a_recipe_survives_its_toml(name: str, tmp_path: Path) -> None:
     path = tmp_path / "my recipe.toml"
@@ -88,11 +80,8 @@ def test_every_key_can_be_set_to_what_a_recipe_says(name: str) -> None:
     [
         ("epochs", r"--set epochs · no key and value · expected key=value"),
         ("=3", "no key and value"),
-        ("epochs=", "no key and value"),
-        ("", "no key and value"),
         ("epoch=3", r"--set epoch=3 · unknown key epoch · expected keys .*epochs"),
         ("epochs=3.5", r"--set epochs=3\.5 · '3\.5' · expected a whole number"),
-        ("epochs=many", "expected a whole number"),
         ("flip=often", "'often' · expected a number"),
     ],
 )

@@ -78,7 +78,6 @@ def batch_norm(x):
 LINEAR = {
     "convolution 1×1": convolution((1, 1)),
     "convolution 3×3": convolution((3, 3), padding=1),
-    "dilated 3×3": convolution((3, 3), padding=2, dilation=2),
     "dilated 2×2": convolution((2, 2), padding=1, dilation=2),
     "strided 3×3 in groups": convolution((3, 3), padding=1, stride=2, groups=2),
     "transposed 3×3": transposed((3, 3), 2, 1, 1),
@@ -86,10 +85,8 @@ LINEAR = {
     "transposed 1×4": transposed((1, 4), (1, 2), (0, 1), (0, 0)),
     "batch norm": batch_norm,
     "average pooling": nn.AvgPool2d(3, stride=2, padding=1),
-    "average pooling without padding": lambda x: F.avg_pool2d(x, 2, 2, 0),
     "pixel shuffle": nn.PixelShuffle(2),
     "padding": lambda x: F.pad(x, (1, 0, 2, 3)),
-    "padding with a value": lambda x: F.pad(x, (1, 1), value=2.5),
     "padding around": lambda x: F.pad(x, (2, 1, 0, 0), mode="circular"),
     "padding by repetition": lambda x: F.pad(x, (0, 1, 0, 2), mode="replicate"),
     "indexing": lambda x: x[..., torch.arange(9) % 4][:, 1:, :3],

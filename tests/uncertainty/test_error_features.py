@@ -74,14 +74,6 @@ def test_features_are_those_of_a_slow_loop(count, width, block, threads, monkeyp
         assert found[i] == pytest.approx(expected, abs=1e-5)
 
 
-def test_points_without_a_pixel_have_no_features() -> None:
-    image = project(Scan(np.zeros((30, 3), "f4"), np.zeros(30, "f4")), SMALL)
-    probabilities = np.full((4, SMALL.height, SMALL.width), 0.25, "f4")
-    found = error_features(image, probabilities, np.zeros(30, np.uint8))
-    assert found.shape == (30, len(FEATURES))
-    assert np.isnan(found).all()
-
-
 def region(occupied, classes, start: tuple[int, int]) -> set[tuple[int, int]]:
     """Return the pixels that can be reached from one in steps between pixels of its class."""
     height, width = occupied.shape

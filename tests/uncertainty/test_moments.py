@@ -16,7 +16,6 @@ from salsanext_cli.uncertainty.adf import MAX_DEVIATIONS, leaky_relu_moments, so
 
 SAMPLES = 100_000
 FLOATS = [torch.float64, torch.float32, torch.bfloat16, torch.float16]
-HUGE = 1e30
 LEGENDRE = np.polynomial.legendre.leggauss(100)
 
 
@@ -71,17 +70,6 @@ def test_leaky_relu_against_quadrature(slope, variance):
         assert found[1] == pytest.approx(expected[1], rel=1e-12, abs=1e-14 * variance)
 
 
-def test_float32_is_as_good_as_float64():
-    mean, variance = draw(20_000) * 3, draw(20_000, seed=1).square()
-    mean, variance = mean.float(), variance.float()
-    narrow = leaky_relu_moments(mean, variance, 0.01)
-    wide = leaky_relu_moments(mean.double(), variance.double(), 0.01)
-    error = (narrow[0] - wide[0]).abs() / variance.sqrt().clamp(min=mean.abs())
-    assert error.max() < 1e-6
-    # Where the slope's 10⁻⁴ and a tail of 10⁻³ are all that passes, four digits are left.
-    torch.testing.assert_close(narrow[1].double(), wide[1], rtol=5e-5, atol=0)
-
-
 # Softmax
 
 
@@ -121,14 +109,6 @@ def test_softmax_stays_within_what_a_probability_can_do(classes, seed, scale, po
     digits = (4 + classes / 2) * torch.finfo(dtype).eps
     assert (mean.sum(dim=0) - 1).abs().max() <= digits
     assert (variance - mean * (1 - mean)).max() <= digits
-
-
-@pytest.mark.parametrize("classes", [2, 3, 20])
-def test_logits_of_huge_variance_choose_one_class_at_random(classes):
-    mean, variance = softmax(np.zeros(classes), np.full(classes, HUGE), torch.float32)
-    p = 1 / classes
-    np.testing.assert_allclose(mean, p, rtol=1e-6)
-    np.testing.assert_allclose(variance, p * (1 - p), rtol=5e-3)
 
 
 @pytest.mark.parametrize(("variance", "worst"), [(1e-6, 1e-6), (0.5, 1e-5), (1.0, 2e-4), (2, 3e-3)])

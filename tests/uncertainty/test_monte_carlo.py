@@ -13,7 +13,7 @@ from salsanext_cli.geometry.network_input import normalise
 from salsanext_cli.network.dropout import ChannelDropout, drawn, sampling
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
-from salsanext_cli.uncertainty.monte_carlo import PassStatistics, pass_seed, scan_seed, torch_batch
+from salsanext_cli.uncertainty.monte_carlo import PassStatistics, pass_seed, torch_batch
 
 SAMPLES = 4
 
@@ -139,14 +139,6 @@ def test_moments_in_closed_form():
     assert sampled.uncertainty.epistemic.item() == 0.25
     assert sampled.uncertainty.entropy.item() == pytest.approx(np.log(2))
     assert sampled.uncertainty.mutual_information.item() == pytest.approx(np.log(2))
-
-
-def test_seeds_of_passes_and_scans_do_not_meet():
-    passes = {pass_seed(seed, number) for seed in range(50) for number in range(50)}
-    assert len(passes) == 2500
-    scans = {scan_seed(0, s, f"{n:06d}") for s in ("00", "08") for n in range(500)}
-    assert len(scans) == 1000
-    assert all(0 <= seed < 2**63 for seed in passes | scans)
 
 
 def test_dropout_takes_whole_channels_and_keeps_the_expectation():

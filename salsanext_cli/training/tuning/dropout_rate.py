@@ -28,11 +28,9 @@ log = logging.getLogger(__name__)
 
 def rates_between(lowest: float, highest: float, steps: int) -> list[float]:
     """Return rates at equal steps of their logarithm, both ends included."""
-    for option, rate in (("--lowest", lowest), ("--highest", highest)):
-        if not 0 < rate < 1:
-            raise UsageError(option, f"{rate:g}", "a dropout rate above 0 and below 1")
-    if not lowest < highest:
-        raise UsageError("--lowest", f"{lowest:g}", f"less than --highest, {highest:g}")
+    if not 0 < lowest < highest < 1:
+        found = f"{lowest:g} and {highest:g}"
+        raise UsageError("--lowest and --highest", found, "rising rates above 0 and below 1")
     if steps < 2:
         raise UsageError("--steps", str(steps), "at least 2")
     inner = np.geomspace(lowest, highest, steps)[1:-1].tolist()

@@ -75,14 +75,10 @@ def _samples(scans: TuningScans, most: int) -> Iterator[tuple[Float, Any]]:
 
 def _require_possible(dataset: Path, temperature: float, points: int) -> None:
     """Refuse a temperature that no softmax can be used with."""
+    # It is 0 where every point is right, infinite where no class of the truth is known.
     lowest, highest = TEMPERATURES
-    if temperature == 0:
-        found = f"each of {points} points is right: the lower, the better"
-    elif temperature == float("inf"):
-        found = f"{points} points whose classes the network does not know: the higher, the better"
-    else:
-        found = f"the best temperature is {temperature:g}"
     if not lowest <= temperature <= highest:
+        found = f"the best temperature for {points} points is {temperature:g}"
         expected = f"one between {lowest:g} and {highest:g}"
         raise TrainingError(dataset, found, expected, "use more scans, or other weights")
 

@@ -98,16 +98,6 @@ def test_no_real_scan_is_refused(real_data, tmp_path):
 
 
 @pytest.mark.real
-@pytest.mark.parametrize(
-    "name", ["five_columns_hdl64s3.bin", "nuscenes_hdl32/five_columns.pcd.bin"]
-)
-def test_real_five_columns_are_recognised(real_data, tmp_path, name):
-    (tmp_path / "s.bin").symlink_to(real_data / "data" / "sensors" / name)
-    with pytest.raises(FormatError, match="5 columns"):
-        kitti.read_bin(tmp_path / "s.bin")
-
-
-@pytest.mark.real
 @pytest.mark.parametrize("name", ["semantickitti/sequences/00", "pandaset/sequences/002"])
 def test_a_real_scan_with_other_columns_is_refused_with_names_to_try(real_data, tmp_path, name):
     table = np.fromfile(next((real_data / "data" / name / "velodyne").iterdir()), "<f4")

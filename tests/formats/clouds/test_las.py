@@ -68,7 +68,7 @@ def test_points_without_a_measurement_are_withheld(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-@pytest.mark.parametrize("kind", [0, 1, 3, 6, 8])
+@pytest.mark.parametrize("kind", [0, 3, 8])
 def test_point_formats_of_other_programs(tmp_path, suffix, kind):
     scan = make_scan(700)
     cloud = laspy.create(point_format=kind)
@@ -143,9 +143,3 @@ def test_classes_of_the_asprs():
     raw = np.uint32([3, 7, 500, 9, 3])
     assert classification(raw, LabelSpace.from_dict(own)).tolist() == [11, 71, 1, 1, 11]
     assert not len(classification(raw[:0], space))
-
-
-@pytest.mark.real
-def test_a_real_map_is_refused(real_data):
-    with pytest.raises(FormatError, match="x from -235435 to -234936, as of a map"):
-        read_scan(real_data / "data/sensors/las/airborne.las")

@@ -10,32 +10,6 @@ from scans import IN_BYTES
 from salsanext_cli.errors import FormatError, MissingDependency
 from salsanext_cli.formats import read_scan
 
-KINDS = {"F4": "f", "F8": "d", "U1": "B", "U2": "H", "U4": "I", "I1": "b", "I2": "h", "I4": "i"}
-
-
-def slow_read(path) -> dict[str, list[float]]:
-    """Read a PCD file that is not compressed with nothing but the standard library."""
-    data = path.read_bytes()
-    head: dict[str, list[str]] = {}
-    while "DATA" not in head:
-        line, data = data.split(b"\n", 1)
-        key, *words = line.decode().split()
-        head[key] = words
-    count = int(head["POINTS"][0])
-    kinds = [KINDS[t + s] for t, s in zip(head["TYPE"], head["SIZE"], strict=True)]
-    fields = list(zip(head["FIELDS"], kinds, map(int, head["COUNT"]), strict=True))
-    if head["DATA"] == ["ascii"]:
-        rows = [[float(word) for word in line.split()] for line in data.decode().splitlines()]
-        return {name: [row[i] for row in rows] for i, (name, _, _) in enumerate(fields)}
-    row = struct.Struct("<" + "".join(f"{n * struct.calcsize(k)}s" for _, k, n in fields))
-    cells = zip(*row.iter_unpack(data[: count * row.size]), strict=True)
-    blocks = [b"".join(cell) for cell in cells]
-    return {
-        name: list(struct.unpack(f"<{count}{kind}", block))
-        for (name, kind, n), block in zip(fields, blocks, strict=True)
-        if n == 1 and name != "_"
-    }
-
 
 def header(
     fields: str = "x:F4 y:F4 z:F4 intensity:F4", points: int = 2, data: str = "binary"
@@ -60,24 +34,6 @@ def stored_as_literals(plain) -> bytes:
 def reordered(head):
     """Return a header whose HEIGHT comes after POINTS."""
     return head.replace(b"HEIGHT 1\n", b"").replace(b"DATA", b"HEIGHT 1\nDATA")
-
-
-@pytest.mark.real
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("hdl32_with_points_at_origin", "hdl64", "livox_front"),
-        *("os1_ascii_half_zeros", "ring40_padding_fields"),
-    ],
-)
-def test_real_files_equal_a_slow_reader(real_data, name):
-    path = real_data / "data" / "sensors" / "pcd" / f"{name}.pcd"
-    slow = slow_read(path)
-    scan = read_scan(path)
-    for axis, values in zip("xyz", scan.points.T, strict=True):
-        np.testing.assert_array_equal(values, np.array(slow[axis], np.float32))
-    np.testing.assert_array_equal(scan.intensity, np.array(slow["intensity"], np.float32))
-    assert np.ptp(scan.intensity) > 0.5
 
 
 @pytest.mark.real
@@ -152,16 +108,11 @@ def test_compressed(tmp_path, spoil):
         (header("a:F4 b:F4 z:F4") + bytes(24), "points of a, b, z"),
         (header("x:F4 x:F4 y:F4 z:F4") + bytes(32), "more than once"),
         (header("x:F3 y:F4 z:F4") + bytes(22), "'F3'"),
-        (header(points=-2) + bytes(32), "negative"),
-        (header("x:F4 y:F4 z:F4 _:U1:-4") + bytes(32), "shape"),
         (header(data="zipped") + bytes(32), "kind zipped"),
-        (header().replace(b"TYPE F", b"TYPE"), "header: zip() argument"),
         (header() + bytes(31), "31 bytes of data, not 32"),
         (header(data="ascii") + b"1 2 3 4\n", "1 lines of 4 values, not 2 of 4"),
-        (header(data="ascii") + b"1 2 3 4\n5 6\n", "columns changed from 4 to 2"),
         (header(data="ascii") + b"1 2 3 4\na b c d\n", "string 'a'"),
         (header(data="binary_compressed") + struct.pack("<II", 50, 32) + bytes(9), "9 bytes"),
-        (header(data="binary_compressed") + struct.pack("<II", 3, 3) + bytes(3), "not of 32"),
         (header(data="binary_compressed") + struct.pack("<II", 9, 32) + b"\xff" * 9, "not unpack"),
         (
             header("x:F4 y:F4 z:F4 n:F4:2", data="binary_compressed")

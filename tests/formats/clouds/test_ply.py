@@ -114,16 +114,3 @@ def test_missing_plyfile_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "plyfile", None)
     with pytest.raises(MissingDependency, match="pip install plyfile"):
         write_ply(tmp_path / "s.ply", {"x": np.zeros(1, np.float32)})
-
-
-@pytest.mark.real
-def test_real_files(real_data):
-    folder = real_data / "data" / "sensors" / "ply"
-    float64 = read_scan(folder / "float64_xyz_only.ply")
-    assert len(float64) == 125_773
-    assert 60 < np.linalg.norm(float64.points, axis=1).max() < 130
-    assert not float64.intensity.any()
-    assert len(read_scan(folder / "ascii_rgb_normals.ply")) > 1000
-    scalar = read_scan(folder / "hdl32_scalar_intensity.ply", IN_BYTES)
-    assert len(scalar) == 69_792
-    assert 0.5 < scalar.intensity.max() <= 1
