@@ -90,6 +90,17 @@ def narrow_weights(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.fixture
+def narrow_default(narrow_weights: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return such weights, which are also those that are taken if none are named."""
+    from salsanext_cli.engines import loading
+    from salsanext_cli.network import card
+
+    for module in (card, loading):
+        monkeypatch.setattr(module, "default_weights", lambda: narrow_weights)
+    return narrow_weights
+
+
+@pytest.fixture
 def world(tmp_path: Path, weights: Path) -> "World":
     """Return scans in SemanticKITTI's layout, in a folder with a space and an umlaut."""
     from world import World

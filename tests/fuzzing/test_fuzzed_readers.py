@@ -18,7 +18,7 @@ from tiny_network import TinyNetwork
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.network.registry import ARCHITECTURES
 
-FEW_CASES = 30
+FEW_CASES = 12
 MANY_CASES = int(os.environ.get("FUZZ_CASES", "5000"))
 MAX_CHARACTERS = 2000
 """Largest length of an error."""

@@ -37,12 +37,7 @@ def begun(**environment: str) -> subprocess.Popen[str]:
 
 @pytest.mark.parametrize(
     ("step", "number"),
-    [
-        (1, signal.SIGINT),
-        (17, signal.SIGTERM),
-        pytest.param(1, signal.SIGTERM, marks=pytest.mark.slow),
-        pytest.param(17, signal.SIGINT, marks=pytest.mark.slow),
-    ],
+    [(17, signal.SIGTERM), pytest.param(1, signal.SIGINT, marks=pytest.mark.slow)],
 )
 def test_a_signal_among_the_imports(step: int, number: signal.Signals) -> None:
     process = begun(SIGNAL_AT=f"salsanext_cli/cli/:{step}:{number:d}")
@@ -50,6 +45,7 @@ def test_a_signal_among_the_imports(step: int, number: signal.Signals) -> None:
     assert process.returncode == 128 + number
 
 
+@pytest.mark.slow
 def test_ctrl_c_before_there_are_handlers() -> None:
     process = begun(SIGNAL_AT=f"interruption.:1:{signal.SIGINT:d}")
     assert process.communicate(timeout=60) == ("", "")
@@ -75,8 +71,3 @@ def test_signals_at_many_moments(number: signal.Signals) -> None:
         else:
             assert (process.returncode, said) == (0, "")
     assert 128 + number in found
-
-
-def test_the_console_script_is_what_is_tested() -> None:
-    project = Path(__file__).parents[2] / "pyproject.toml"
-    assert '\nsalsanext = "salsanext_cli.__main__:main"\n' in project.read_text("utf-8")
