@@ -117,9 +117,11 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(user_cache, "_said", [])
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw nothing of scans and evaluations: that takes tenths of a second, and has own tests."""
+@pytest.fixture(autouse=True)
+def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw nothing of scans and evaluations, which takes tenths of a second, unless `drawn`."""
+    if request.node.get_closest_marker("drawn"):
+        return
     from salsanext_cli.report import plots
     from salsanext_cli.stages import picture
 

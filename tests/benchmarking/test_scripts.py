@@ -20,6 +20,7 @@ from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.stages import train
 from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -65,26 +66,23 @@ SLOW_RUNS = {
         *("diverse, 1 scans",),
     ),
     "other_sensors.py --sensors vlp16 --weights w.safetensors": ("vlp16",),
-    "fusion.py out data/sequences/08": ("08  single",),
-    "model_card.py out a=data --weights w.safetensors": (
-        *("IoU per class, as they are", "| car", "IoU per class, --classes coarse"),
-        *("| accuracy", "| as they are", "| --intensity none", "| --classes coarse"),
-    ),
+    "fusion.py out data/sequences/08 --predict --weights w.safetensors": ("08  single",),
 }
 
 
 @pytest.fixture
-def place(tmp_path, narrow_weights, monkeypatch):
+def place(tmp_path, narrow_default, monkeypatch):
     """Return a folder with scans, weights and a sensor; commands run in this process."""
     write_sequence(tmp_path / "data/sequences/08", map(str, range(6)))
     (tmp_path / "tiny.toml").write_text(TINY + NOISE)
-    (tmp_path / "w.safetensors").symlink_to(narrow_weights)
+    (tmp_path / "w.safetensors").symlink_to(narrow_default)
 
     def command(words, **_):
         result = CliRunner().invoke(app, words[1:])
         assert result.exit_code == 0, result.stderr
         return subprocess.CompletedProcess(words, 0, result.stdout.encode())
 
+    monkeypatch.setattr(train, "default_weights", lambda: narrow_default)
     monkeypatch.setattr(subprocess, "run", command)
     monkeypatch.setenv("SALSANEXT_ENGINE", "torch")
     monkeypatch.chdir(tmp_path)

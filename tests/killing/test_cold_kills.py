@@ -23,6 +23,7 @@ import salsanext_cli
 from salsanext_cli.cli.app import app
 
 psutil = pytest.importorskip("psutil")
+pytestmark = pytest.mark.drawn
 
 HERE = Path(__file__).parent
 OUT = "folder-of-results"
