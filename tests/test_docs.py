@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Documentation: commands parse, code runs, names exist."""
 
-import importlib
 import json
+import pydoc
 import re
 import runpy
 import shlex
@@ -31,7 +31,6 @@ from salsanext_cli.results.layout import SUFFIX_OF_FOLDER
 from salsanext_cli.sensors import sensor as sensors
 from salsanext_cli.stages import predict as stage
 from salsanext_cli.stages.export_onnx import export_onnx
-from salsanext_cli.stages.models import models
 from salsanext_cli.training import recipe
 from salsanext_cli.training.recipe import Recipe
 
@@ -217,26 +216,6 @@ def test_the_classes_of_las_shown_are_those_written():
     }
 
 
-@pytest.mark.slow
-def test_the_networks_shown_are_those_counted():
-    cells = r"^\| `(\S+)` \| [^|]+ \| ([\d ]+) \(([\d.]+) M\) \| ([\d.]+)[^|]* \| (\d+)×(\d+)"
-    shown = {
-        name: (int(count.replace(" ", "")), float(paper), float(operations), (int(h), int(w)))
-        for name, count, paper, operations, h, w in re.findall(
-            cells, text_of("docs/models.md"), re.MULTILINE
-        )
-    }
-    assert shown == {
-        model["name"]: (
-            model["parameters"],
-            model["paper"]["parameters"],
-            round(model["multiply_accumulates"] / 1e9, 2),
-            tuple(model["receptive_field"]),
-        )
-        for model in models()
-    }
-
-
 def test_the_recipes_shown_are_the_presets_and_their_defaults():
     page = text_of("docs/train.md")
     named, keys = page.split("A file holds only")
@@ -261,20 +240,6 @@ def test_every_kind_of_file_is_described():
         assert f"| `{name}/` | `{SUFFIX_OF_FOLDER[folder]}`" in page
 
 
-def find(name: str) -> object:
-    """Return the module, function, class or method of a dotted name below the package."""
-    found: Any = salsanext_cli
-    for part in name.split("."):
-        if not hasattr(found, part) or isinstance(getattr(found, part), Callable):
-            try:
-                found = importlib.import_module(f"{found.__name__}.{part}")
-                continue
-            except ModuleNotFoundError:
-                pass
-        found = getattr(found, part)
-    return found
-
-
 @pytest.mark.parametrize("page", ["paper-to-code.md", "python.md"])
 def test_every_name_in_the_tables_exists(page):
     tops = {path.name.removesuffix(".py") for path in (ROOT / "salsanext_cli").iterdir()}
@@ -283,7 +248,7 @@ def test_every_name_in_the_tables_exists(page):
     names = {name for name in dotted if name.split(".")[0] in tops}
     assert len(names) > 10
     for name in names:
-        assert find(name), name
+        assert pydoc.locate(f"salsanext_cli.{name}"), name
     if page == "python.md":
         assert len(names) == len(NAMES)
 

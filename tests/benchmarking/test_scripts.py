@@ -73,7 +73,7 @@ SLOW_RUNS = {
 @pytest.fixture
 def place(tmp_path, narrow_default, monkeypatch):
     """Return a folder with scans, weights and a sensor; commands run in this process."""
-    write_sequence(tmp_path / "data/sequences/08", map(str, range(6)))
+    write_sequence(tmp_path / "data/sequences/08", map(str, range(6)), count=4000)
     (tmp_path / "tiny.toml").write_text(TINY + NOISE)
     (tmp_path / "w.safetensors").symlink_to(narrow_default)
 
@@ -91,7 +91,9 @@ def place(tmp_path, narrow_default, monkeypatch):
 
 @pytest.mark.usefixtures("undrawn", "place")
 @pytest.mark.parametrize(
-    "line", [*RUNS, *(pytest.param(line, marks=pytest.mark.slow) for line in SLOW_RUNS)]
+    "line",
+    [*RUNS, *(pytest.param(line, marks=pytest.mark.slow) for line in SLOW_RUNS)],
+    ids=lambda line: line.split()[0],
 )
 def test_a_script_prints_its_lines(line, capsys, monkeypatch):
     script, *words = line.split()

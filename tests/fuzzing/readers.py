@@ -15,6 +15,7 @@ import pytest
 import torch
 import yaml
 from cloud_seeds import las, lines, npz, structured
+from edited_clouds import write_pcd
 from ouster_recordings import write_recording
 from scans import SMALL, make_scan
 from tiny_network import TinyNetwork
@@ -90,35 +91,19 @@ def _ply(folder: Path) -> list[bytes]:
     return seeds
 
 
-def _pcd(kind: str) -> list[bytes]:
+def _pcd(folder: Path, form: str) -> list[bytes]:
     table = _table()
-    padding = [] if kind == "binary_compressed" else [("_", "V3")]
-    fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), *padding, ("intensity", "<f4")]
-    rows = np.zeros(COUNT, [*fields, ("ring", "u1")])
-    for name, values in table.items():
-        rows[name] = values
-    header = (
-        f"# .PCD v0.7\nVERSION 0.7\nFIELDS {' '.join(rows.dtype.names)}\n"
-        f"SIZE 4 4 4{' 1' * len(padding)} 4 1\nTYPE F F F{' U' * len(padding)} F U\n"
-        f"COUNT 1 1 1{' 3' * len(padding)} 1 1\nWIDTH {COUNT}\nHEIGHT 1\n"
-        f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {COUNT}\nDATA {kind}\n"
-    )
-    if kind == "ascii":
-        values = zip(*table.values(), strict=True)
-        lines = [f"{x} {y} {z} 0 0 0 {i} {r}\n" for x, y, z, i, r in values]
-        return [(header + "".join(lines)).encode()]
-    if kind == "binary":
-        return [header.encode() + rows.tobytes()]
-    plain = b"".join(rows[name].tobytes() for name in rows.dtype.names)
-    # Literal runs only, which is compressed data too; then one that refers back.
+    points = np.column_stack([table.pop(axis) for axis in "xyz"])
+    path = write_pcd(folder / "a.pcd", points, table, form=form.partition("_")[0])
+    content = path.read_bytes()
+    if form != "binary_compressed":
+        return [content]
+    header = content.partition(b"binary\n")[0] + b"binary_compressed\n"
+    plain = b"".join(values.tobytes() for values in (*points.T, *table.values()))
+    # Literal runs only, which is compressed data too.
     pieces = [plain[at : at + 32] for at in range(0, len(plain), 32)]
     packed = b"".join(bytes([len(piece) - 1]) + piece for piece in pieces)
-    zeros = b"\0\0\xe0" + bytes([len(plain) % 256 and 255]) + b"\0"
-    sizes, short = (
-        np.array(pair, "<u4").tobytes() for pair in ((len(packed), len(plain)), (5, 265))
-    )
-    few = header.replace(str(COUNT), "5").encode()
-    return [header.encode() + sizes + packed, few + short + zeros]
+    return [header + np.array([len(packed), len(plain)], "<u4").tobytes() + packed]
 
 
 def _safetensors(folder: Path) -> list[bytes]:
@@ -194,9 +179,10 @@ READERS: dict[str, Callable[[Path], Reader]] = {
         lambda p: read_array(p, np.float32, (5, None, None)),
     ),
     "ply": lambda folder: Reader("a.ply", _ply(folder), _scan),
-    "pcd ascii": lambda _: Reader("a.pcd", _pcd("ascii"), _scan),
-    "pcd binary": lambda _: Reader("b.pcd", _pcd("binary"), _scan),
-    "pcd binary_compressed": lambda _: Reader("c.pcd", _pcd("binary_compressed"), _scan),
+    **{
+        f"pcd {form}": lambda folder, form=form: Reader("s.pcd", _pcd(folder, form), _scan)
+        for form in ("ascii", "binary", "binary_compressed")
+    },
     "las": lambda _: Reader("a.las", las(_table()), _scan),
     "npy of points": lambda _: Reader("s.npy", structured(_table()), _scan),
     "npz": lambda _: Reader("s.npz", npz(_table()), _scan),
