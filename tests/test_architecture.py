@@ -64,12 +64,8 @@ def own_parts(tree: ast.AST) -> set[str]:
     return parts - {"__version__"}
 
 
-def test_every_part_has_its_level():
-    parts = {part_of(module) for module in MODULES} - {"__init__"}
-    assert parts == set(LEVEL_OF)
-
-
-def test_imports_point_one_way():
+def test_every_part_has_its_level_and_imports_point_one_way():
+    assert {part_of(module) for module in MODULES} - {"__init__"} == set(LEVEL_OF)
     for module in MODULES:
         part = part_of(module)
         others = own_parts(tree_of(module)) - {part} if part != "__init__" else set()
@@ -119,10 +115,12 @@ MOST_FILES = 20
 VAGUE = {"utils", "util", "helpers", "helper", "misc", "common", "tools"}
 
 
-def test_rooms_are_small():
+def test_rooms_and_files_are_small():
     rooms = Counter(module.parent.name for module in MODULES if module.parent != PACKAGE)
     assert {room: n for room, n in rooms.items() if n > MOST_FILES}.keys() <= ROOMS_OF_MANY
     assert not [module for module in MODULES if module.stem in VAGUE]
+    lengths = {module: len(module.read_text("utf-8").splitlines()) for module in MODULES}
+    assert {module: n for module, n in lengths.items() if n > LONGEST} == {}
 
 
 def test_stages_are_commands():
@@ -130,8 +128,3 @@ def test_stages_are_commands():
     commands = {name.replace("-", "_") for names in COMMANDS.values() for name in names}
     stages = {path.stem for path in (PACKAGE / "stages").glob("*.py")} - {"__init__"}
     assert stages ^ commands == {"evaluate", "eval", "view"}
-
-
-def test_files_are_short():
-    lengths = {module: len(module.read_text("utf-8").splitlines()) for module in MODULES}
-    assert {module: n for module, n in lengths.items() if n > LONGEST} == {}

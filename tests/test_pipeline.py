@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """The pipeline as a user types it, and each of its ways the same bytes."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from scans import files_below, labels_below, write_sequence
 from typer.testing import CliRunner
 
-from salsanext_cli import label_space, read_labels, sensor
+from salsanext_cli import label_space, sensor
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.options import ScanSelection
@@ -89,19 +88,3 @@ def test_real_scans_in_steps_or_in_one(golden, real_data, tmp_path):
         ids = set(np.frombuffer(content, "<u4"))
         assert ids <= set(label_space().learning_map_inv.values())
         assert len(ids) > 3
-
-
-@pytest.mark.real
-def test_knn_refine_betters_real_labels_that_were_cut_to_pixels(real_data, tmp_path):
-    """Truth, one label per pixel, refined: most points get their own label back."""
-    sequence = tmp_path / "08"
-    for kind, suffix in (("velodyne", "bin"), ("labels", "label")):
-        source = real_data / "data/semantickitti/sequences/08" / kind / f"000000.{suffix}"
-        (sequence / kind).mkdir(parents=True)
-        shutil.copy(source, sequence / kind)
-    knn_refine_scans(tmp_path / "out", labels=sequence / "labels", dataset=sequence)
-    space = label_space()
-    truth = space.to_train(read_labels(sequence / "labels/000000.label"))
-    refined = space.to_train(read_labels(tmp_path / "out/sequences/08/predictions/000000.label"))
-    labelled = truth > 0
-    assert (refined == truth)[labelled].mean() > 0.95

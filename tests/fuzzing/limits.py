@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import faulthandler
 import time
 import tracemalloc
 from collections.abc import Iterator
@@ -11,24 +10,12 @@ from contextlib import contextmanager
 
 MAX_CPU_S = 2.0
 """Processor time for one file of some kilobytes."""
-HUNG_S = 0.5
-"""Wall time for each file, after which a reader that does not return is ended."""
 MAX_BYTES, MAX_BYTES_PER_BYTE = 16 << 20, 100
 """Memory for any file, and in addition for each byte of it."""
 
 
 class TooMuchError(AssertionError):
     """A reader exceeded the time or the memory for a file of that size."""
-
-
-@contextmanager
-def ending(files: int) -> Iterator[None]:
-    """End the process with a traceback if the body hangs."""
-    faulthandler.dump_traceback_later(60 + HUNG_S * files, exit=True)
-    try:
-        yield
-    finally:
-        faulthandler.cancel_dump_traceback_later()
 
 
 @contextmanager
