@@ -59,7 +59,6 @@ def require_linear(scans: int, few: Counter[str], many: Counter[str], what: obje
     [
         ("plain", ".CSV", "plain"),
         ("data/sequences/00/velodyne", ".pcd.bin", "data"),
-        ("streets/00/velodyne", ".txt", "streets"),
     ],
 )
 def test_finding_scans(tmp_path: Path, folder: str, suffix: str, source: str) -> None:
