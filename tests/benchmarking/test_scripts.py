@@ -20,14 +20,12 @@ from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.formats.kitti import write_bin
-from salsanext_cli.stages import train
 from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
 NOISE = "range_noise = 0.02\nintensity_noise = 0.02\n"
 SCAN = "data/sequences/08/velodyne/0.bin"
-TRAIN = "--train --epochs 1 --set crop_width=32 --set samples_per_epoch=2"
 RUNS = {
     "checks_cost.py data 1 w.safetensors": (
         *("with checks", "without", "checks, elapsed", "checks, CPU", "fit, once a run"),
@@ -59,30 +57,23 @@ SLOW_RUNS = {
     "training_speed.py data --sensor tiny.toml --architecture salsanet --turns 1": (
         *("loss of the same batch", "data", "book-keeping", "step", "ours is "),
     ),
-    f"learning_curve.py data out --counts 1 --draws 2 {TRAIN}": (
-        *("default, 1 scans", "random, 1 scans"),
-    ),
-    f"picking.py data data out --counts 1 --seeds 1 --strategies diverse {TRAIN}": (
-        *("diverse, 1 scans",),
-    ),
     "other_sensors.py --sensors vlp16 --weights w.safetensors": ("vlp16",),
     "fusion.py out data/sequences/08 --predict --weights w.safetensors": ("08  single",),
 }
 
 
 @pytest.fixture
-def place(tmp_path, narrow_default, monkeypatch):
+def place(tmp_path, narrow_weights, monkeypatch):
     """Return a folder with scans, weights and a sensor; commands run in this process."""
     write_sequence(tmp_path / "data/sequences/08", map(str, range(6)), count=4000)
     (tmp_path / "tiny.toml").write_text(TINY + NOISE)
-    (tmp_path / "w.safetensors").symlink_to(narrow_default)
+    (tmp_path / "w.safetensors").symlink_to(narrow_weights)
 
     def command(words, **_):
         result = CliRunner().invoke(app, words[1:])
         assert result.exit_code == 0, result.stderr
         return subprocess.CompletedProcess(words, 0, result.stdout.encode())
 
-    monkeypatch.setattr(train, "default_weights", lambda: narrow_default)
     monkeypatch.setattr(subprocess, "run", command)
     monkeypatch.setenv("SALSANEXT_ENGINE", "torch")
     monkeypatch.chdir(tmp_path)
@@ -145,6 +136,7 @@ def test_sides_take_turns_on_the_same_scan(monkeypatch, tmp_path, weights):
     assert knn["share_of_ceiling"] == pytest.approx((60 * 9 + pixels * 5) / 1e6 / 0.4)
 
 
+@pytest.mark.slow
 def test_a_side_that_fails_is_named(tmp_path):
     task = {"weights": "none.safetensors", "device": "cpu", "threads": None}
     with pytest.raises(SalsanextError, match=r"baseline cold · .* status 1"):

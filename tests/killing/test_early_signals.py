@@ -23,8 +23,13 @@ ENVIRONMENT = {"PYTHONPATH": os.pathsep.join(map(str, PLACES))}
 COMMAND = "import sys; from salsanext_cli.__main__ import main; sys.argv.append('models'); main()"
 
 
-@pytest.mark.parametrize("steps", [(17,), pytest.param(range(1, 26, 2), marks=pytest.mark.slow)])
-@pytest.mark.parametrize("number", SAID)
+@pytest.mark.parametrize(
+    ("steps", "number"),
+    [
+        ((17,), signal.SIGTERM),
+        *(pytest.param(range(1, 26, 2), number, marks=pytest.mark.slow) for number in SAID),
+    ],
+)
 def test_a_signal_among_the_imports(steps: Sequence[int], number: signal.Signals) -> None:
     for step in steps:
         ended = python(COMMAND, SIGNAL_AT=f"salsanext_cli/cli/:{step}:{number:d}", **ENVIRONMENT)
