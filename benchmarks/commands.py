@@ -22,16 +22,20 @@ def salsanext(*words: object) -> dict[str, Any]:
     return found
 
 
+def link(file: ScanFile, sequence: Path) -> None:
+    """Make links to a scan and its labels in a sequence."""
+    for path in (file.path, file.label_path):
+        place = sequence / path.parent.name / f"{file.sequence}-{path.name}"
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if not place.is_symlink():
+            place.symlink_to(path.resolve())
+
+
 def link_data_set(source: Path, root: Path, splits: Mapping[str, Sequence[ScanFile]]) -> None:
     """Make a data set of links to labelled scans of another, whose splits have a sequence each."""
     for split, files in splits.items():
         for file in files:
-            for path in (file.path, file.label_path):
-                target = root / "sequences" / split / path.parent.name
-                target.mkdir(parents=True, exist_ok=True)
-                place = target / f"{file.sequence}-{path.name}"
-                if not place.is_symlink():
-                    place.symlink_to(path.resolve())
+            link(file, root / "sequences" / split)
     space = (data_set_label_space(source) or label_space()).to_dict()
     space["split"] = {split: [split] for split in splits}
     (root / "labels.yaml").write_text(json.dumps(space))

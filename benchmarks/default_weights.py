@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from commands import link
 from corruption_models import LEVELS
 from corruptions import SEVERITIES, write_data_set
 
@@ -76,15 +77,6 @@ def salsanext(*words: str | Path) -> None:
     """Run a command of salsanext and stop where it fails."""
     print("salsanext", *words, flush=True)
     subprocess.run(["salsanext", *map(str, words)], check=True)
-
-
-def link(file: ScanFile, sequence: Path) -> None:
-    """Make links to a scan and its labels in a sequence."""
-    for path in (file.path, file.label_path):
-        place = sequence / path.parent.name / f"{file.sequence}-{path.name}"
-        place.parent.mkdir(parents=True, exist_ok=True)
-        if not place.is_symlink():
-            place.symlink_to(path.resolve())
 
 
 def link_pandaset(source: Path, root: Path) -> None:

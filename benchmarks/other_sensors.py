@@ -56,7 +56,7 @@ def simulated(name: str, space: sn.LabelSpace) -> Iterator[LabelledScan]:
         lasers = Lasers(*(np.resize(values, count) for values in usual.beams.lasers))
         start, zero = rng.uniform(0, 2 * np.pi / columns, count), np.zeros(count)
         beams = Beams(np.radians(elevations), start, zero, zero, lasers, columns)
-        return replace(usual, beams=beams, seen=np.ones(count * columns, bool))
+        return replace(usual, beams=beams, unblocked=np.ones(count * columns, bool))
 
     for sequence in range(SEQUENCES):
         for frame in drive.record(SEED, sequence, SCANS, SPACING_M, rig):

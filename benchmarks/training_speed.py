@@ -24,6 +24,7 @@ from plain_training import PlainTraining
 from torch import Tensor
 
 from salsanext_cli.classes.label_space import label_space
+from salsanext_cli.engines.device import choose_precision
 from salsanext_cli.network.registry import build
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.sensors.sensor import sensor
@@ -66,7 +67,8 @@ class Comparison:
         self.space, self.sensor = label_space(), sensor(options.sensor)
         files = [file for file in find_scans(options.dataset) if file.label_path.is_file()]
         shape = {"batch": options.batch, "crop_width": options.width}
-        self.recipe = Recipe(**shape, epochs=1_000_000, precision=options.precision)
+        precision = choose_precision(options.precision, "cpu")
+        self.recipe = Recipe(**shape, epochs=1_000_000, precision=precision)
         source = Source(files, self.space, self.sensor)
         counts = count_classes(source)[0].sum(axis=0)
         rare = rare_classes(counts, self.space.scored)

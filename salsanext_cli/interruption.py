@@ -56,7 +56,7 @@ def _end(number: int, _: object) -> NoReturn:
     if not ARRIVED:
         with suppress(OSError):
             os.write(2, f"{WORDS[number]}: {INTACT}\n".encode())
-    os._exit(128 + number)
+    os._exit(128 + number)  # noqa: TID251
 
 
 def _come_again() -> None:
@@ -80,7 +80,7 @@ def interruptible() -> Iterator[None]:
         now = time.monotonic()
         if os.getpid() != process or (number in WORDS and ARRIVED and now - since > REPEATED_S):
             # A child made by fork ends at once, as it would have without this handler.
-            os._exit(128 + number)
+            os._exit(128 + number)  # noqa: TID251
         if number in WORDS:
             if ARRIVED:
                 return

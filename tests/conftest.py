@@ -90,6 +90,17 @@ def narrow_weights(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.fixture
+def narrow_default(narrow_weights: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return such weights, which are also those that are taken if none are named."""
+    from salsanext_cli.engines import loading
+    from salsanext_cli.network import card
+
+    for module in (card, loading):
+        monkeypatch.setattr(module, "default_weights", lambda: narrow_weights)
+    return narrow_weights
+
+
+@pytest.fixture
 def world(tmp_path: Path, weights: Path) -> "World":
     """Return scans in SemanticKITTI's layout, in a folder with a space and an umlaut."""
     from world import World
@@ -106,9 +117,11 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(user_cache, "_said", [])
 
 
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw nothing of scans and evaluations: that takes tenths of a second, and has own tests."""
+@pytest.fixture(autouse=True)
+def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw nothing of scans and evaluations, which takes tenths of a second, unless `drawn`."""
+    if request.node.get_closest_marker("drawn"):
+        return
     from salsanext_cli.report import plots
     from salsanext_cli.stages import picture
 

@@ -2,6 +2,7 @@
 """Clouds with scalars, written as labelling tools write them, not by salsanext."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -65,19 +66,11 @@ def write_las(path: Path, points: Array, scalars: Scalars) -> Path:
     return path
 
 
-def _text(path: Path, points: Array, scalars: Scalars) -> Path:
-    return write_ply(path, points, scalars, text=True, kind="f8")
-
-
-def _ascii(path: Path, points: Array, scalars: Scalars) -> Path:
-    return write_pcd(path, points, scalars, form="ascii")
-
-
 WRITERS: dict[str, Callable[[Path, Array, Scalars], Path]] = {
     "s.ply": write_ply,
-    "S.PLY": _text,
+    "S.PLY": partial(write_ply, text=True, kind="f8"),
     "s.pcd": write_pcd,
-    "t.pcd": _ascii,
+    "t.pcd": partial(write_pcd, form="ascii"),
     "s.las": write_las,
     "s.laz": write_las,
 }

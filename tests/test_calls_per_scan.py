@@ -11,16 +11,13 @@ from pathlib import Path
 from types import FrameType
 
 import pytest
-from scans import SMALL, lively, write_sequence
+from scans import SMALL, write_sequence, write_weights
 from tiny_network import TinyNetwork
 from typer.testing import CliRunner
 
 import salsanext_cli
-from salsanext_cli import label_space
 from salsanext_cli.cli.app import app
-from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.selection import scans_of
 
 PACKAGE = str(Path(salsanext_cli.__file__).parent)
@@ -60,11 +57,8 @@ def require_linear(scans: int, few: Counter[str], many: Counter[str], what: obje
 @pytest.mark.parametrize(
     ("folder", "suffix", "source"),
     [
-        ("plain", ".bin", "plain"),
         ("plain", ".CSV", "plain"),
-        ("00/velodyne", ".bin", "00"),
         ("data/sequences/00/velodyne", ".pcd.bin", "data"),
-        ("streets/00/velodyne", ".txt", "streets"),
     ],
 )
 def test_finding_scans(tmp_path: Path, folder: str, suffix: str, source: str) -> None:
@@ -82,16 +76,16 @@ def test_finding_scans(tmp_path: Path, folder: str, suffix: str, source: str) ->
 
 NETWORK = "--weights WEIGHTS --device cpu --engine torch"
 QUICK = (
-    "project DATA steps --sensor small.toml",
-    "project DATA steps --sensor small.toml",
-    f"predict steps steps {NETWORK}",
-    "knn-refine steps",
     f"predict DATA out {NETWORK}",
     f"predict DATA out {NETWORK}",
     "eval --out out",
 )
 THOROUGH = (
     *QUICK,
+    "project DATA steps --sensor small.toml",
+    "project DATA steps --sensor small.toml",
+    f"predict steps steps {NETWORK}",
+    "knn-refine steps",
     "inspect DATA",
     f"predict DATA out {NETWORK} --probabilities --overwrite",
     "export-ply --out out",
@@ -134,33 +128,24 @@ def succeed(words: list[str]) -> None:
 def tiny(tmp_path: Path, monkeypatch) -> Path:
     """Return weights of a network of so few layers that it makes hardly any calls itself."""
     monkeypatch.setitem(ARCHITECTURES, "salsanext", TinyNetwork)
-    numbers = {"class_count": 20, "dropout": 0.2}
-    card = WeightsCard({"name": "salsanext", **numbers}, label_space(), SMALL, description="tiny")
-    save_weights(tmp_path / "tiny.safetensors", lively(TinyNetwork(**numbers)), card)
-    return tmp_path / "tiny.safetensors"
-
-
-def require_linear_steps(folder: Path, commands, weights: Path, scans: int) -> None:
-    """Fail if a command is not linear."""
-    # The first run imports libraries and compiles kernels, which is slow while calls are counted.
-    _, few, many = (
-        counts_of(folder / f"{count}", commands, weights, count) for count in (2, scans, 2 * scans)
-    )
-    for command, *counts in zip(commands, few, many, strict=True):
-        require_linear(scans, *counts, command)
+    return write_weights(tmp_path / "tiny.safetensors")
 
 
 @pytest.mark.parametrize(
     ("commands", "scans"),
-    [(QUICK, 16), pytest.param(THOROUGH, 200, marks=pytest.mark.slow)],
-    ids=["quick", "thorough"],
+    [
+        (QUICK, 12),
+        pytest.param(THOROUGH, 200, marks=pytest.mark.slow),
+        pytest.param(WITH_SAMPLES, 20, marks=pytest.mark.slow),
+    ],
+    ids=["quick", "thorough", "sampled"],
 )
 def test_steps_over_a_run(tmp_path: Path, tiny: Path, commands, scans: int, request) -> None:
     if commands == QUICK:
         request.getfixturevalue("undrawn")  # plots take most of the time while calls are counted
-    require_linear_steps(tmp_path, commands, tiny, scans)
-
-
-@pytest.mark.slow
-def test_steps_that_sample(tmp_path: Path, weights: Path) -> None:
-    require_linear_steps(tmp_path, WITH_SAMPLES, weights, 20)
+    # The first run imports libraries and compiles kernels, which is slow while calls are counted.
+    _, few, many = (
+        counts_of(tmp_path / f"{count}", commands, tiny, count) for count in (2, scans, 2 * scans)
+    )
+    for command, *counts in zip(commands, few, many, strict=True):
+        require_linear(scans, *counts, command)

@@ -51,29 +51,18 @@ def test_a_kernel_is_kept_in_the_users_cache_folder_for_each_signature(kernel, t
     assert not list(tmp_path.rglob("*.tmp*"))
 
 
-def flip(file):
-    data = bytearray(file.read_bytes())
-    data[len(data) // 2] ^= 255
-    file.write_bytes(data)
-
-
-DAMAGES = {"flipped": flip, "a folder": lambda file: (file.unlink(), file.mkdir())}
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_cache_is_said_once_and_done_without(kernel, tmp_path, caplog, damage):
+def test_a_damaged_cache_is_said_once_and_mended(kernel, tmp_path, caplog):
     first = kernel()
     assert (first(2), first(1.5)) == (4, 3.0)
     for file in cached_in(tmp_path):
-        DAMAGES[damage](file)
+        file.write_bytes(file.read_bytes()[::-1])
     again = kernel()
     assert (again(2), again(1.5)) == (4, 3.0)
     assert [record.levelname for record in caplog.records] == ["WARNING"]
     assert "cache: " in caplog.text
-    if damage != "a folder":
-        mended = kernel()
-        assert (mended(2), mended(1.5)) == (4, 3.0)
-        assert sum(mended.stats.cache_hits.values()) == 2
+    mended = kernel()
+    assert (mended(2), mended(1.5)) == (4, 3.0)
+    assert sum(mended.stats.cache_hits.values()) == 2
 
 
 def test_machine_code_of_other_source_or_signature_is_not_used(kernel, tmp_path):
@@ -88,12 +77,9 @@ def test_machine_code_of_other_source_or_signature_is_not_used(kernel, tmp_path)
     assert kernel()(2) == 5
 
 
-@pytest.mark.parametrize(
-    "error", [OSError(28, "No space left on device"), PermissionError(13, "No")]
-)
-def test_a_cache_that_cannot_be_written(kernel, tmp_path, caplog, monkeypatch, error):
+def test_a_cache_that_cannot_be_written(kernel, tmp_path, caplog, monkeypatch):
     def fail(*_):
-        raise error
+        raise OSError(28, "No space left on device")
 
     first = kernel()
     monkeypatch.setattr("numba.core.caching.os.replace", fail)
@@ -103,6 +89,7 @@ def test_a_cache_that_cannot_be_written(kernel, tmp_path, caplog, monkeypatch, e
     assert not any(path.is_file() for path in (tmp_path / "salsanext").rglob("*"))
 
 
+@pytest.mark.slow
 def test_processes_that_write_at_once(kernel, tmp_path):
     """Each compiles two signatures in another order; afterwards both can be loaded."""
     code = (

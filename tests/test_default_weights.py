@@ -9,8 +9,6 @@ import safetensors
 import torch
 
 from salsanext_cli import knn_refine, load_network, project, read_labels, read_scan
-from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.network.card import default_weights
@@ -20,14 +18,6 @@ from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.tuning.error import error_scores
 from salsanext_cli.uncertainty.error_features import knows_error, label_error
-
-
-def test_a_run_says_what_they_were_trained_on(caplog):
-    settings = NetworkSettings(device="cpu", engine="torch")
-    with caplog.at_level(NOTICE):
-        settings.announce(settings.load())
-    trained = "trained on simulated streets and sensors and on two drives of PandaSet"
-    assert caplog.messages == [f"default weights ({trained}) on cpu by torch in float32"]
 
 
 def test_they_are_small_half_precision_and_say_what_they_are():

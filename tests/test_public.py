@@ -144,11 +144,11 @@ def test_warnings_are_on_stderr_without_any_logging_set_up():
 )
 def test_label_refuses_what_are_no_points(points, intensity, message, weights):
     with pytest.raises(sn.SalsanextError, match=message):
-        sn.label(points, intensity, sn.load_network(weights, "cpu"))
+        sn.label(points, intensity, sn.load_network(weights, "cpu", engine="torch"))
 
 
 def test_label_of_no_points_says_so(weights, caplog):
-    found = sn.label(np.zeros((0, 3)), None, sn.load_network(weights, "cpu"))
+    found = sn.label(np.zeros((0, 3)), None, sn.load_network(weights, "cpu", engine="torch"))
     assert (found.labels.shape, found.probabilities.shape) == ((0,), (0, 20))
     assert "too few to check" in caplog.text
 

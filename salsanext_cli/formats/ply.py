@@ -92,7 +92,7 @@ def _readable(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def _plyfile() -> Any:
     try:
-        import plyfile
+        import plyfile  # noqa: TID251
     except ImportError as error:
         raise MissingDependency("plyfile", "not installed", remedy="pip install plyfile") from error
     return plyfile

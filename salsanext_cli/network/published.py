@@ -90,7 +90,7 @@ def _read_torch_file(path: Path) -> Any:
         try:
             with warnings.catch_warnings(), torch.serialization.safe_globals(stand_ins):  # type: ignore[arg-type]
                 warnings.simplefilter("ignore")
-                return torch.load(path, map_location="cpu", weights_only=True)
+                return torch.load(path, map_location="cpu", weights_only=True)  # noqa: TID251
         except OSError as error:
             raise WeightsError(path, f"cannot be read: {reason(error)}") from error
         except UNREADABLE as error:

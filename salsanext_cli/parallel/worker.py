@@ -122,7 +122,7 @@ def end_with_parent(parent: int) -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(POLL_INTERVAL_S)
-        os._exit(1)
+        os._exit(1)  # noqa: TID251
 
     threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
 

@@ -96,7 +96,7 @@ class Learner:
         # Seeded, every step is a function of its number, so that training can be resumed.
         with torch.random.fork_rng([self.device] if self.device.type == "cuda" else []):
             source = np.random.SeedSequence((self.recipe.seed, DROPOUT, step, self.group.rank))
-            torch.manual_seed(int(source.generate_state(1)[0]))
+            torch.manual_seed(int(source.generate_state(1)[0]))  # noqa: TID251
             pairs = zip(images.tensor_split(parts), truth.tensor_split(parts), strict=True)
             for part, (some, labels) in enumerate(pairs, 1):
                 some = some.to(self.device, memory_format=self.layout, non_blocking=True)

@@ -64,7 +64,7 @@ def initial_network(
         "dropout": recipe.dropout,
     }
     with torch.random.fork_rng([]):
-        torch.manual_seed(recipe.seed)
+        torch.manual_seed(recipe.seed)  # noqa: TID251
         module = build(architecture, "recipe key architecture")
     if weights is None:
         return module, WeightsCard(architecture, space, _completed(own, sensor(DEFAULT_SENSOR)))

@@ -8,17 +8,11 @@ import numpy as np
 import pytest
 from scans import write_sequence
 
-from salsanext_cli import LabelSpace, label_space
+from salsanext_cli import label_space
 from salsanext_cli.results.selection import data_set_label_space
 from salsanext_cli.training.data.sources import labelled_split
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-
-
-@pytest.fixture(scope="module")
-def script():
-    """Return the names of the script."""
-    return runpy.run_path(str(BENCHMARKS / "default_weights.py"))
 
 
 def names(root: Path, split: str) -> list[str]:
@@ -27,19 +21,19 @@ def names(root: Path, split: str) -> list[str]:
     return [f"{file.sequence}/{file.stem}" for file in files]
 
 
-def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_path, script):
-    source, real = tmp_path / "source", tmp_path / "pandaset"
+def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_path):
+    script = runpy.run_path(str(BENCHMARKS / "default_weights.py"))
+    source, real, streets = (tmp_path / name for name in ("source", "pandaset", "streets"))
     for sequence, count in (("001", 2), ("002", 12)):
-        write_sequence(source / "sequences" / sequence, [f"{i:02}" for i in range(count)])
-    script["link_pandaset"](source, real)
-    script["link_pandaset"](source, real)
+        write_sequence(source / f"sequences/{sequence}", [f"{i:02}" for i in range(count)], count=9)
+    for _ in range(2):
+        script["link_pandaset"](source, real)
     assert names(real, "train") == ["001/001-00", "001/001-01", "002/002-00", "002/002-01"]
     held_out = [f"002-{i:02}" for i in range(2, 12)]
     assert names(real, "valid") == [f"held-out/{stem}" for stem in held_out]
 
-    streets = tmp_path / "streets"
     for sequence, stems in (("00", "ab"), ("08", "abcdefgh")):
-        write_sequence(streets / "sequences" / sequence, stems)
+        write_sequence(streets / "sequences" / sequence, stems, count=9)
     script["link_streets"](streets, real, tmp_path / "validated")
     assert names(tmp_path / "validated", "train") == ["00/00-a", "00/00-b"]
     assert names(tmp_path / "validated", "valid") == [
@@ -47,9 +41,7 @@ def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_pa
         *("valid-streets/08-a", "valid-streets/08-e"),
     ]
     # What the held-out scans are labelled with means the same as in PandaSet's label space.
-    both, own = data_set_label_space(tmp_path / "validated"), data_set_label_space(real)
-    assert isinstance(both, LabelSpace)
-    assert isinstance(own, LabelSpace)
+    both, own = map(data_set_label_space, (tmp_path / "validated", real))
     ids = np.array(list(own.learning_map), np.uint32)
     np.testing.assert_array_equal(both.to_train(ids), own.to_train(ids))
 

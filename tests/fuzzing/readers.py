@@ -8,7 +8,6 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import ZipFile
 
 import bags
 import numpy as np
@@ -16,15 +15,14 @@ import pytest
 import torch
 import yaml
 from cloud_seeds import las, lines, npz, structured
-from empty_runs import begin_and_end
+from edited_clouds import write_pcd
 from ouster_recordings import write_recording
-from scans import SMALL, make_scan, write_sequence
+from scans import SMALL, make_scan
 from tiny_network import TinyNetwork
 
 from salsanext_cli import LabelSpace, label_space, project, read_labels, read_scan, sensor
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.formats import recordings
-from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.network.card import WeightsCard, read_card
@@ -32,16 +30,7 @@ from salsanext_cli.network.published import read_published
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.output_run import encode_array
-from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.stage_records import StageRecord, StageRecords
-from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
-from salsanext_cli.training.data.class_counts import class_counts
-from salsanext_cli.training.data.sources import Source
-from salsanext_cli.training.distributed import ProcessGroup
-from salsanext_cli.training.learner import Learner
-from salsanext_cli.training.log import write_log
 from salsanext_cli.training.recipe import Recipe, recipe
-from salsanext_cli.training.run_folder import require_free
 
 FEW = LabelSpace.from_dict(
     {
@@ -102,73 +91,19 @@ def _ply(folder: Path) -> list[bytes]:
     return seeds
 
 
-def _pcd(kind: str) -> list[bytes]:
+def _pcd(folder: Path, form: str) -> list[bytes]:
     table = _table()
-    padding = [] if kind == "binary_compressed" else [("_", "V3")]
-    fields = [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), *padding, ("intensity", "<f4")]
-    rows = np.zeros(COUNT, [*fields, ("ring", "u1")])
-    for name, values in table.items():
-        rows[name] = values
-    header = (
-        f"# .PCD v0.7\nVERSION 0.7\nFIELDS {' '.join(rows.dtype.names)}\n"
-        f"SIZE 4 4 4{' 1' * len(padding)} 4 1\nTYPE F F F{' U' * len(padding)} F U\n"
-        f"COUNT 1 1 1{' 3' * len(padding)} 1 1\nWIDTH {COUNT}\nHEIGHT 1\n"
-        f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {COUNT}\nDATA {kind}\n"
-    )
-    if kind == "ascii":
-        values = zip(*table.values(), strict=True)
-        lines = [f"{x} {y} {z} 0 0 0 {i} {r}\n" for x, y, z, i, r in values]
-        return [(header + "".join(lines)).encode()]
-    if kind == "binary":
-        return [header.encode() + rows.tobytes()]
-    plain = b"".join(rows[name].tobytes() for name in rows.dtype.names)
-    # Literal runs only, which is compressed data too; then one that refers back.
+    points = np.column_stack([table.pop(axis) for axis in "xyz"])
+    path = write_pcd(folder / "a.pcd", points, table, form=form.partition("_")[0])
+    content = path.read_bytes()
+    if form != "binary_compressed":
+        return [content]
+    header = content.partition(b"binary\n")[0] + b"binary_compressed\n"
+    plain = b"".join(values.tobytes() for values in (*points.T, *table.values()))
+    # Literal runs only, which is compressed data too.
     pieces = [plain[at : at + 32] for at in range(0, len(plain), 32)]
     packed = b"".join(bytes([len(piece) - 1]) + piece for piece in pieces)
-    zeros = b"\0\0\xe0" + bytes([len(plain) % 256 and 255]) + b"\0"
-    sizes, short = (
-        np.array(pair, "<u4").tobytes() for pair in ((len(packed), len(plain)), (5, 265))
-    )
-    few = header.replace(str(COUNT), "5").encode()
-    return [header.encode() + sizes + packed, few + short + zeros]
-
-
-def _checkpoint(folder: Path) -> Reader:
-    torch.manual_seed(0)
-    settings = Recipe(epochs=2, batch=1, average=0.5, optimiser="adamw")
-    weights, device = torch.ones(FEW.class_count), torch.device("cpu")
-    learner = Learner(TinyNetwork(FEW.class_count), settings, weights, device, ProcessGroup())
-    row = {"epoch": 1, "learning_rate": 0.01, "loss": 1.5, "seconds": 2.0, "miou": 0.5}
-    learner.step(torch.zeros(1, 5, 16, 32), torch.ones(1, 16, 32, dtype=torch.long), 0, 1)
-    path = folder / "checkpoint.safetensors"
-    save_checkpoint(path, learner, TrainingState(1, 0.5, [row], [1.0, 2.0], 3.0))
-
-    def read(path: Path) -> None:
-        state = load_checkpoint(path, learner)
-        # What a training that goes on does with it first.
-        state.rows.append(dict(row))
-        write_log(path.with_name("log.csv"), state.rows)
-        assert state.epoch * 7 + len(state.losses) >= 0
-        assert state.best > -2
-        float(np.mean([*state.losses, 1.0]))
-
-    return Reader(path.name, [path.read_bytes()], read)
-
-
-def _pickle_of(inner: Reader) -> Reader:
-    """Damage the pickle inside an archive of torch, which then has the right checksum."""
-    with ZipFile(io.BytesIO(inner.seeds[0])) as members:
-        content = {name: members.read(name) for name in members.namelist()}
-    (pickled,) = (name for name in content if name.endswith("/data.pkl"))
-
-    def read(path: Path) -> None:
-        changed = {**content, pickled: path.read_bytes()}
-        with ZipFile(path, "w") as members:
-            for name, data in changed.items():
-                members.writestr(name, data)
-        inner.read(path)
-
-    return Reader(f"pickled {inner.place}", [content[pickled]], read)
+    return [header + np.array([len(packed), len(plain)], "<u4").tobytes() + packed]
 
 
 def _safetensors(folder: Path) -> list[bytes]:
@@ -205,18 +140,11 @@ def _published() -> Reader:
     return Reader("p.pt", seeds, read_published)
 
 
-def _bag(folder: Path, kind: str, *compressions: str, damaged: str = "") -> Reader:
-    """Make a ROS bag; `damaged` names a file beside it that is to be damaged instead of it."""
+def _bag(folder: Path) -> Reader:
     pytest.importorskip("rosbags")
     clouds = bags.messages([bags.structured(COUNT, seed) for seed in range(4)])
-    written = [*clouds, ("/chat", bags.START, bags.text)]
-    paths = [
-        bags.write_bag(folder / f"bag{n}", kind, written, compression=compression)
-        for n, compression in enumerate(compressions)
-    ]
-    place = str(paths[0].with_name(damaged)) if damaged else f"a{kind}"
-    seeds = [path.with_name(damaged or path.name).read_bytes() for path in paths]
-    return Reader(place, seeds, lambda path: _recorded(path.parent if damaged else path))
+    path = bags.write_bag(folder, ".db3", [*clouds, ("/chat", bags.START, bags.text)])
+    return Reader("a.db3", [path.read_bytes()], _recorded)
 
 
 def _pcap(folder: Path) -> Reader:
@@ -231,47 +159,6 @@ def _recorded(path: Path) -> None:
     recordings._kept.cache_clear()
     for scan in find_scans(path):
         read_scan(scan.path)
-
-
-def _record(folder: Path) -> Reader:
-    """Make an output folder with labels of one scan, whose record of `predict` is damaged."""
-    data, out = write_sequence(folder / "08", ["a", "b"], count=COUNT), folder / "out"
-    settings = {"weights": "abc", "label_space": FEW.to_dict(), "sensor": SMALL.to_dict()}
-    begin_and_end(out, "predict", settings, ["predictions"], find_scans(data))
-    write_labels(out / "sequences/08/predictions/a.label", np.zeros(COUNT, np.uint32))
-    path = out / "predict.json"
-    return Reader(str(path), [path.read_bytes()], _read_record)
-
-
-def _read_record(path: Path) -> None:
-    out = path.parent
-    StageRecords(out).settings("predict")
-    StageRecords(out).origins(["predict"])
-    StageRecords(out).owner("predictions")
-    StageRecords(out).weights("predictions")
-    StageRecords(out).label_space()
-    StageRecords(out).sensor()
-    begin_and_end(out, "knn-refine", {}, ["pixel_labels"], overwrite=True)
-    scans = ResultFolder(out).scans()
-    ResultFolder(out).missing_results(scans)
-    begin_and_end(out, "export-ply", {}, ["ply"], scans[:1], overwrite=True)
-
-
-def _run_folder(folder: Path, name: str) -> Reader:
-    """Make the folder of a training, one of whose records is damaged."""
-    data, run = write_sequence(folder / "00", ["a"], count=COUNT), folder / "run"
-    source = Source(find_scans(data), label_space(), SMALL)
-    class_counts(run / "class_counts.json", [source], source, source.files)
-    StageRecord("train", {"recipe": Recipe().to_dict()}).write(run)
-    (run / "checkpoint.safetensors").touch()
-
-    def read(path: Path) -> None:
-        if name == "class_counts.json":
-            class_counts(path, [source], source, source.files)
-        else:
-            require_free(path.parent, {"recipe": Recipe().to_dict()}, overwrite=False)
-
-    return Reader(str(run / name), [(run / name).read_bytes()], read)
 
 
 def _sensor() -> bytes:
@@ -292,16 +179,16 @@ READERS: dict[str, Callable[[Path], Reader]] = {
         lambda p: read_array(p, np.float32, (5, None, None)),
     ),
     "ply": lambda folder: Reader("a.ply", _ply(folder), _scan),
-    "pcd ascii": lambda _: Reader("a.pcd", _pcd("ascii"), _scan),
-    "pcd binary": lambda _: Reader("b.pcd", _pcd("binary"), _scan),
-    "pcd binary_compressed": lambda _: Reader("c.pcd", _pcd("binary_compressed"), _scan),
+    **{
+        f"pcd {form}": lambda folder, form=form: Reader("s.pcd", _pcd(folder, form), _scan)
+        for form in ("ascii", "binary", "binary_compressed")
+    },
     "las": lambda _: Reader("a.las", las(_table()), _scan),
     "npy of points": lambda _: Reader("s.npy", structured(_table()), _scan),
     "npz": lambda _: Reader("s.npz", npz(_table()), _scan),
     "csv": lambda _: Reader("s.csv", lines(_table(), ","), _scan),
     "xyz": lambda _: Reader("s.xyz", lines(_table(), " "), _scan),
-    "db3": lambda folder: _bag(folder, ".db3", ""),
-    "metadata of a bag": lambda folder: _bag(folder, ".mcap", "", damaged="metadata.yaml"),
+    "db3": _bag,
     "pcap": _pcap,
     "yaml": lambda _: Reader("labels.yaml", [SPACE, SPACE[: len(SPACE) // 2]], label_space),
     "toml of a sensor": lambda _: Reader("s.toml", [_sensor()], sensor),
@@ -310,11 +197,6 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     ),
     "safetensors": lambda folder: Reader("w.safetensors", _safetensors(folder), read_weights),
     "onnx": lambda _: Reader("m.onnx", _onnx(), read_card),
-    "checkpoint": _checkpoint,
     "published": lambda _: _published(),
-    "pickle of a published one": lambda _: _pickle_of(_published()),
-    "record": _record,
-    "train.json": lambda folder: _run_folder(folder, "train.json"),
-    "class_counts.json": lambda folder: _run_folder(folder, "class_counts.json"),
 }
 """Functions that make a reader, with valid files in an empty folder, by its name."""

@@ -10,7 +10,7 @@ from contextlib import suppress
 from random import Random
 
 import pytest
-from limits import bounded, ending
+from limits import bounded
 from mutations import damage
 from readers import READERS
 from tiny_network import TinyNetwork
@@ -18,7 +18,7 @@ from tiny_network import TinyNetwork
 from salsanext_cli.errors import SalsanextError
 from salsanext_cli.network.registry import ARCHITECTURES
 
-FEW_CASES = 30
+FEW_CASES = 12
 MANY_CASES = int(os.environ.get("FUZZ_CASES", "5000"))
 MAX_CHARACTERS = 2000
 """Largest length of an error."""
@@ -46,9 +46,12 @@ def read_damaged(reader, path, content):
     assert not warned, warned[0]
 
 
-def fuzz(reader, folder, name, cases):
-    """Read valid files, which also imports and compiles, then a number of damaged ones."""
-    path = folder / reader.place
+@pytest.mark.parametrize("cases", [FEW_CASES, pytest.param(MANY_CASES, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", READERS)
+def test_damaged_files(made, tmp_path, name, cases):
+    """Valid files are read first, which also imports and compiles."""
+    reader = made(name)
+    path = tmp_path / reader.place
     read = 0
     for seed in reader.seeds:
         path.write_bytes(seed)
@@ -56,18 +59,10 @@ def fuzz(reader, folder, name, cases):
             reader.read(path)
             read += 1
     assert read, "no valid file is read"
-    with ending(cases):
-        for case in range(cases):
-            content = damage(Random(f"{name} {case}"), reader.seeds)
-            try:
-                read_damaged(reader, path, content)
-            except Exception as error:
-                error.add_note(f"case {case}: {content!r}"[:5000])
-                raise
-    path.write_bytes(reader.seeds[0])
-
-
-@pytest.mark.parametrize("cases", [FEW_CASES, pytest.param(MANY_CASES, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", READERS)
-def test_damaged_files(made, tmp_path, name, cases):
-    fuzz(made(name), tmp_path, name, cases)
+    for case in range(cases):
+        content = damage(Random(f"{name} {case}"), reader.seeds)
+        try:
+            read_damaged(reader, path, content)
+        except Exception as error:
+            error.add_note(f"case {case}: {content!r}"[:5000])
+            raise

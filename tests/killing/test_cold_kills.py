@@ -23,6 +23,7 @@ import salsanext_cli
 from salsanext_cli.cli.app import app
 
 psutil = pytest.importorskip("psutil")
+pytestmark = pytest.mark.drawn
 
 HERE = Path(__file__).parent
 OUT = "folder-of-results"
@@ -198,11 +199,11 @@ def when_working(folder: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("options", ["--jobs 2", "--jobs 2 --backend threading"])
 @pytest.mark.parametrize("whom", ["parent", "all"])
-@SIGNALS
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL, signal.SIGTERM])
 def test_signals_at_random_moments(
     tmp_path: Path, long: Trial, number: signal.Signals, whom: str, options: str
 ) -> None:
-    """As Docker sends them, to the first process, or as systemd does, to all."""
+    """As Docker sends them, to the first process, or as systemd and Ctrl-C do, to all."""
     draw = random.Random(f"{number} {whom} {options}")
     for turn in range(3):
         folder = tmp_path / f"{turn}"

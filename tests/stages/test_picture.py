@@ -20,6 +20,7 @@ from salsanext_cli.stages.picture import picture
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.project import project_scans
 
+pytestmark = pytest.mark.drawn
 OVERWRITE = RunOptions(overwrite=True)
 ONE, TWO = ScanSelection(sequences=("00",)), ScanSelection(sequences=("08",))
 SPACE = label_space()

@@ -157,7 +157,7 @@ def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
     spread[HEIGHT] = spread[HEIGHT] if height else np.inf
     values = torch.from_numpy((features - mean) / spread)
     with torch.random.fork_rng([]):
-        torch.manual_seed(SEED)
+        torch.manual_seed(SEED)  # noqa: TID251
         linear = [nn.Linear(len(FEATURES), HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.Linear(HIDDEN, 1)]
         model = nn.Sequential(linear[0], nn.ReLU(), linear[1], nn.ReLU(), linear[2])
         steps_per_epoch = -(-len(values) // BATCH)
