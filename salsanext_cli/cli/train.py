@@ -123,9 +123,10 @@ def _found(done: "TrainResult") -> str:
         return "not scored" if miou is None else f"best validation mIoU {100 * miou:.1f} %"
     texts = ", ".join(
         f"{name} {100 * mean:.1f}{'' if spread is None else f' ± {100 * spread:.1f}'} %"
-        for name, mean, spread in (
-            ("mIoU", e.miou, e.miou_spread),
-            ("accuracy", e.accuracy, e.accuracy_spread),
+        f"{'' if before is None else f' (before {100 * before:.1f} %)'}"
+        for name, mean, spread, before in (
+            ("mIoU", e.miou, e.miou_spread, e.miou_before),
+            ("accuracy", e.accuracy, e.accuracy_spread, e.accuracy_before),
         )
     )
     where = "new scans of this drive" if e.one_drive else "new scans"

@@ -5,7 +5,7 @@
 (percent-encoded), its size in bytes and its time of modification in nanoseconds. Lines are only
 ever appended, each before its file gets its name. Every machine of a cluster has a list of its
 own, since appending to one file over a network loses lines. Files that are not on a list, or were
-changed since, are never removed, and `OwnedFolder.remove_own` is all that removes any.
+changed since, are never removed; `OwnedFolder.remove_own` is all that removes results.
 """
 
 import json

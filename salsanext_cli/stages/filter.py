@@ -249,7 +249,8 @@ def _filter_bag(
     with TemporaryDirectory(dir=task.owned.root, prefix=".filter-") as temporary:
         written = Path(temporary) / target.name
         write_bag_subset(bag, written, topic, masks())
-        task.owned.remove_own(before)
+        if task.owned.remove_own(before):
+            raise not_own(target)
         if is_folder(target):
             target.rmdir()
         written.rename(target)

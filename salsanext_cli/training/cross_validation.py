@@ -38,6 +38,9 @@ class Expectation:
     accuracy_spread: float | None
     temperature: float  # Geometric mean of the folds'
     folds: int
+    # Means over the folds of the weights that the training began from
+    miou_before: float | None = None
+    accuracy_before: float | None = None
     one_drive: bool = False  # All scans are of one sequence, so that other places may be harder
 
     def scores(self) -> dict[str, float]:
@@ -65,9 +68,8 @@ def expectation(logs: Sequence[Sequence[Row]], *, one_drive: bool = False) -> Ex
     miou, accuracy = values.mean(axis=0).tolist()
     spreads = values.std(axis=0, ddof=1).tolist() if len(own) > 1 else (None, None)
     temperature = float(np.exp(np.mean([np.log(rows[epochs]["temperature"]) for rows in scored])))
-    return Expectation(
-        epochs, miou, spreads[0], accuracy, spreads[1], temperature, len(scored), one_drive
-    )
+    found = epochs, miou, spreads[0], accuracy, spreads[1], temperature, len(scored)
+    return Expectation(*found, one_drive=one_drive)
 
 
 def _best(epochs: Sequence[int], folds: Sequence[dict[int, Row]]) -> int:

@@ -34,7 +34,7 @@ from salsanext_cli.training.data.dataset import Samples, SamplingPlan
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.data.targets import class_sets
 from salsanext_cli.training.distributed import ProcessGroup
-from salsanext_cli.training.fit import StepReport, Training
+from salsanext_cli.training.fit import StepReport, Training, validate
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.recipe import Recipe
@@ -182,7 +182,22 @@ class Setup:
             self.group.on_main(fold._begin)
             files = [file for file in first.files if file not in part]
             logs.append(fold.training(files, replace(first, files=part)).fit().rows)
-        return expectation(logs, one_drive=len({file.sequence for file in first.files}) == 1)
+        found = expectation(logs, one_drive=len({file.sequence for file in first.files}) == 1)
+        if found is None:
+            return None
+        miou, accuracy = self._scores_before(parts)
+        if found.miou <= miou:
+            change = f"mean IoU {found.miou:.1%} on scans left out, {miou:.1%} before"
+            log.warning("training did not improve the weights: %s; label more places", change)
+        return replace(found, miou_before=miou, accuracy_before=accuracy)
+
+    def _scores_before(self, parts: Sequence[Sequence[ScanFile]]) -> tuple[float, float]:
+        """Return mean IoU and accuracy before training, means over the folds."""
+        module, first = copy.deepcopy(self.initial).to(self.device).eval(), self.sources[0]
+        network = network_of_module(module, self.card, str(self.device))
+        rows = [validate(network, replace(first, files=part), self.group) for part in parts]
+        miou, accuracy = np.nanmean([(row["miou"], row["accuracy"]) for row in rows], axis=0)
+        return float(miou), float(accuracy)
 
     def after(self, expected: Expectation | None) -> "Setup":
         """Return the setup of the training on all scans, after a cross-validation."""

@@ -148,7 +148,7 @@ def test_a_scale_may_be_given(predicted):
     assert "colour range viridis 0 10" in ply(predicted).comments
     far = column(predicted, "range") >= 10
     assert (colours(predicted)[far] == map_colours("viridis")[-1]).all()
-    with pytest.raises(OutputError, match=r"scale was \[0, 10\] and is \[0, 20\]"):
+    with pytest.raises(OutputError, match=r"scale\[1\] was 10 and is 20"):
         export(predicted, colour="range", scale=(0, 20))
     assert export(predicted, colour="range", scale=(0, 20), options=OVERWRITE).done == 3
 

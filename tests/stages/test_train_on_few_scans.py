@@ -20,6 +20,7 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.network.card import WeightsCard, read_card, scan_digest
+from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.stages import train as stage
@@ -109,6 +110,22 @@ def test_the_folds_choose_the_epochs_and_all_scans_are_trained_on(data, tmp_path
     # Nothing is left to do.
     again = go(data, run, progress=lambda report: pytest.fail("a step was taken"))
     assert again == result
+
+
+def test_a_training_that_improved_nothing_is_said(data, tmp_path, initial, monkeypatch, caplog):
+    class WithoutStatistics(TinyNetwork):
+        def __init__(self, class_count=20, dropout=0.2):
+            super().__init__(class_count, dropout)
+            self.norm = torch.nn.Identity()
+
+    # With steps of no length the scores stay those of before.
+    monkeypatch.setitem(ARCHITECTURES, "salsanext", WithoutStatistics)
+    save_weights(initial, WithoutStatistics(), read_card(initial))
+    done = go(data, tmp_path / "run", FEW.with_changes(learning_rate=1e-12, epochs=1))
+    expected = done.expected
+    assert expected.miou == expected.miou_before > 0
+    assert expected.accuracy == expected.accuracy_before > 0
+    assert "did not improve the weights" in caplog.text
 
 
 def test_the_card_says_what_the_training_began_from(data, tmp_path, initial, monkeypatch, caplog):
