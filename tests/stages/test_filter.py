@@ -17,6 +17,7 @@ from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.stage_records import ScanSource, StageRecord
+from salsanext_cli.stages import filter as stage
 from salsanext_cli.stages.filter import filter_scans, named_classes
 
 SPACE = label_space()
@@ -276,6 +277,23 @@ def test_a_bag_is_written_whole_or_not_at_all(bag_of, tmp_path):
     call(query=ResultQuery(bag / TOPIC.strip("/")), indices=True, options=again)
     mask = np.load(tmp_path / f"to/sequences/drive/masks/{START}.npy")
     assert mask.tolist() == [False, True, False, True, True, False]
+
+
+def test_a_bag_that_is_changed_while_it_is_written_anew_is_kept(bag_of, tmp_path, monkeypatch):
+    bag, target = bag_of(".bag"), tmp_path / "to/drive.bag"
+    call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
+    call = partial(call, query=ResultQuery(bag / TOPIC.strip("/")))
+    assert not call().failures
+    write = stage.write_bag_subset
+
+    def slowly(*given):
+        write(*given)
+        target.write_bytes(b"mine")
+
+    monkeypatch.setattr(stage, "write_bag_subset", slowly)
+    (failure,) = call(options=RunOptions(overwrite=True)).failures
+    assert "drive.bag" in failure.reason
+    assert target.read_bytes() == b"mine"
 
 
 def test_merged_classes_have_their_own_names():
