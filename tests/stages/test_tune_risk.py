@@ -145,6 +145,9 @@ def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, ca
     world, network = unsure_is_wrong, replace(unsure_is_wrong.network, weights=target)
     tuned = tune("risk", world.data, target, settings=world.network, selection=ALL, at_most=0.6)
     assert tuned["unit"] == "drive"
+    # By scans, (ΣL + 1) / 4 ≤ 0.6, more would be kept.
+    losses = np.array(tuned["of_scans"])[:, 1]
+    assert (losses[0] + losses[1:].mean() + 1) / 3 <= 0.6
     predict_scans(world.data, world.out, settings=network, reject="risk")
     assert "nothing is promised" not in caplog.text
     found = evaluate(find_scans(world.data), world.out, label_space()).promise
