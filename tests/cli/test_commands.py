@@ -216,6 +216,8 @@ ON_DATA = "{data} other --weights {weights}"
     ("line", "says"),
     [
         ("export-ply --colour rainbow", "--colour · rainbow"),
+        ("export-ply --max-error 1.5", "--max-error · 1.5"),
+        ("export-ply --format obj", "--format · obj"),
         ("picture --colour range --scale 2 1", "--scale · 2.0 1.0"),
         ("picture --colour label --scale 1 2", "--scale · --colour is label"),
         ("picture --fps nan", "--fps · nan"),
