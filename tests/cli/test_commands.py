@@ -17,7 +17,6 @@ from salsanext_cli.results.layout import output_path
 from salsanext_cli.stages import models as stages
 
 ROOT = Path(__file__).parents[2]
-pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture

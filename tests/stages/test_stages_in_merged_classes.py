@@ -29,8 +29,6 @@ from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 FULL, COARSE = label_space(), label_space("coarse")
 MERGING = ClassMerging.between(FULL, COARSE)
 FEW = UncertaintyMethod(samples=2)

@@ -20,8 +20,6 @@ from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.report import read_run, report
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 SPACE = label_space()
 EVERY = (("00", "000000"), ("08", "000000"), ("08", "000001"))
 
