@@ -135,14 +135,12 @@ def tiny(tmp_path: Path, monkeypatch) -> Path:
     ("commands", "scans"),
     [
         (QUICK, 12),
-        pytest.param(THOROUGH, 200, marks=pytest.mark.slow),
-        pytest.param(WITH_SAMPLES, 20, marks=pytest.mark.slow),
+        pytest.param(THOROUGH, 200, marks=(pytest.mark.slow, pytest.mark.drawn)),
+        pytest.param(WITH_SAMPLES, 20, marks=(pytest.mark.slow, pytest.mark.drawn)),
     ],
     ids=["quick", "thorough", "sampled"],
 )
-def test_steps_over_a_run(tmp_path: Path, tiny: Path, commands, scans: int, request) -> None:
-    if commands == QUICK:
-        request.getfixturevalue("undrawn")  # plots take most of the time while calls are counted
+def test_steps_over_a_run(tmp_path: Path, tiny: Path, commands, scans: int) -> None:
     # The first run imports libraries and compiles kernels, which is slow while calls are counted.
     _, few, many = (
         counts_of(tmp_path / f"{count}", commands, tiny, count) for count in (2, scans, 2 * scans)

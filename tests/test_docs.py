@@ -155,7 +155,7 @@ def test_the_python_of_the_readme_runs_with_the_default_weights():
     assert abs(names["probabilities"].sum(axis=1) - 1).max() < 1e-5
 
 
-@pytest.mark.usefixtures("weights_here", "undrawn")
+@pytest.mark.usefixtures("weights_here")
 def test_the_python_of_its_page_runs():
     names = names_of_blocks(DOCS / "python.md")
     assert (names["labels"].shape, names["labels"].dtype) == ((len(names["scan"]),), np.uint8)

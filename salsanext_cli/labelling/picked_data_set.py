@@ -178,7 +178,9 @@ class PickedDataSet(OwnedFolder):
 
     def begin_anew(self, record: PickRecord) -> None:
         """Record what is picked; remove what an earlier run wrote."""
-        earlier = self._record()
+        if earlier := self._record():
+            # Labels may have been corrected while the scans were looked at.
+            self._require_unchanged(earlier)
         self.begin(record.to_dict(), self._files(earlier) if earlier else [])
 
     def _record(self) -> PickRecord | None:

@@ -208,7 +208,11 @@ class OwnedFolder:
     def findings(self) -> dict[str, list[Texts]]:
         """Return what runs of the stage found, by the name of the scan; empty if none is kept."""
         scans = (read_json(self._findings_path) or {}).get("scans", {})
-        return {name: [(c, m, r) for c, m, r in found] for name, found in scans.items()}
+        try:
+            return {name: [(c, m, r) for c, m, r in found] for name, found in scans.items()}
+        except (AttributeError, TypeError, ValueError) as error:
+            path, remedy = self._findings_path, "delete it or use another folder"
+            raise OutputError(path, f"not what `{self.stage}` writes", remedy=remedy) from error
 
     def keep_findings(
         self, found: Mapping[str, list[Texts]], looked_at: Collection[str]

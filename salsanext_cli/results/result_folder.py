@@ -132,11 +132,8 @@ class ResultFolder(StageRecords):
         sequences = sorted({name for name, _ in wanted})
         if not sequences:
             found = "holds no results" if self.root.is_dir() else "no such folder"
-            expected, remedy = (
-                "the output folder of an earlier stage",
-                PREDICT.format(out=self.root),
-            )
-            raise NoInputError(self.root, found, expected, remedy)
+            expected = "the output folder of an earlier stage"
+            raise NoInputError(self.root, found, expected, PREDICT.format(out=self.root))
         if self.dataset and len(sequences) == 1 and _holds_scans(self.dataset):
             # The scans themselves, or the recording, which may have another name by now.
             scans = [replace(each, sequence=sequences[0]) for each in find_scans(self.dataset)]

@@ -218,11 +218,13 @@ class StageRecords:
 
     def trained_on(self) -> frozenset[str]:
         """Return the digests of the scans that the weights of the predictions were trained on."""
+        return self._digests(self._settings_of_network("predictions"), "trained_on")
+
+    def _digests(self, settings: Mapping[str, Any], key: str) -> frozenset[str]:
         try:
-            recorded = self._settings_of_network("predictions").get("trained_on", "")
-            return frozenset(parted(recorded))
+            return frozenset(parted(settings.get(key, "")))
         except ValueError as error:
-            found = f"its record holds {error} under trained_on"
+            found = f"its record holds {error} under {key}"
             raise OutputError(self.root, found, remedy="use another folder") from error
 
     def _settings_of_network(self, folder: str) -> Mapping[str, Any]:
@@ -255,8 +257,8 @@ class StageRecords:
             return None
         promised = settings.get("promised", {})
         lowest = min([above, *promised.get("classes", {}).values()])
-        chosen_on = frozenset(parted(promised.get("digests", "")))
-        return Rejection(settings.get("reject_by", "error"), above, lowest, chosen_on)
+        kind = settings.get("reject_by", "error")
+        return Rejection(kind, above, lowest, self._digests(promised, "digests"))
 
 
 def as_json(settings: Any) -> Any:

@@ -79,12 +79,12 @@ def _recording(
     out: Path, sequence: str, colourings: Mapping[str, PointColours], space: LabelSpace
 ) -> Iterator[LogScan]:
     """Write the recording of a sequence, which appears under its name when it is complete."""
-    path, name = _path(out, sequence), printable(f"{out.absolute().name}/{sequence}")
-    with (
-        OwnedFolder(out).writing(path, durable=True) as file,
-        recording(file, name, colourings, space) as log_scan,
-    ):
-        yield log_scan
+    path, owned = _path(out, sequence), OwnedFolder(out)
+    name = printable(f"{out.absolute().name}/{sequence}")
+    with owned.writing(path, durable=True) as file:
+        with recording(file, name, colourings, space) as log_scan:
+            yield log_scan
+        owned.require_own([path])
     log.log(NOTICE, "recording: %s", path)
 
 

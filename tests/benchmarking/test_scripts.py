@@ -81,7 +81,7 @@ def place(tmp_path, narrow_weights, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.usefixtures("undrawn", "place")
+@pytest.mark.usefixtures("place")
 @pytest.mark.parametrize(
     "line",
     [*RUNS, *(pytest.param(line, marks=pytest.mark.slow) for line in SLOW_RUNS)],

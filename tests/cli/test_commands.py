@@ -17,7 +17,6 @@ from salsanext_cli.results.layout import output_path
 from salsanext_cli.stages import models as stages
 
 ROOT = Path(__file__).parents[2]
-pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture
@@ -216,6 +215,8 @@ ON_DATA = "{data} other --weights {weights}"
     ("line", "says"),
     [
         ("export-ply --colour rainbow", "--colour · rainbow"),
+        ("export-ply --max-error 1.5", "--max-error · 1.5"),
+        ("export-ply --format obj", "--format · obj"),
         ("picture --colour range --scale 2 1", "--scale · 2.0 1.0"),
         ("picture --colour label --scale 1 2", "--scale · --colour is label"),
         ("picture --fps nan", "--fps · nan"),

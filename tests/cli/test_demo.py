@@ -9,8 +9,6 @@ from evaluated import CAR, ROAD, World
 from salsanext_cli import read_labels
 from salsanext_cli.stages.demo import Demonstration
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 @pytest.fixture(autouse=True, scope="module")
 def narrow():

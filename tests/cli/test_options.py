@@ -60,7 +60,6 @@ def task(monkeypatch):
     return become
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_tasks_of_an_array_share_the_scans(run, data, tmp_path, weights, task):
     out = tmp_path / "out"
     call = ["predict", data, out, "--weights", weights, "--device", "cpu"]

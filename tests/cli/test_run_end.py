@@ -15,8 +15,6 @@ from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.run import Outcome
 from salsanext_cli.results.layout import find_scans
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 def test_the_commands_to_type_next_lead_from_scans_to_scores(run, data, weights, tmp_path):
     out = tmp_path / "my out"

@@ -8,6 +8,7 @@ import pytest
 
 from salsanext_cli import label_space
 from salsanext_cli.measures.risk_control import (
+    KEEPS_NONE,
     KeptLabels,
     KeptPromise,
     allowed_scans,
@@ -16,6 +17,7 @@ from salsanext_cli.measures.risk_control import (
     held_thresholds,
     means_of_units,
     needed_scans,
+    promise,
 )
 from salsanext_cli.measures.scores import Confusion
 
@@ -55,6 +57,59 @@ def test_few_scans_lose_more_as_often_as_is_said(streets, scans, confidence):
     # No more scans may be bad, by the same bound: so the promise is as tight as whole scans allow.
     likely = binomial(allowed_scans(scans, confidence), scans, 1 - confidence)
     assert likely - noise - 0.02 <= broken <= 1 - confidence + noise
+
+
+def of_drives(random, drives, scans):
+    """Return losses of scans at 200 thresholds, and their drives, which differ by much."""
+    hardness = random.beta(1, 4, (drives, 1)) * random.normal(1, 0.15, (drives, scans))
+    losses = np.clip(hardness, 0, 1).reshape(-1, 1) * np.linspace(0, 1, 200) ** 2
+    return losses, np.repeat(np.arange(drives), scans)
+
+
+def broken_on_other_drives(drives, scans, *, by_drive=False, draws=500):
+    """Return how often the promise of 90 % confidence is broken of other drives."""
+    random = np.random.default_rng(2)
+    losing = np.append((means_of_units(*of_drives(random, 400, 20)) > 0.05).mean(axis=0), 0)
+    held = []
+    for _ in range(draws):
+        losses, of_scans = of_drives(random, drives, scans)
+        units = means_of_units(losses, of_scans) if by_drive else losses
+        held.append(held_thresholds(units, 0.05, 0.9) - 1)
+    return (losing[held] > 0.1).mean()
+
+
+def test_a_promise_of_few_drives_is_none_of_another():
+    assert broken_on_other_drives(4, 6) > 0.3
+    assert broken_on_other_drives(1, 22) > 0.6
+
+
+def test_a_promise_of_enough_drives_holds_of_another_if_the_drive_is_the_unit():
+    most = 0.1 + 3 * math.sqrt(0.1 * 0.9 / 500)
+    assert broken_on_other_drives(22, 6) > 0.2 > most
+    assert broken_on_other_drives(22, 6, by_drive=True) < most
+    random = np.random.default_rng(3)
+    means = np.append(means_of_units(*of_drives(random, 2000, 10)).mean(axis=0), 0)
+    drawn = (of_drives(random, 18, 6) for _ in range(500))
+    loss = means[[held_thresholds(means_of_units(*draw), 0.1) - 1 for draw in drawn]].mean()
+    assert 0.04 < loss < 0.1
+
+
+def test_a_promise_of_a_class_holds_of_scans_that_have_it_by_the_lower_of_two_thresholds(streets):
+    random = np.random.default_rng(4)
+    has = random.random(len(streets)) < 0.4
+    of_class = np.where(has[:, None], np.minimum(1, 3 * streets), 0)
+    found = []
+    for _ in range(DRAWS):
+        draw = random.integers(0, len(streets), 60)
+        with_class = of_class[draw][has[draw]]
+        assert len(with_class) >= needed_scans(0.1, None)
+        held = held_thresholds(streets[draw], 0.1), held_thresholds(with_class, 0.1)
+        lower = min(held) - 1
+        found.append((of_class[has][:, lower].mean(), streets[:, lower].mean()))
+    found = np.array(found)
+    noise = 3 * found.std(axis=0) / math.sqrt(DRAWS)
+    assert (found.mean(axis=0) <= 0.1 + noise).all()
+    assert found.mean(axis=0)[0] > 0.03
 
 
 def test_the_loss_of_a_drive_is_the_mean_of_its_scans():
@@ -113,3 +168,21 @@ def test_what_was_promised_stands_beside_what_was_found():
     drives = {"at_most": 0.04, "confidence": None, "unit": "drive"}
     found = KeptPromise.of_scans(drives, scans | {"b/0": (10, 9, 0)})
     assert (found.units, found.above, found.mean, found.worst) == (2, 1, 0.025, 0.05)
+
+
+def test_a_promise_names_what_it_holds_for():
+    risk = {"kind": "error", "threshold": 0.25, "at_most": 0.05, "confidence": None}
+    risk |= {"scans": 20, "sequences": ["00", "08"]}
+    assert promise(risk) == (
+        "error up to 0.25 kept: of another scan of the drives that it was chosen on (20 scans of "
+        "00, 08), not of others, at most 5 % of the points of known classes are expected to be "
+        "kept and wrong"
+    )
+    assert "with 90 % confidence, at most 10 % of scans" in promise(risk | {"confidence": 0.9})
+    of_drives = promise(risk | {"unit": "drive", "classes": {"car": 0.1}})
+    assert ": of another drive like those that it was chosen on (20 scans" in of_drives
+    assert of_drives.endswith("; the same of the points labelled as each of car")
+    # Classes of which nothing is kept are promised nothing.
+    some = {"car": 0.1, "person": KEEPS_NONE}
+    assert promise(risk | {"classes": some}).endswith("labelled as each of car")
+    assert promise(risk | {"classes": {"person": KEEPS_NONE}}) == promise(risk)

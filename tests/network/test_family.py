@@ -14,7 +14,7 @@ from salsanext_cli import label_space, project, sample
 from salsanext_cli.engines.loading import with_dropout
 from salsanext_cli.engines.network import Engine, Network
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.dropout import drawn, sampling
+from salsanext_cli.network.dropout import drawn, dropouts, sampling
 from salsanext_cli.network.registry import build
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
@@ -109,3 +109,13 @@ def test_dropout_sampled_and_in_one_pass(name, image):
         assert found.uncertainty.epistemic.max() > 0
     hardly = propagate_dropout(with_dropout(network(name), 1e-12), image)
     np.testing.assert_allclose(hardly.probabilities, network(name).probabilities(image), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "momentum", "rate"), [("rangenet53", 0.01, 0.01), ("salsanet", 0.1, 0.2)]
+)
+def test_momentum_of_batch_norm_and_default_rate_are_the_authors(name, momentum, rate):
+    module = build({"name": name})
+    norms = [m for m in module.modules() if isinstance(m, torch.nn.BatchNorm2d)]
+    assert {norm.momentum for norm in norms} == {momentum}
+    assert {layer.rate for layer in dropouts(module)} == {rate}

@@ -1,19 +1,37 @@
 # SPDX-License-Identifier: MIT
 import io
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from evaluated import calibration_result, ranking_result, small_space
 from rich.console import Console, Group
+from scans import SMALL
 
-from salsanext_cli.measures.scores import Confusion, scores
+from salsanext_cli import label_space
+from salsanext_cli.labelling.picked_data_set import PickedScan
+from salsanext_cli.measures.paired import RunComparison, ScanPair
+from salsanext_cli.measures.scores import Confusion, class_sums, scores
+from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.report.comparison import comparison_tables
+from salsanext_cli.report.picked import picked_table
 from salsanext_cli.report.tables import (
+    card_table,
+    error_table,
+    imported_table,
     kept_table,
+    network_table,
     ring_table,
     score_table,
+    survey_tables,
     uncertainty_tables,
 )
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.stages.models import describe_weights
 
+MANY = 430_123_456
 SPACE = small_space("none", "car [red]", "road", "tree")
 
 
@@ -100,3 +118,45 @@ def test_undefined_scores_are_dashes_and_absent_results_have_no_table():
     ]
     assert tables_of() == []
     assert [len(tables_of(calibration_result([1]))), len(tables_of(total=ranked(0.1)))] == [1, 1]
+
+
+def tables_of_a_large_data_set(weights):
+    """Yield every table, with names and numbers as long as those of a large data set."""
+    space = label_space()
+    every = Confusion(20, np.eye(20, dtype=np.int64) * MANY // 20)
+    few = Confusion(20).update(np.array([1, 2]), np.array([2, 2]))
+    yield score_table(scores(every, space), "scores on scans that the weights were trained on")
+    yield score_table(scores(few, space))
+    yield ring_table({"0–10 m": scores(every, space), "over 50 m": scores(few, space)})
+    calibration, ranking = calibration_result([1, 2]), ranked(0.1, 0.2)
+    calibration = replace(calibration, scans=4071, scores=replace(calibration.scores, points=MANY))
+    ranking = replace(ranking, scores=replace(ranking.scores, points=MANY, wrong=MANY // 3))
+    yield from tables_of(calibration, mutual_information=ranking, error=replace(ranking, ece=0.1))
+    of_error = {"ece": 0.1, "risk_80": 0.1, "auroc": 0.9, "aurc": 0.1}
+    yield error_table({"folds": 5, "error": of_error, "confidence": of_error})
+    yield kept_table({"person-or-cycle": (MANY, 1000)}, {"person-or-cycle": 0.0008049})
+    paper = {"parameters": 26.38, "flops": 125.68, "determined": False}
+    paper |= dict.fromkeys(("miou_pixels", "miou", "miou_test"), 59.5)
+    network = {"name": "salsanext-v1-context", "agrees": True, "parameters": 26_406_196}
+    network |= {"receptive_field": (543, 543), "multiply_accumulates": 359.71e9, "paper": paper}
+    yield network_table([network])
+    yield card_table({**describe_weights(weights), "scores": {"iou_other-vehicle": 0.5}})
+    survey = Survey(
+        4071, 4071, MANY, MANY, 117_000, 131_072, 119.9, 255, classes=Counter({10: MANY})
+    )
+    yield survey_tables({"2011_09_26_drive_0001": survey}, survey, space, SMALL)
+    counts = dict.fromkeys(("points", "labelled", "unlabelled", "ambiguous", "missing"), 131_072)
+    yield imported_table([{"scan": "08/000000", "scalar": "scalar_Classification", **counts}])
+    reason = "number 3 of 4,071 by uncertainty; nearly equal ones passed over"
+    yield picked_table([PickedScan(1, "2011_09_26", "0000000000", 0.5, 1.5, None, reason)])
+    sums = np.repeat(class_sums(every.matrix)[None], 2, axis=0)
+    pair = ScanPair(ScanFile("2011_09_26", "0000000000", Path("a")), every.matrix[::-1], sums[None])
+    yield comparison_tables(RunComparison(space, [pair] * 5))
+
+
+def test_no_table_is_cut_in_a_terminal_of_80_columns(weights):
+    text = text_of(*tables_of_a_large_data_set(weights), width=80)
+    assert "…" not in text.replace(" … ", "")
+    words = {"mutual_information", "salsanext-v1-context", "person-or-cycle", f"{MANY:,}", "4,071"}
+    words |= {"unlabelled", "117,000", "26,406,196", "(125.68 G)", "other-vehicle"}
+    assert {word for word in words if word not in text} == set()

@@ -16,8 +16,6 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate, part_of
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 @pytest.fixture
 def world(tmp_path):

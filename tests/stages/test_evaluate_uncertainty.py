@@ -31,8 +31,6 @@ PICTURES = {
 }
 ALWAYS = {"scores.txt", "eval.json", "eval_iou.png", "eval_confusion.png"}
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 
 @pytest.fixture
 def world(tmp_path):

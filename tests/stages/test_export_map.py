@@ -247,3 +247,10 @@ def test_a_report_shows_the_drive_from_above_or_says_why_not(fused):
     page = report(fused.out / "fused").page.read_text()
     assert "4 lines" in page
     assert 'alt="08: ' not in page
+
+
+def test_a_map_of_the_user_is_kept(fused):
+    map_of(fused).write_text("mine")
+    with pytest.raises(OutputError, match="kept"):
+        export(fused)
+    assert map_of(fused).read_text() == "mine"

@@ -11,8 +11,9 @@ from empty_runs import begin_and_end
 from scans import SMALL, files_below, write_array
 from world import Kept
 
-from salsanext_cli import Scan, label_space, read_labels, read_scan, write_labels
+from salsanext_cli import LabelSpace, Scan, label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import (
+    LabelError,
     MissingDependency,
     NoInputError,
     OutputError,
@@ -23,6 +24,7 @@ from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
 from salsanext_cli.results.query import ResultQuery
+from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
@@ -327,3 +329,12 @@ def test_errors_of_other_weights_than_the_labels_are_refused(known):
     for options in ({"colour": "error"}, {"max_error": 0.5}):
         with pytest.raises(OutputError, match=r"labels by the weights aaaa.*uncertainty by bbbb"):
             export(known, **options)
+
+
+def test_other_classes_than_those_predicted_are_refused(predicted):
+    small = {"labels": {0: "no", 1: "yes"}, "learning_map": {0: 0, 1: 1}}
+    two = LabelSpace.from_dict(small | {"learning_map_inv": {0: 0, 1: 1}, "name": "two"})
+    with pytest.raises(LabelError, match="predictions in the classes of"):
+        export(predicted, query=ResultQuery(label_space=two))
+    with pytest.raises(LabelError, match="predictions in the classes of"):
+        ResultFolder(predicted.out).predicted(ScanSelection(), space=two)

@@ -133,3 +133,18 @@ def test_recordings_of_others_are_kept_and_ones_own_replaced(world, recorded):
     recorded.clear()
     assert export(world, selection=ScanSelection(sequences=("00",))).done == 1
     assert [*recorded] == ["öut/00"]
+
+
+def test_a_recording_that_appears_meanwhile_is_kept(world, recorded, monkeypatch):
+    mine, fake = world.out / "rrd/00.rrd", stage.recording
+
+    @contextmanager
+    def slow(*given):
+        with fake(*given) as log_scan:
+            yield log_scan
+        mine.write_bytes(b"mine")
+
+    monkeypatch.setattr(stage, "recording", slow)
+    with pytest.raises(OutputError, match=r"00\.rrd"):
+        export(world)
+    assert written(world) == {"00.rrd": b"mine"}

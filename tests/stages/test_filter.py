@@ -17,6 +17,7 @@ from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.stage_records import ScanSource, StageRecord
+from salsanext_cli.stages import filter as stage
 from salsanext_cli.stages.filter import filter_scans, named_classes
 
 SPACE = label_space()
@@ -278,6 +279,23 @@ def test_a_bag_is_written_whole_or_not_at_all(bag_of, tmp_path):
     assert mask.tolist() == [False, True, False, True, True, False]
 
 
+def test_a_bag_that_is_changed_while_it_is_written_anew_is_kept(bag_of, tmp_path, monkeypatch):
+    bag, target = bag_of(".bag"), tmp_path / "to/drive.bag"
+    call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
+    call = partial(call, query=ResultQuery(bag / TOPIC.strip("/")))
+    assert not call().failures
+    write = stage.write_bag_subset
+
+    def slowly(*given):
+        write(*given)
+        target.write_bytes(b"mine")
+
+    monkeypatch.setattr(stage, "write_bag_subset", slowly)
+    (failure,) = call(options=RunOptions(overwrite=True)).failures
+    assert "drive.bag" in failure.reason
+    assert target.read_bytes() == b"mine"
+
+
 def test_merged_classes_have_their_own_names():
     coarse = label_space("coarse")
     assert named_classes(["vehicle"], coarse).tolist() == [i == 1 for i in range(8)]
@@ -292,3 +310,12 @@ def test_labels_of_another_number_of_points_are_a_failure(apply, world, tmp_path
     (failure,) = apply(keep=["bicycle"]).failures
     assert failure.scan.stem == "000000"
     assert not [*tmp_path.glob("to/sequences/*/*/000000*")]
+
+
+def test_what_a_scan_has_no_more_is_removed(apply, world, tmp_path):
+    apply(split=True)
+    path = output_path(world.out, "08", "predictions", "000001")
+    write_labels(path, np.array([CAR] * 4, np.uint32))
+    apply(split=True, options=RunOptions(overwrite=True))
+    assert not (tmp_path / "to/sequences/08/road/000001.bin").exists()
+    assert left(tmp_path, "000001", "car") == [0, 1, 2, 3]

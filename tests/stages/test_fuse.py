@@ -374,3 +374,10 @@ def test_python_labels_a_drive_as_the_command_line_does(world, caplog, monkeypat
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     with pytest.raises(SalsanextError, match=r"salsanext\[fuse\]"):
         next(label_drive(folder, weights))
+
+
+def test_a_scan_that_is_damaged_fails_and_has_no_vote(drive):
+    drive.result("probabilities", stem="000001").write_bytes(b"no array")
+    outcome = fuse_results(drive.out)
+    assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
+    assert np.load(fused_folder(drive) / "views/000000.npy").max() == 2

@@ -18,6 +18,7 @@ from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.stages import pick as stage
 from salsanext_cli.stages.pick import pick
 from salsanext_cli.uncertainty.scan_description import describe_scan, label_sampled
 
@@ -223,6 +224,20 @@ def test_files_that_were_changed_are_never_replaced(picked):
     (picked.out / "import-labels.json").write_text("{}\n")
     with pytest.raises(OutputError, match="labels were imported"):
         run(picked, overwrite=True)
+
+
+def test_labels_that_are_imported_while_scans_are_looked_at_are_kept(picked, monkeypatch):
+    labels = next((picked.out / "sequences/08/labels").iterdir())
+    corrected, chosen = labels.read_bytes()[::-1], stage._chosen
+
+    def slowly(*given):
+        OwnedFolder(picked.out, "import-labels").write(labels, corrected)
+        return chosen(*given)
+
+    monkeypatch.setattr(stage, "_chosen", slowly)
+    with pytest.raises(OutputError, match=r"\.label · was changed"):
+        run(picked, count=2, overwrite=True)
+    assert labels.read_bytes() == corrected
 
 
 def test_what_is_cut_off_leaves_no_guess_unrecorded_and_is_finished_later(drive, monkeypatch):

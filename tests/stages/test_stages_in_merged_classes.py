@@ -29,8 +29,6 @@ from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 FULL, COARSE = label_space(), label_space("coarse")
 MERGING = ClassMerging.between(FULL, COARSE)
 FEW = UncertaintyMethod(samples=2)
@@ -199,3 +197,12 @@ def test_classes_that_cannot_be_merged_serve_as_they_are(world, tmp_path):
     recorded = LabelSpace.from_dict(settings["label_space"])
     scans, found = ResultFolder(world.out).predicted(ScanSelection(), classes=recorded)
     assert (len(scans), found.fits(space)) == (1, True)
+
+
+def test_the_same_classes_are_no_other_settings(world):
+    predict(world)
+    same = replace(world, network=replace(world.network, classes=FULL))
+    assert predict(same).skipped == 3
+    coarse = replace(world, network=replace(world.network, classes=COARSE))
+    with pytest.raises(OutputError, match=r"other settings: label_space \(train id 1: car"):
+        predict(coarse)

@@ -321,3 +321,14 @@ def test_streets_of_other_classes_are_not_simulated(data, tmp_path, simulated, c
         go(data, tmp_path / "run", FEW.with_changes(streets=1))
     assert "no simulated streets: they tell other classes apart than your labels" in caplog.messages
     assert not simulated
+
+
+def test_scans_of_other_splits_are_not_trained_on(data, tmp_path, caplog):
+    own = label_space().to_dict() | {"split": {"train": [], "valid": ["b"], "test": ["c"]}}
+    (data / "labels.yaml").write_text(json.dumps(own))
+    go(data, tmp_path / "run")
+    assert "left out, since they are of other splits than train: b, c" in caplog.messages
+    own["split"]["test"] = ["a", "c"]
+    (data / "labels.yaml").write_text(json.dumps(own))
+    with pytest.raises(NoInputError, match="every labelled scan is of another split"):
+        go(data, tmp_path / "none")

@@ -10,6 +10,7 @@ import pytest
 from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan
+from salsanext_cli.errors import OutputError
 from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.measures.scores import Confusion
 from salsanext_cli.network.card import read_card, scan_digest
@@ -18,8 +19,6 @@ from salsanext_cli.results.layout import find_scans
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.report import read_run, report
-
-pytestmark = pytest.mark.usefixtures("undrawn")
 
 SPACE = label_space()
 EVERY = (("00", "000000"), ("08", "000000"), ("08", "000001"))
@@ -95,3 +94,15 @@ def test_a_report_leaves_out_the_same(trained):
     assert "1 of 3 labelled scans was trained on: left out" in made.page.read_text("utf-8")
     rows, _ = read_run(trained.out)
     assert [row.confusion is None for row in rows.rows] == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    "change", [{"trained_on": "all"}, {"reject": 0.5, "promised": {"digests": "all"}}]
+)
+def test_a_record_that_was_changed_is_refused(trained, change):
+    predict(trained)
+    record = json.loads((trained.out / "predict.json").read_text())
+    record["settings"] |= change
+    (trained.out / "predict.json").write_text(json.dumps(record))
+    with pytest.raises(OutputError, match="no digests of scans under"):
+        judged(trained)

@@ -25,8 +25,6 @@ from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.error_features import FEATURES
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 ALL = ScanSelection()
 
 

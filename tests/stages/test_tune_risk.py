@@ -145,6 +145,9 @@ def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, ca
     world, network = unsure_is_wrong, replace(unsure_is_wrong.network, weights=target)
     tuned = tune("risk", world.data, target, settings=world.network, selection=ALL, at_most=0.6)
     assert tuned["unit"] == "drive"
+    # By scans, (ΣL + 1) / 4 ≤ 0.6, more would be kept.
+    losses = np.array(tuned["of_scans"])[:, 1]
+    assert (losses[0] + losses[1:].mean() + 1) / 3 <= 0.6
     predict_scans(world.data, world.out, settings=network, reject="risk")
     assert "nothing is promised" not in caplog.text
     found = evaluate(find_scans(world.data), world.out, label_space()).promise
@@ -190,7 +193,7 @@ def test_scans_of_training_promise_nothing(unsure_is_wrong: World, target, tmp_p
     save_with_card(world.network.weights, known, card)
     network = replace(world.network, weights=known)
     tuned = tune("risk", world.data, target, settings=network, selection=ALL, at_most=0.4)
-    assert (tuned["scans"], tuned["known"]) == (2, 1)
+    assert (tuned["scans"], tuned["skipped"]) == (2, 1)
 
 
 def test_copies_of_a_scan_promise_nothing(unsure_is_wrong: World, target, caplog) -> None:
@@ -199,7 +202,7 @@ def test_copies_of_a_scan_promise_nothing(unsure_is_wrong: World, target, caplog
         shutil.copy(find_scans(world.data)[0].path, file.path)
         shutil.copy(find_scans(world.data)[0].label_path, file.label_path)
     tuned = tune("risk", world.data, target, settings=world.network, selection=ALL, at_most=0.6)
-    assert (tuned["scans"], tuned["known"]) == (1, 2)
+    assert (tuned["scans"], tuned["skipped"]) == (1, 2)
     assert "2 scans left out" in caplog.text
 
 

@@ -138,3 +138,17 @@ def test_it_ends_when_it_is_told_to(world):
     assert more == ""
     assert "Traceback" not in said
     assert "ssh -N -L" in said
+
+
+def test_scans_that_cannot_be_read_and_scans_moved_away_are_told(world, caplog):
+    scans = world.dataset / "sequences/08/velodyne"
+    (scans / "000000.bin").write_bytes(b"damaged")
+    (scans / "000004.bin").unlink()
+    (scans / "000005.bin").unlink()
+    server = view(world.out, query=ResultQuery(world.dataset))
+    server.server_close()
+    assert server.scans == 5
+    assert [failure.scan.stem for failure in server.failures] == ["000000"]
+    assert "2 scans with results not found any more and left out: 08/000004, 08/000005" in (
+        caplog.text
+    )

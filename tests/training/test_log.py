@@ -6,6 +6,7 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from salsanext_cli.training import log
 from salsanext_cli.training.log import tensorboard_in, write_log
@@ -37,3 +38,9 @@ def test_an_epoch_is_scalars_and_an_image(tmp_path: Path, monkeypatch: pytest.Mo
     scalars = [("loss", 2.5, 2), ("miou", 0.25, 2), ("iou/road", 0.5, 2)]
     assert [given.args for given in writer.add_scalar.call_args_list] == scalars
     writer.add_image.assert_called_once_with("sample", PICTURE, 2, dataformats="HWC")
+
+
+@pytest.mark.drawn
+def test_the_curve_has_a_point_per_epoch(tmp_path: Path) -> None:
+    log.draw_curve(tmp_path / "curve.png", ROWS)
+    assert imread(tmp_path / "curve.png").shape == (480, 840, 4)

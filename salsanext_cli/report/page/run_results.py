@@ -200,9 +200,9 @@ class RunResults:
     def promise(self) -> KeptPromise | None:
         """Promise of the labels that are kept, beside what is found."""
         promised = StageRecords(self.reader.out).promised(self.reader.space)
-        return (
-            KeptPromise.of_scans(promised, self.counts.kept) if promised and self.counts else None
-        )
+        if self.counts is None or promised is None:
+            return None
+        return KeptPromise.of_scans(promised, self.counts.kept)
 
     def warnings(self) -> list[str]:
         """Return every reason to doubt the page, a line each."""

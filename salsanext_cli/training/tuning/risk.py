@@ -177,7 +177,7 @@ def fit_risk(
     report = {
         "promise": promise(risk),
         **risk,
-        "known": left,
+        "skipped": left,
         "kept": asdict(labels),
         "left_out": left_out,
         "risk_coverage": _curve(shares.mean(axis=0)),

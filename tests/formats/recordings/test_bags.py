@@ -145,3 +145,10 @@ def test_the_package_that_is_missing_is_named(tmp_path, monkeypatch):
         MissingDependency, match=r"rosbags · not installed · pip install 'salsanext\[ros\]'"
     ):
         find_scans(path)
+
+
+def test_a_version_that_is_too_old_is_named(tmp_path, monkeypatch):
+    path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
+    monkeypatch.setattr("salsanext_cli.files.optional_packages.version", lambda name: "0.9.23")
+    with pytest.raises(MissingDependency, match=r"version 0\.9\.23 · expected 0\.11 or newer"):
+        find_scans(path)
