@@ -26,7 +26,7 @@ Model = Callable[[Scan, RawIds, float, np.random.Generator], LabelledScan]
 
 DETECTABLE = 6e-6
 """Signal in 1/m² below which an HDL-64 reports nothing: asphalt at 40 m, beside its border."""
-LEAST_REFLECTIVITY = 0.01
+MIN_REFLECTIVITY = 0.01
 """Reflectivity of what is reported as black."""
 NEAREST_M, FARTHEST_M = 2.0, 80.0
 """Ranges between which echoes appear that are none of the scene."""
@@ -98,7 +98,7 @@ def wet_ground(
     along = (WATER_INDEX * cosine - inside) / (WATER_INDEX * cosine + inside)
     through = (1 - (across**2 + along**2) / 2) ** 2 / WATER_INDEX**2
     covered = min(film_mm / ROUGHNESS_MM, 1.0)
-    dry = np.maximum(scan.intensity, LEAST_REFLECTIVITY).astype(float)
+    dry = np.maximum(scan.intensity, MIN_REFLECTIVITY).astype(float)
     share = np.where(ground, 1 - covered + covered * through / (1 - FILM_REFLECTED * dry), 1)
     darker = Scan(scan.points, (scan.intensity * share).astype(np.float32), scan.ring)
     before = np.full(len(scan), np.inf)
@@ -205,7 +205,7 @@ def _ranges_and_signals(scan: Scan) -> tuple[Array, Array]:
     ranges = np.linalg.norm(scan.points.astype(float), axis=1)
     ranges[~np.isfinite(ranges)] = 0
     signal = np.full(len(scan), np.inf)
-    reflectivity = np.maximum(scan.intensity, LEAST_REFLECTIVITY)
+    reflectivity = np.maximum(scan.intensity, MIN_REFLECTIVITY)
     np.divide(reflectivity, ranges**2, out=signal, where=ranges > 0)
     return ranges, signal
 

@@ -36,7 +36,7 @@ from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space
 
 CLEAN = "clean"
-BASELINES, ERROR = ("confidence", "softmax_entropy"), "error"
+BASELINES, ERROR = ("least_confidence", "softmax_entropy"), "error"
 COVERAGE_PERCENT = 80
 SEVERITIES = (1, 2, 3)
 Shares = dict[str, tuple[float, ...]]

@@ -17,7 +17,7 @@ from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.training.recipe import Recipe, recipe
 from salsanext_cli.training.tuning.error import error_scores
-from salsanext_cli.uncertainty.error_features import knows_error, label_error
+from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
 
 def test_they_are_small_half_precision_and_say_what_they_are():
@@ -49,7 +49,7 @@ def test_they_know_streets_that_they_never_saw(tmp_path, streets):
         truth = network.card.space.to_train(read_labels(file.label_path, len(scan)))
         confidence = points_from_pixels(probabilities, image.pixel_of_point, np.eye(1, 20))
         doubt = 1 - confidence[np.arange(len(labels)), labels]
-        error = label_error(network, image, probabilities, labels)
+        error = error_probability(network, image, probabilities, labels)
         for all_points, values in zip(judged, (labels != truth, error, doubt), strict=True):
             all_points.append(values[truth > 0])
     wrong, error, doubt = map(np.concatenate, judged)

@@ -40,7 +40,7 @@ class PictureOptions:
 def picture(
     *,
     results: options.Results,
-    drawn: PictureOptions,
+    pictures: PictureOptions,
     query: ResultQuery,
     running: RunOptions,
     output: console.Output,
@@ -55,10 +55,10 @@ def picture(
     with over_scans("picture", running, output.quiet) as run:
         outcome = stage(
             out,
-            colours=drawn.colour or (),
-            scale=drawn.scale,
-            gif=drawn.gif,
-            frames_per_second=drawn.fps,
+            colours=pictures.colour or (),
+            scale=pictures.scale,
+            gif=pictures.gif,
+            frames_per_second=pictures.fps,
             query=query,
             options=run,
         )

@@ -208,14 +208,14 @@ def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, A
     return dict(as_json(asked))
 
 
-def view_of(sensor: Sensor) -> dict[str, Any]:
+def view_record(sensor: Sensor) -> dict[str, Any]:
     """Return what a fit of the view changes, as JSON gives it back."""
     return dict(as_json({name: getattr(sensor, name) for name in FITTED}))
 
 
 def is_other_view(view: Mapping[str, Any], sensor: Sensor) -> bool:
-    """Say whether a sensor is not fitted as that of `view_of` was, or far otherwise."""
-    own = view_of(sensor)
+    """Say whether a sensor is not fitted as that of `view_record` was, or far otherwise."""
+    own = view_record(sensor)
     other = own | dict(view)
     return bool(own["name"] != other["name"]) or any(
         np.abs(np.subtract(own[name], other[name])).max() > tolerance

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from salsanext_cli.fitting.mounting_fit import fit_mounting, ground_of
-from salsanext_cli.fitting.scan_checks import LARGEST_SHARE_OUTSIDE, share_outside
+from salsanext_cli.fitting.scan_checks import MAX_SHARE_OUTSIDE, share_outside
 from salsanext_cli.geometry.projection import (
     in_sensor_frame,
     measured_ranges,
@@ -126,7 +126,7 @@ MIN_RANGE_M = 1.0
 """Range below which only housing and mount were seen, of four vehicles; the street began at 1.3."""
 SHARE_OF_HEIGHT = 0.8
 """Largest minimum range, as a share of the height above the ground: a low sensor sees its floor."""
-LEAST_HEIGHT_M = 0.1  # Least height of a sensor above what can be the ground that it stands on
+MIN_HEIGHT_M = 0.1  # Least height of a sensor above what can be the ground that it stands on
 FARTHEST_M = 3.0  # Farthest body of a vehicle that is sought
 MIN_SCANS = 5
 AZIMUTHS, ELEVATIONS = 120, 120  # Cells around, and from straight down to straight up
@@ -160,7 +160,7 @@ def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     height = float(np.median(heights)) if heights else None
     if least is None:
         least = MIN_RANGE_M
-        if height is not None and height >= LEAST_HEIGHT_M:
+        if height is not None and height >= MIN_HEIGHT_M:
             least = round(min(least, SHARE_OF_HEIGHT * height), DIGITS)
     if box is None:
         box = _ego_box(upright, height) if height is not None and len(scans) >= MIN_SCANS else ()
@@ -215,24 +215,24 @@ OUTLIERS = 0.001  # Share of the points above, and of those below, that no view 
 SHOWN = 0.85
 """Least share of the points that a fitted view shows; the whole view of a sensor that sees far up
 and down would make objects much lower in the image than those of training."""
-MOST_ENLARGED = 1.2
+MAX_ENLARGED = 1.2
 """Largest extent of a view of all points that is taken as it is, as a multiple of training's."""
 PLACES = 400  # Places of a view of given extent that are tried
 NEARLY = 0.999
 """Share of the most points in a view at which another is as good; of these, the middle one."""
 MIN_VIEW_DEG = 1.0
-MIN_POINTS = 1000
+MIN_VIEW_POINTS = 1000
 
 
 def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     """Return the sensor of weights with the view and mounting of scans where they differ much."""
     # Points of housing and vehicle are left out, as `fit_ego` finds them. The mounting changes as
-    # `fit_mounting` says, the view where more than `LARGEST_SHARE_OUTSIDE` of all points lie
+    # `fit_mounting` says, the view where more than `MAX_SHARE_OUTSIDE` of all points lie
     # outside. Size and normalisation of the range images stay. Of the labelled scans of three
     # sensors, this was never worse than the view of the weights.
     sensor = fit_ego(scans, fit_mounting(scans, sensor))
     sines = np.concatenate([np.empty(0), *(_sines(scan, sensor)[0] for scan in scans)])
-    if share_outside(sines, sensor) <= LARGEST_SHARE_OUTSIDE or len(sines) < MIN_POINTS:
+    if share_outside(sines, sensor) <= MAX_SHARE_OUTSIDE or len(sines) < MIN_VIEW_POINTS:
         return sensor
     elevations = np.degrees(np.arcsin(np.sort(sines)))
     lower, upper = _view(elevations, sensor.fov_up - sensor.fov_down)
@@ -246,7 +246,7 @@ def _view(elevations: Double, extent: float) -> tuple[float, float]:
     # Of all points, if it then is about as large as that of training; else as large, or larger
     # until it shows `SHOWN` of the points.
     lowest, highest = map(float, np.quantile(elevations, (OUTLIERS, 1 - OUTLIERS)))
-    if highest - lowest <= MOST_ENLARGED * extent:
+    if highest - lowest <= MAX_ENLARGED * extent:
         return lowest, highest
     shown = int(SHOWN * len(elevations))
     narrowest = (elevations[shown:] - elevations[: len(elevations) - shown]).min()

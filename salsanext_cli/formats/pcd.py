@@ -27,7 +27,7 @@ TYPES = {
 """numpy's type of each TYPE and SIZE."""
 PADDING = "_"
 MAX_HEADER_BYTES = 1 << 16
-LARGEST_RATIO = 264 / 3  # Largest compression ratio of LZF: three bytes stand for up to 264
+MAX_RATIO = 264 / 3  # Largest compression ratio of LZF: three bytes stand for up to 264
 
 
 class Header(NamedTuple):
@@ -107,7 +107,7 @@ def read_compressed(file: BufferedIOBase, header: Header) -> Columns:
     packed = file.read()
     if len(sizes) < 2 or len(packed) < sizes[0] or sizes[1] != promised:
         raise ValueError(f"{len(packed)} bytes of compressed data, not of {promised}")
-    if promised > LARGEST_RATIO * sizes[0]:
+    if promised > MAX_RATIO * sizes[0]:
         raise ValueError(f"{sizes[0]} bytes of compressed data that cannot be of {promised}")
     if header.point_count == 0:
         return {name: np.empty(0, header.point[name]) for name in header.scalars}

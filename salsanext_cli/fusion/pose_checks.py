@@ -81,7 +81,7 @@ def _voxels(points: Points) -> tuple[Parts, ...]:
 
 
 @dataclass(slots=True)
-class Part:
+class CheckedPart:
     """Part of a drive that may go on: its last scans that tell whether another lies on them."""
 
     number: int
@@ -107,7 +107,7 @@ def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
     a scan whose points tell nothing goes on with the last part, unless it is far.
     """
     numbers = np.zeros(len(poses), np.int64)
-    parts: list[Part] = []
+    parts: list[CheckedPart] = []
     misfit = 0
     for index in range(len(poses)):
         upright = upright_points(read(index))
@@ -122,7 +122,7 @@ def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
                 before, _ = parts[0].compared(poses, index)
                 is_near = _apart(poses, before, index) < OUT_OF_SIGHT_M
                 misfit += index - before if is_near else 0
-            part = Part(numbers.max() + 1 if index else 0)
+            part = CheckedPart(numbers.max() + 1 if index else 0)
         part.add(index, upright)
         # The last one and the one before.
         parts = [part, *(each for each in parts[:2] if each is not part)]
@@ -134,7 +134,7 @@ def _apart(poses: Poses, one: int, other: int) -> float:
     return float(np.linalg.norm(poses[one, :3, 3] - poses[other, :3, 3]))
 
 
-def _fits(part: Part, poses: Poses, index: int, upright: Points) -> bool:
+def _fits(part: CheckedPart, poses: Poses, index: int, upright: Points) -> bool:
     before, others = part.compared(poses, index)
     step = np.linalg.inv(poses[before]) @ poses[index]
     if len(others) < MIN_UPRIGHT:

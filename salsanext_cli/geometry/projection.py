@@ -242,16 +242,16 @@ def measured_ranges(points: Float, farthest: float = sys.float_info.max) -> tupl
 
 
 def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
-    """Return some points of a scan in their order, drawn alike; all if there are no more."""
+    """Return some points of a scan in their order, sampled evenly; all if there are no more."""
     # Of points in the order of a grid, every n-th could be of few beams or in few directions.
     if len(scan) <= count:
         return scan
-    places = drawn(len(scan), count)
+    places = sample_places(len(scan), count)
     return Scan(scan.points[places], scan.intensity[places])
 
 
-def drawn(length: int, count: int) -> Indices:
-    """Return (count,) places in an array, rising, drawn alike; all if there are no more."""
+def sample_places(length: int, count: int) -> Indices:
+    """Return (count,) places in an array, rising, sampled evenly; all if there are no more."""
     return np.arange(length) if length <= count else (_uniform(count) * length).astype(np.intp)
 
 

@@ -23,7 +23,7 @@ PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
 """Classes whose points are of people."""
 KEEPS_NONE = -1.0
 """Threshold of a class of which no label is kept."""
-BROKEN = (
+RISK_BOUND_EXCEEDED = (
     "more is kept and wrong than was promised: by chance, if these scans are few, else because "
     "their place, sensor or weather is another than that of the scans that the threshold was "
     "chosen on; choose it with `salsanext tune risk` on labelled scans like these"
@@ -150,7 +150,7 @@ class KeptLabels:
 
 
 @dataclass(frozen=True, slots=True)
-class KeptPromise:
+class RiskBoundCheck:
     """Promise about scans or drives beside the losses found, shares of their scored points."""
 
     at_most: float
@@ -178,7 +178,7 @@ class KeptPromise:
         return cls(promised["at_most"], promised["confidence"], unit, *found)
 
     @property
-    def is_broken(self) -> bool:
+    def is_exceeded(self) -> bool:
         """Say whether more was found than promised."""
         if self.confidence is None:
             return self.mean > self.at_most

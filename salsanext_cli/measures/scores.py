@@ -102,19 +102,19 @@ class Scores:
         return dict(plain(asdict(self)))
 
 
-def ring_rows(rings: Mapping[str, Scores]) -> list[tuple[str, Scores, float, list[str]]]:
-    """Return name, scores, mean IoU of the same classes, and absent classes of each ring."""
-    # The same ones are those that the truth holds in every ring with points; absent ones are in
-    # other rings only.
-    held = {name: {c.name for c in ring.classes if c.points} for name, ring in rings.items()}
+def band_rows(bands: Mapping[str, Scores]) -> list[tuple[str, Scores, float, list[str]]]:
+    """Return name, scores, mean IoU of the same classes, and absent classes of each band."""
+    # The same ones are those that the truth holds in every band with points; absent ones are in
+    # other bands only.
+    held = {name: {c.name for c in band.classes if c.points} for name, band in bands.items()}
     every = set[str]().union(*held.values())
     same = every.intersection(*filter(None, held.values()))
     means = (
-        _mean(np.array([c.iou for c in ring.classes if c.name in same & held[name]]))
-        for name, ring in rings.items()
+        _mean(np.array([c.iou for c in band.classes if c.name in same & held[name]]))
+        for name, band in bands.items()
     )
     absent = (sorted(every - names) for names in held.values())
-    return list(zip(rings, rings.values(), means, absent, strict=True))
+    return list(zip(bands, bands.values(), means, absent, strict=True))
 
 
 def largest_confusions(matrix: Counts, most: int) -> list[tuple[int, int, int]]:

@@ -42,11 +42,10 @@ PICTURES = {
 """All plots, by the name of the file, in words."""
 ROW_PX, CELL_PX = 28, 46
 NAMES_PX = 150
-SMALLEST_SHARE = 0.005
+MIN_SHARE = 0.005
 """Shares below this round to 0 % and are not written into their cell."""
 DASHED = (0, (5, 2))
 LINES = {
-    "confidence": (DARK, "-"),
     "softmax_entropy": (DARK, DASHED),
     **{name: (k.colour, DASHED if k.is_dashed else "-") for name, k in UNCERTAINTY.items()},
 }
@@ -139,7 +138,7 @@ def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
     blues = matplotlib.colormaps["Blues"].with_extremes(bad="#eceef1")
     axes.imshow(np.ma.masked_invalid(shares), cmap=blues, vmin=0, vmax=1, aspect="auto")
     for (row, column), share in np.ndenumerate(shares):
-        if share >= SMALLEST_SHARE:
+        if share >= MIN_SHARE:
             colour = "white" if share > 0.5 else DARK
             text = f"{100 * share:.0f}"
             axes.text(column, row, text, color=colour, ha="center", va="center", size=9)

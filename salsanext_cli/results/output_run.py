@@ -195,9 +195,9 @@ def output_run(
             recorded = run.claim(wanted)
             stack.enter_context(run.open(shared=True))
         # First those of other settings: they are no results of this run.
-        run = replace(run, kept=frozenset(run.others(out / name for name in recorded.kept)))
+        run = replace(run, kept=frozenset(run.foreign_files(out / name for name in recorded.kept)))
         todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
-        yield replace(run, kept=frozenset(run.others(todo)))
+        yield replace(run, kept=frozenset(run.foreign_files(todo)))
         record = StageRecords(out).record(stage)
         if record is None or record.settings != wanted.settings:
             found = "was removed or replaced while results were written into it"

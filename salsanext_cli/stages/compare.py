@@ -68,7 +68,7 @@ def compare_scan(
     ]
     for each in counts:
         each.histograms.clear()
-    parts = zip(*((each.confusion, *each.rings) for each in counts), strict=True)
+    parts = zip(*((each.confusion, *each.bands) for each in counts), strict=True)
     sums = [[class_sums(each.counted(space.scored)) for each in part] for part in parts]
     return pair._replace(sums=np.array(sums), trained_on=bool(counts[0].trained_on)), counts
 

@@ -48,8 +48,8 @@ from salsanext_cli.parallel.worker import Attempt, AttemptFunction
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import (
     DISAGREEMENT,
-    FUSED_STAGES,
     SCAN_FOLDER,
+    SINGLE_SCAN_STAGES,
     ScanFile,
     drive_order,
     find_outputs,
@@ -207,7 +207,7 @@ def fuse_results(
         return _checked(path, _read_given(path, files), files, sensor) if path else None
 
     given = _of_each(chosen, given_of, options)
-    made_with = {"reach": asdict(reach), "origins": results.origins(FUSED_STAGES)}
+    made_with = {"reach": asdict(reach), "origins": results.origins(SINGLE_SCAN_STAGES)}
     network: Mapping[str, Any] = results.settings("predict") or {}
     of_labels = {
         **{key: network[key] for key in ABOUT_THE_NETWORK if key in network},
@@ -327,7 +327,7 @@ def _drive_scans(
     name, stems = files[0].sequence, [file.stem for file in files]
     folder = fused.root / "sequences" / name
     used, record = folder / POSES, folder / DRIVE
-    before, edited = read_json(record), bool(fused.others([used]))
+    before, edited = read_json(record), bool(fused.foreign_files([used]))
     known = before is not None and before.get("scans") == stems
     if before is not None and not known and not fused.overwrite:
         raise _other_drive(record, single)

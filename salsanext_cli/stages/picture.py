@@ -17,7 +17,7 @@ from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, r
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.results.layout import (
     COLOURINGS,
-    LABELLING_STAGES,
+    PREDICTION_STAGES,
     SUFFIX_OF_FOLDER,
     ScanFile,
     find_outputs,
@@ -83,7 +83,7 @@ def picture(
     colours = list(dict.fromkeys(meant.get(colour, colour) for colour in colours))
     for colour in colours:
         results.require_column(colour, scans)
-    made_of, earlier = results.origins(LABELLING_STAGES), results.settings(STAGE)
+    made_of, earlier = results.origins(PREDICTION_STAGES), results.settings(STAGE)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
     going_on = None if overwrite else earlier
     seen = results.known_sensor()

@@ -15,7 +15,7 @@ from salsanext_cli.geometry.network_input import (
     dependence,
     intensity_quantiles,
     match_intensity,
-    without_intensity,
+    why_no_intensity,
 )
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 
@@ -95,7 +95,7 @@ IDS = np.random.default_rng(1).permutation(64)
     ],
 )
 def test_what_is_no_intensity(intensity, reason):
-    assert re.search(reason, without_intensity(STREET.points, np.asarray(intensity, np.float32)))
+    assert re.search(reason, why_no_intensity(STREET.points, np.asarray(intensity, np.float32)))
 
 
 @pytest.mark.real
@@ -111,11 +111,11 @@ def test_every_real_intensity_is_one_and_no_other_column(real_data):
         scan = read_scan(path, of)
         image = project(scan, of).channels
         points, intensity = image[1:4, image[0] > 0].T, image[4, image[0] > 0]
-        if without_intensity(scan.points, scan.intensity) or without_intensity(points, intensity):
+        if why_no_intensity(scan.points, scan.intensity) or why_no_intensity(points, intensity):
             without.add(path.name)
         ranges = np.linalg.norm(points, axis=1)
         for other in (ranges, np.round(np.degrees(np.arcsin(points[:, 2] / ranges)))):
-            assert "follow" in without_intensity(points, other)
+            assert "follow" in why_no_intensity(points, other)
     assert without <= {"ascii_rgb_normals.ply", "float64_xyz_only.ply"}
 
 

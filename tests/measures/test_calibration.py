@@ -7,7 +7,7 @@ from sklearn.metrics import brier_score_loss, log_loss
 
 from salsanext_cli.measures.calibration import calibration_scores, reliability
 from salsanext_cli.measures.histograms import (
-    SMALLEST_PROBABILITY,
+    MIN_PROBABILITY,
     Histogram,
     confidence_histogram,
     softmax_errors,
@@ -61,7 +61,7 @@ def test_log_likelihood_and_brier_are_those_of_scikit_learn(seed):
     exact /= exact.sum(axis=1, keepdims=True)
     expected = brier_score_loss(truth, exact, labels=range(C), scale_by_half=False)
     assert calibration_scores(of(exact, truth)).brier == pytest.approx(expected, rel=1e-12)
-    clamped = np.maximum(probabilities.astype(float), SMALLEST_PROBABILITY)
+    clamped = np.maximum(probabilities.astype(float), MIN_PROBABILITY)
     # Rows that do not sum to 1 are scaled there, so the true class's share is given as one of two.
     of_truth = clamped[np.arange(len(truth)), truth]
     pairs = np.stack([1 - of_truth, of_truth], axis=1)

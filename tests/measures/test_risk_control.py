@@ -10,7 +10,7 @@ from salsanext_cli import label_space
 from salsanext_cli.measures.risk_control import (
     KEEPS_NONE,
     KeptLabels,
-    KeptPromise,
+    RiskBoundCheck,
     allowed_scans,
     binomial,
     enough_drives,
@@ -156,17 +156,19 @@ def test_labels_that_are_kept_are_counted():
 
 def test_what_was_promised_stands_beside_what_was_found():
     scans = {"a/0": (100, 50, 8), "a/1": (200, 50, 4), "a/2": (0, 0, 0)}
-    found = KeptPromise.of_scans({"at_most": 0.05, "confidence": None}, scans)
+    found = RiskBoundCheck.of_scans({"at_most": 0.05, "confidence": None}, scans)
     assert (found.units, found.above, found.mean, found.worst) == (2, 1, 0.05, 0.08)
-    assert not found.is_broken
+    assert not found.is_exceeded
     assert "5.0 % on the mean of 2 scans, 8.0 % in the worst" in found.sentence
-    found = KeptPromise.of_scans({"at_most": 0.05, "confidence": 0.9}, scans)
+    found = RiskBoundCheck.of_scans({"at_most": 0.05, "confidence": 0.9}, scans)
     assert "1 of 2 scans, 8.0 % in the worst" in found.sentence
-    assert found.is_broken  # Half of them, of one tenth
-    assert not KeptPromise.of_scans({"at_most": 0.05, "confidence": 0.5}, scans).is_broken
-    assert KeptPromise.of_scans({"at_most": 0.05, "confidence": None}, {"a/2": (0, 0, 0)}) is None
+    assert found.is_exceeded  # Half of them, of one tenth
+    assert not RiskBoundCheck.of_scans({"at_most": 0.05, "confidence": 0.5}, scans).is_exceeded
+    assert (
+        RiskBoundCheck.of_scans({"at_most": 0.05, "confidence": None}, {"a/2": (0, 0, 0)}) is None
+    )
     drives = {"at_most": 0.04, "confidence": None, "unit": "drive"}
-    found = KeptPromise.of_scans(drives, scans | {"b/0": (10, 9, 0)})
+    found = RiskBoundCheck.of_scans(drives, scans | {"b/0": (10, 9, 0)})
     assert (found.units, found.above, found.mean, found.worst) == (2, 1, 0.025, 0.05)
 
 

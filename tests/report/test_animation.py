@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.report.animation import LARGEST_PX, encode_gif
+from salsanext_cli.report.animation import MAX_PX, encode_gif
 
 RED, GREEN, RARE = (255, 0, 0), (0, 175, 0), (30, 40, 250)
 KEPT = np.array([RED, GREEN, RARE], np.uint8)
@@ -34,7 +34,7 @@ def test_frames_have_one_size(picture):
     gif = gif_of(picture(RED, 301, 201), picture(GREEN, 280, 250))
     assert gif.size == (301, 250)
     assert sum(gif.convert("RGB").getpixel((300, 249))) < 100  # below the picture it is night
-    assert gif_of(picture(RED, 300, 2160)).size == (150, LARGEST_PX[1])
+    assert gif_of(picture(RED, 300, 2160)).size == (150, MAX_PX[1])
 
 
 def test_a_gif_shows_every_picture_in_turn_for_ever(picture):

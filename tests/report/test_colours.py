@@ -11,8 +11,8 @@ from hypothesis.extra.numpy import arrays
 from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.report.colours import (
     EMPTY,
-    LEAST_CONTRAST,
-    LEAST_DIFFERENCE,
+    MIN_CONTRAST,
+    MIN_DIFFERENCE,
     colour_difference,
     legend_of,
     map_colours,
@@ -59,7 +59,7 @@ def test_a_legend_names_what_occurs_once():
     assert legend == [("car", car), ("road", road)]
     assert legend_of(SPACE, np.array([CAR])) == legend[:1]
     ((_, sidewalk),) = legend_of(SPACE, np.array([SPACE.names.index("sidewalk")]))
-    assert contrast(sidewalk) >= LEAST_CONTRAST > 2 * contrast((75, 0, 75))
+    assert contrast(sidewalk) >= MIN_CONTRAST > 2 * contrast((75, 0, 75))
 
 
 def contrast(colour):
@@ -79,11 +79,11 @@ def contrast(colour):
 @given(arrays(np.uint8, (5, 3)))
 def test_dark_colours_are_mixed_with_as_little_white_as_makes_them_visible(colours):
     for colour, seen in zip(colours.tolist(), on_dark(colours).tolist(), strict=True):
-        assert contrast(seen) >= LEAST_CONTRAST
-        if contrast(colour) >= LEAST_CONTRAST:
+        assert contrast(seen) >= MIN_CONTRAST
+        if contrast(colour) >= MIN_CONTRAST:
             assert seen == colour
         else:
-            assert contrast(seen) < LEAST_CONTRAST + 0.1
+            assert contrast(seen) < MIN_CONTRAST + 0.1
             # Hues stay: what was the largest part still is.
             assert all(seen[i] >= seen[j] for i in range(3) for j in range(3)
                        if colour[i] >= colour[j])  # fmt: skip
@@ -104,8 +104,8 @@ def screen_of(colours):
 def test_classes_can_be_told_apart_in_pictures(name):
     space = label_space(name)
     colours = dict(zip(space.names, screen_colours(space), strict=True))
-    assert apart(np.array([*colours.values()])) >= LEAST_DIFFERENCE
-    assert all(contrast(colour) >= LEAST_CONTRAST for colour in colours.values())
+    assert apart(np.array([*colours.values()])) >= MIN_DIFFERENCE
+    assert all(contrast(colour) >= MIN_CONTRAST for colour in colours.values())
     assert np.ptp(colours["unlabeled"]) == 0
     # Those known from SemanticKITTI's are hardly changed.
     own = dict(zip(space.names, space.colours, strict=True))
@@ -116,8 +116,8 @@ def test_classes_can_be_told_apart_in_pictures(name):
 @given(st.integers(1, 32).flatmap(lambda n: arrays(np.uint8, (n, 3))))
 def test_up_to_32_classes_of_any_colours_can_be_told_apart(own):
     colours = screen_of(own)
-    assert len(own) == 1 or apart(colours) >= LEAST_DIFFERENCE
-    assert all(contrast(colour) >= LEAST_CONTRAST for colour in colours)
+    assert len(own) == 1 or apart(colours) >= MIN_DIFFERENCE
+    assert all(contrast(colour) >= MIN_CONTRAST for colour in colours)
     np.testing.assert_array_equal(colours, screen_of(own))
 
 

@@ -18,12 +18,12 @@ from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.report.comparison import comparison_tables
 from salsanext_cli.report.picked import picked_table
 from salsanext_cli.report.tables import (
+    band_table,
     card_table,
     error_table,
     imported_table,
     kept_table,
     network_table,
-    ring_table,
     score_table,
     survey_tables,
     uncertainty_tables,
@@ -64,18 +64,18 @@ def test_a_row_per_class_then_the_means():
     ]
 
 
-def test_a_row_per_ring():
+def test_a_row_per_band():
     nothing = scores(Confusion(4), SPACE)
-    assert printed(ring_table({"0–10 m": result(), "over 50 m": nothing})) == [
+    assert printed(band_table({"0–10 m": result(), "over 50 m": nothing})) == [
         ["0–10 m", "75.0", "66.7", "3,000", ""],
         ["over 50 m", "–", "–", "0", "car [red], road"],
     ]
 
 
 def test_rings_are_compared_in_the_same_classes():
-    """Of classes of other rings only, the mean of a ring says nothing."""
+    """Of classes of other bands only, the mean of a band says nothing."""
     far = scores(Confusion(4).update(np.array([2, 2]), np.array([2, 1])), SPACE)
-    rows = printed(ring_table({"0–10 m": result(), "10–20 m": far, "20–30 m": result()}))
+    rows = printed(band_table({"0–10 m": result(), "10–20 m": far, "20–30 m": result()}))
     assert [(row[1], row[4]) for row in rows] == [
         ("100.0", ""),
         ("50.0", "car [red]"),
@@ -127,7 +127,7 @@ def tables_of_a_large_data_set(weights):
     few = Confusion(20).update(np.array([1, 2]), np.array([2, 2]))
     yield score_table(scores(every, space), "scores on scans that the weights were trained on")
     yield score_table(scores(few, space))
-    yield ring_table({"0–10 m": scores(every, space), "over 50 m": scores(few, space)})
+    yield band_table({"0–10 m": scores(every, space), "over 50 m": scores(few, space)})
     calibration, ranking = calibration_result([1, 2]), ranked(0.1, 0.2)
     calibration = replace(calibration, scans=4071, scores=replace(calibration.scores, points=MANY))
     ranking = replace(ranking, scores=replace(ranking.scores, points=MANY, wrong=MANY // 3))

@@ -120,10 +120,10 @@ def test_rings_of_distance(world):
     found = world.evaluate(by_distance=True)
     assert [failure.scan.stem for failure in found.failures] == ["000003", "000004"]
     assert "000003.bin · is empty" in found.failures[0].reason
-    rings = found.by_distance
-    assert rings["0–10 m"].accuracy == 1
-    assert rings["30–40 m"].accuracy == 0.5
-    assert [ring.points for ring in rings.values()] == [2, 0, 0, 2, 0, 0]
+    bands = found.by_distance
+    assert bands["0–10 m"].accuracy == 1
+    assert bands["30–40 m"].accuracy == 0.5
+    assert [band.points for band in bands.values()] == [2, 0, 0, 2, 0, 0]
 
 
 def test_files_are_complete_and_replace_earlier_ones(world):
@@ -141,8 +141,8 @@ def test_files_are_complete_and_replace_earlier_ones(world):
     assert report["scans"] == 2
     assert report["label_space"] == SPACE.name
     assert report["scores"]["points"] == 2
-    ring = report["by_distance"]["0–10 m"]
-    assert (ring["points"], ring["iou_mean_same"], ring["absent"]) == (2, 0.5, [])
+    band = report["by_distance"]["0–10 m"]
+    assert (band["points"], band["iou_mean_same"], band["absent"]) == (2, 0.5, [])
     assert report["by_distance"]["over 50 m"]["absent"] == ["car"]
     assert np.sum(report["confusion"]) == 2
     assert report["classes"] == list(SPACE.names)

@@ -89,7 +89,7 @@ def test_whatever_is_there_is_evaluated(world, folder):
     assert (world.out / "scores.txt").read_bytes() == scores
     report = report_of(world)
     assert ("calibration" in report) == (folder == "probabilities")
-    kinds = ["confidence", "softmax_entropy"] if folder == "probabilities" else [folder[12:]]
+    kinds = ["least_confidence", "softmax_entropy"] if folder == "probabilities" else [folder[12:]]
     assert list(report["uncertainty"]) == kinds
 
 
@@ -103,7 +103,7 @@ def test_the_error_per_scan_is_the_mean_over_the_scans_that_have_points(world):
     assert calibration.scores.ece == 0
 
 
-def test_classes_and_rings(world):
+def test_classes_and_bands(world):
     world.add("000000", [CAR, CAR, ROAD], [CAR, ROAD, ROAD], distance=5)
     world.put("probabilities", "000000", softmax(0.75, 0.25, 0.25))
     world.put("uncertainty/epistemic", "000000", [0.1, 0.2, 0.5])

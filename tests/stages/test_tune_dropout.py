@@ -13,7 +13,7 @@ from salsanext_cli.network.card import read_card
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.stages.tune import curve_of, tune
-from salsanext_cli.training.tuning.dropout_rate import SMALLEST_VARIANCE
+from salsanext_cli.training.tuning.dropout_rate import MIN_VARIANCE
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
@@ -40,7 +40,7 @@ def slow_mean(world, path, rate, stems, seed=0):
             if label == 0 or image.pixel_of_point[point] < 0:
                 continue
             row, column = divmod(int(image.pixel_of_point[point]), image.width)
-            s = np.maximum(variance[:, row, column], SMALLEST_VARIANCE)
+            s = np.maximum(variance[:, row, column], MIN_VARIANCE)
             error = np.eye(20)[label] - sampled.probabilities[:, row, column]
             total += (0.5 * np.log(s) + error**2 / (2 * s)).sum()
             count += 1

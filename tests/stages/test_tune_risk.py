@@ -10,7 +10,7 @@ from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import TrainingError, UsageError, WeightsError
-from salsanext_cli.measures.risk_control import BROKEN
+from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import KnnParameters, ScanSelection
@@ -153,12 +153,12 @@ def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, ca
     found = evaluate(find_scans(world.data), world.out, label_space()).promise
     assert found is not None
     assert (found.unit, found.units) == ("drive", 2)
-    assert BROKEN not in caplog.messages
+    assert RISK_BOUND_EXCEEDED not in caplog.messages
     for file in find_scans(world.data):
         labels = world.labels(file.sequence, file.stem)
         write_labels(file.label_path, np.where(labels == 10, 40, 10).astype(np.uint32))
     evaluate(find_scans(world.data), world.out, label_space())
-    assert BROKEN in caplog.messages
+    assert RISK_BOUND_EXCEEDED in caplog.messages
     # A sensor that was fitted otherwise
     card = read_card(target)
     view = card.risk["view"] | {"fov_up": card.risk["view"]["fov_up"] + 8}
@@ -209,7 +209,7 @@ def test_copies_of_a_scan_promise_nothing(unsure_is_wrong: World, target, caplog
 def test_an_error_that_was_fitted_to_these_scans_is_said(
     unsure_is_wrong: World, target, tmp_path, caplog, monkeypatch
 ) -> None:
-    monkeypatch.setattr(error, "LEAST_STEPS", 1)
+    monkeypatch.setattr(error, "MIN_STEPS", 1)
     world, fitted = unsure_is_wrong, tmp_path / "fitted.safetensors"
     tune("error", world.data, fitted, settings=world.network, selection=ScanSelection("valid"))
     network = replace(world.network, weights=fitted)
@@ -228,7 +228,7 @@ def test_a_drive_left_out_is_judged_by_what_is_promised(confidence, is_above) ->
 
 
 def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(error, "LEAST_STEPS", 1)
+    monkeypatch.setattr(error, "MIN_STEPS", 1)
     world = unsure_is_wrong
     with pytest.raises(WeightsError, match=r"no threshold of risk .* `salsanext tune risk"):
         predict_scans(world.data, world.out, settings=world.network, reject="risk")

@@ -10,7 +10,7 @@ from shallow import slow_on_openvino
 
 from salsanext_cli import project, sample
 from salsanext_cli.geometry.network_input import normalise
-from salsanext_cli.network.dropout import ChannelDropout, drawn, sampling
+from salsanext_cli.network.dropout import ChannelDropout, random_masks, sampling
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.monte_carlo import PassStatistics, pass_seed, torch_batch
@@ -144,7 +144,7 @@ def test_moments_in_closed_form():
 def test_dropout_takes_whole_channels_and_keeps_the_expectation():
     layer = ChannelDropout(0.3)
     generators = [torch.Generator().manual_seed(seed) for seed in range(4000)]
-    with sampling(drawn(generators)):
+    with sampling(random_masks(generators)):
         dropped = layer(torch.ones(4000, 3, 2, 2))
     assert torch.equal(dropped, dropped[:, :, :1, :1].expand_as(dropped))
     assert dropped.mean().item() == pytest.approx(1, abs=0.02)
@@ -156,7 +156,7 @@ def test_dropout_is_off_outside_of_sampling_and_training():
     layer = ChannelDropout(0.5).eval()
     x = torch.ones(1, 8, 2, 2)
     assert torch.equal(layer(x), x)
-    with pytest.raises(ZeroDivisionError), sampling(drawn([torch.Generator()])):
+    with pytest.raises(ZeroDivisionError), sampling(random_masks([torch.Generator()])):
         raise ZeroDivisionError
     assert torch.equal(layer(x), x)
     layer.train()

@@ -83,7 +83,7 @@ class Checkerboard:
     fov_up: float
 
     @classmethod
-    def drawn(cls, sensor: Sensor, random: np.random.Generator) -> Self:
+    def random(cls, sensor: Sensor, random: np.random.Generator) -> Self:
         """Draw bands, sectors or boxes, all three as often, their number and azimuth."""
         in_bands, in_sectors = KINDS[random.integers(len(KINDS))]
         bands = int(random.integers(MIN_BANDS, MAX_BANDS + 1)) if in_bands else 1

@@ -14,7 +14,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import LabelError, TrainingError, UsageError, counted, first_few
 from salsanext_cli.fitting.label_scan import labelled, project_for
-from salsanext_cli.fitting.scan_fit import labels_depend_on, view_of
+from salsanext_cli.fitting.scan_fit import labels_depend_on, view_record
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
@@ -32,7 +32,7 @@ from salsanext_cli.network.card import scan_digest
 from salsanext_cli.options import KnnParameters
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans
-from salsanext_cli.uncertainty.error_features import knows_error, label_error
+from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
 CURVE_POINTS = 101
 MAX_LISTED = 5
@@ -77,7 +77,7 @@ def judged_scan(
         raise LabelError(file.label_path, "no point is of a class that counts", expected)
     values = points_from_pixels(1 - softmax.max(axis=0), image.pixel_of_point, np.nan)
     if kind == "error":
-        values = label_error(network, image, softmax, labels)
+        values = error_probability(network, image, softmax, labels)
     bins = np.where(np.isnan(values) | (labels == 0), UNCERTAINTY_BINS, bin_of(values))
     truth, labels, bins = truth[scored], labels[scored], bins[scored]
     np.add.at(counts, (truth, labels, bins), 1)
@@ -161,7 +161,7 @@ def fit_risk(
         "sequences": np.unique(sequences).tolist(),
         "digests": "".join(scan.digest for scan in judged),
         "settings": labels_depend_on(scans.settings, scans.loaded),
-        "view": view_of(network.sensor),
+        "view": view_record(network.sensor),
     }
     worst = sorted(left_out, key=lambda each: -each["loss"])[:MAX_LISTED]
     sentences = [*labels.sentences, *map(_sentence, worst)]

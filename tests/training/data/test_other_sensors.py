@@ -15,9 +15,9 @@ from salsanext_cli.training.data.other_sensors import (
     EDGE_SHIFT_DEG,
     HOLE_SHARES,
     LOWERED_M,
+    MAX_HOLES,
+    MAX_JITTER_M,
     MAX_RUN,
-    MOST_HOLES,
-    MOST_JITTER_M,
     RAISED_M,
     RANGE_EDGES_M,
     change_intensity,
@@ -85,7 +85,7 @@ def test_rows_are_kept_whole_or_left_out(seed: int) -> None:
     found = fewer_beams(channels, rng(seed))
     same = [np.array_equal(found[:, row], channels[:, row]) for row in range(SMALL.height)]
     assert all(kept or not found[:, row].any() for row, kept in enumerate(same))
-    low, high = other_sensors.LEAST_ROWS, other_sensors.MOST_ROWS
+    low, high = other_sensors.MIN_ROWS, other_sensors.MAX_ROWS
     assert low * SMALL.height <= sum(same) <= high * SMALL.height
     assert channels[0].any(axis=1).all()
 
@@ -126,7 +126,7 @@ def test_pixels_are_lost_whole_and_as_often_as_their_cell_says() -> None:
     channels = np.stack([image(1, (64, 512), 0.1), np.full((64, 512), 7, np.float32)])
     before, cells = channels.copy(), hole_cells(channels[0])
     for seed in range(12):
-        factor = rng(seed).uniform(0, MOST_HOLES)
+        factor = rng(seed).uniform(0, MAX_HOLES)
         found = make_holes(channels, rng(seed))
         lost = found[1] == 0
         np.testing.assert_array_equal(found, np.where(lost, 0, before))
@@ -142,9 +142,9 @@ def test_pixels_are_lost_whole_and_as_often_as_their_cell_says() -> None:
 
 def test_holes_of_one_surface_come_in_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     """The next pixel is lost as this one is, or else by a chance of its own."""
-    monkeypatch.setattr(other_sensors, "MOST_HOLES", 0.0)
+    monkeypatch.setattr(other_sensors, "MAX_HOLES", 0.0)
     assert make_holes(np.full((1, 8, 64), 7, np.float32), rng(0)).all()
-    monkeypatch.setattr(other_sensors, "MOST_HOLES", 3.0)
+    monkeypatch.setattr(other_sensors, "MAX_HOLES", 3.0)
     lost = make_holes(np.full((1, 400, 512), 7, np.float32), rng(5))[0] == 0
     going_on = lost[:, 1:][lost[:, :-1]].mean()
     assert going_on == pytest.approx(CONTINUED + (1 - CONTINUED) * lost.mean(), abs=0.02)
@@ -159,8 +159,8 @@ def test_jitter_is_normal_noise_on_measured_points(seed: int) -> None:
     assert not moved[0].any()
     assert not np.isfinite(moved[1:3]).all(axis=1).any()
     offset = moved[3:].astype(float) - 9
-    wanted = rng(seed).uniform(0, MOST_JITTER_M)
+    wanted = rng(seed).uniform(0, MAX_JITTER_M)
     np.testing.assert_allclose(offset.std(axis=0), wanted, rtol=0.05)
-    np.testing.assert_allclose(offset.mean(axis=0), 0, atol=0.05 * MOST_JITTER_M)
+    np.testing.assert_allclose(offset.mean(axis=0), 0, atol=0.05 * MAX_JITTER_M)
     assert abs(np.corrcoef(offset.T) - np.eye(3)).max() < 0.05
     assert (np.abs(offset) < 2 * wanted).mean() == pytest.approx(0.954, abs=0.01)
