@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = Path(salsanext_cli.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 LEVELS = (
-    ("version", "errors", "interruption"),
+    ("version", "errors"),
     ("options",),
     ("files",),
     ("classes", "sensors", "compiled"),

@@ -11,9 +11,9 @@ import typer
 
 from salsanext_cli.cli import console, options, run_end
 from salsanext_cli.cli.console import over_scans, progress
+from salsanext_cli.cli.interruption import ARRIVED
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import counted
-from salsanext_cli.interruption import ARRIVED
 from salsanext_cli.options import names_in, option_group, own_option
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.results.query import ResultQuery, named_label_space
