@@ -14,7 +14,7 @@ from salsanext_cli import label_space, project, sample
 from salsanext_cli.engines.loading import with_dropout
 from salsanext_cli.engines.network import Engine, Network
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.dropout import drawn, dropouts, sampling
+from salsanext_cli.network.dropout import dropouts, random_masks, sampling
 from salsanext_cli.network.registry import build
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
@@ -77,11 +77,11 @@ def test_nothing_drops_in_the_trunk_and_something_right_after_it(name):
     module, image = network(name).module, noise(1, 5, 32, 32)
     features = module.trunk(image)
     assert torch.equal(module.rest(*features), module(image))
-    with sampling(drawn([torch.Generator().manual_seed(1)])):
+    with sampling(random_masks([torch.Generator().manual_seed(1)])):
         for sampled, certain in zip(module.trunk(image), features, strict=True):
             assert torch.equal(sampled, certain)
         whole = module(image)
-    with sampling(drawn([torch.Generator().manual_seed(1)])):
+    with sampling(random_masks([torch.Generator().manual_seed(1)])):
         assert torch.equal(module.rest(*features), whole)
     assert not torch.equal(module.rest(*features), whole)
 
