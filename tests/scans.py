@@ -126,3 +126,11 @@ def files_below(folder: Path) -> dict[str, bytes]:
 def labels_below(folder: Path) -> dict[str, bytes]:
     """Return the content of every `.label` file below a folder."""
     return {name: data for name, data in files_below(folder).items() if name.endswith(".label")}
+
+
+def share_alike(found: Path, expected: Path) -> float:
+    """Return the share of points of two folders of results with the same label."""
+    one, other = labels_below(found), labels_below(expected)
+    assert one.keys() == other.keys()
+    pairs = [(np.frombuffer(one[n], "<u4"), np.frombuffer(other[n], "<u4")) for n in one]
+    return sum(int((a == b).sum()) for a, b in pairs) / sum(len(a) for a, _ in pairs)

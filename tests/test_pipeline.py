@@ -6,21 +6,17 @@ from pathlib import Path
 import numpy as np
 import plyfile
 import pytest
-from scans import files_below, labels_below, write_sequence
+from scans import labels_below, write_sequence
 from typer.testing import CliRunner
 
 from salsanext_cli import label_space, sensor
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 THREE_LINES = (
     "salsanext predict seq/velodyne out/",
@@ -48,26 +44,6 @@ def test_the_three_lines_as_typed(tmp_path, monkeypatch):
     assert {f"scalar_{kind}" for kind in kinds} <= names
     assert np.isfinite(vertex["scalar_least_confidence"]).all()
     assert len(np.unique(vertex["green"])) > 20
-
-
-@pytest.mark.slow
-def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
-    """Through every stage that runs a network."""
-    data = write_sequence(tmp_path / "one", ["a", "b", "c"])
-    network = NetworkSettings(weights, "cpu")
-    for jobs in (1, 2):
-        out, options = tmp_path / f"jobs{jobs}", RunOptions(jobs=jobs)
-        extras = ("pixel_labels", "probabilities")
-        predict_scans(data, out, settings=network, extras=extras, options=options)
-        uncertainty(
-            data, out, settings=network, method=UncertaintyMethod(samples=3), options=options
-        )
-        export_ply(out, colour="epistemic", options=options)
-    one, two = (files_below(tmp_path / f"jobs{jobs}") for jobs in (1, 2))
-    stages = {"predict.json", "predict.warnings.json", "uncertainty.json", "export-ply.json"}
-    assert {name for name in one if "/" not in name} == stages
-    assert len(one) == 3 * 10 + len(stages)
-    assert one == two
 
 
 @pytest.mark.real

@@ -34,13 +34,10 @@ def typed_names():
     return {name: home for name, home in found.items() if home != "typing"}
 
 
-def test_all_is_what_type_checkers_see():
+def test_all_is_what_type_checkers_see_and_each_is_what_its_home_holds():
     assert set(NAMES) == set(typed_names())
     assert list(sn.__all__) == sorted(set(sn.__all__))
     assert set(NAMES) <= set(dir(sn))
-
-
-def test_each_is_what_its_home_holds():
     for name, home in typed_names().items():
         assert getattr(sn, name) is getattr(importlib.import_module(home), name)
         assert getattr(sn, name).__doc__, name
@@ -130,9 +127,8 @@ def test_warnings_are_on_stderr_without_any_logging_set_up():
     assert process.stderr.decode().strip() == "so"
 
 
-@pytest.mark.parametrize(
-    ("points", "intensity", "message"),
-    [
+def test_label_refuses_what_are_no_points(weights):
+    for points, intensity, message in (
         (np.zeros((9, 4)), None, r"an array \(9, 4\) of float64 · expected numbers \(N, 3\)"),
         (np.zeros((9, 3)), np.zeros(8), r"intensity · an array \(8,\) .* expected numbers \(9,\)"),
         ([["a", "b", "c"]], None, "points · an array"),
@@ -140,11 +136,9 @@ def test_warnings_are_on_stderr_without_any_logging_set_up():
         (np.zeros((200, 3)), None, "none of its 200 points is a measurement"),
         (np.full((200, 3), 1e300), None, "none of its 200 points is a measurement"),
         (np.full((200, 3), 5e3), None, "a median range of 8.66e.03 m"),
-    ],
-)
-def test_label_refuses_what_are_no_points(points, intensity, message, weights):
-    with pytest.raises(sn.SalsanextError, match=message):
-        sn.label(points, intensity, sn.load_network(weights, "cpu", engine="torch"))
+    ):
+        with pytest.raises(sn.SalsanextError, match=message):
+            sn.label(points, intensity, sn.load_network(weights, "cpu", engine="torch"))
 
 
 def test_label_of_no_points_says_so(weights, caplog):

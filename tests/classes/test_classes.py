@@ -59,7 +59,7 @@ def test_instance_bits_are_dropped_and_shapes_kept(raw, instance):
     np.testing.assert_array_equal(train, np.full((2, 3), space.learning_map[raw], np.uint8))
 
 
-def test_unknown_ids() -> None:
+def test_unknown_ids_and_train_ids_in_place_of_raw_ids_are_told() -> None:
     raw = np.uint32([10, 7, 7 + (3 << 16), 65535, *[40] * 26, 0])
     space = label_space()
     with pytest.raises(LabelError, match=r"a\.label · unknown label ids 7 \(2×\), 65535 \(1×\)"):
@@ -72,10 +72,6 @@ def test_unknown_ids() -> None:
     assert space.to_train(np.uint32([7] * 300 + [40] * 2500), strict=False).sum() == 9 * 2500
     assert space.unknown_ids(raw) == {7: 2, 65535: 1}
     assert space.unknown_ids(np.uint32([10])) == {}
-
-
-def test_train_ids_in_place_of_raw_ids_are_told() -> None:
-    space = label_space()
     train = space.to_train(np.uint32(sorted(space.learning_map)))
     for strict in (True, False):
         with pytest.raises(LabelError, match=r"no id above 19: train ids.* write raw ids"):

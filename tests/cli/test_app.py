@@ -3,7 +3,6 @@
 
 import re
 
-import pytest
 from command_line import every_command, only_json, parsed, python
 from scans import files_below, write_sequence
 
@@ -37,7 +36,7 @@ def test_help_lists_the_commands_by_section_in_order(run):
     assert listed[listed.index("Pipeline") :] == expected
 
 
-def test_no_command_gives_help(run):
+def test_no_command_gives_help_and_the_version_is_a_line(run):
     result = run()
     assert "Pipeline" in result.stderr
     assert result.exit_code == 2
@@ -45,9 +44,6 @@ def test_no_command_gives_help(run):
     names = ["temperature", "dropout"]
     assert re.findall(rf"│ ({'|'.join(names)}) ", result.output) == names
     assert result.exit_code == 2
-
-
-def test_version(run):
     result = run("-V")
     assert result.stdout == f"salsanext {__version__}\n"
     assert result.exit_code == 0
@@ -91,26 +87,23 @@ def test_what_the_encoding_of_stdout_lacks_is_replaced():
     assert (ended.returncode, ended.stdout) == (0, "1 ? 2\n"), ended.stderr
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
+def test_a_wrong_command_line_is_status_two_and_one_object_of_json(run):
+    for arguments, says in (
         ("predikt", "No such command 'predikt'"),
         ("predict --overwrit", "No such option: --overwrit"),
         ("knn-refine a b", "Got unexpected extra argument"),
         ("predict --backend spark", "Invalid value for '--backend'"),
         ("tune temperature only-one", "Missing argument"),
         ("tune dropout data w.safetensors --steps few", "Invalid value for '--steps'"),
-    ],
-)
-def test_a_wrong_command_line_is_status_two_and_one_object_of_json(run, arguments, says):
-    result = run(*arguments.split())
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert "Traceback" not in result.stderr
-    result = run(*arguments.split(), "--json")
-    found = only_json(result)
-    assert (result.exit_code, found["schema"], found["code"]) == (2, 1, "usage")
-    assert found["error"].startswith(says)
-    assert says in result.stderr
+    ):
+        result = run(*arguments.split())
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert "Traceback" not in result.stderr
+        result = run(*arguments.split(), "--json")
+        found = only_json(result)
+        assert (result.exit_code, found["schema"], found["code"]) == (2, 1, "usage")
+        assert found["error"].startswith(says)
+        assert says in result.stderr
 
 
 def test_every_command_prints_json_and_can_be_silent():

@@ -5,7 +5,6 @@ import os
 import signal
 import time
 
-import pytest
 import typer
 from typer.testing import CliRunner
 
@@ -32,9 +31,8 @@ def raising(error):
     return body
 
 
-@pytest.mark.parametrize(
-    ("error", "flags", "status", "stdout", "stderr"),
-    [
+def test_an_error_is_one_line_and_a_status():
+    for error, flags, status, stdout, stderr in (
         (
             *(FormatError("a.bin", "17 bytes", "a multiple of 16", "copy it again"), [], 1, ""),
             "error: a.bin · 17 bytes · expected a multiple of 16 · copy it again\n",
@@ -52,11 +50,9 @@ def raising(error):
             '{"schema": 1, "error": "interrupted", "code": "interrupted"}\n',
             "interrupted: everything finished so far is intact\n",
         ),
-    ],
-)
-def test_an_error_is_one_line_and_a_status(error, flags, status, stdout, stderr):
-    result = invoke(raising(error), *flags)
-    assert (result.exit_code, result.stdout, result.stderr) == (status, stdout, stderr)
+    ):
+        result = invoke(raising(error), *flags)
+        assert (result.exit_code, result.stdout, result.stderr) == (status, stdout, stderr)
 
 
 def test_sigterm_is_status_143_and_unwinds(tmp_path):
@@ -96,25 +92,23 @@ def test_a_bug_keeps_its_traceback():
     assert "error:" not in result.stderr
 
 
-@pytest.mark.parametrize(
-    ("flag", "expected"),
-    [
+def test_how_much_is_said():
+    for flag, expected in (
         ([], ["warning: three", "error: four", "said"]),
         (["--quiet"], ["error: four"]),
         (["--verbose"], ["two", "warning: three", "error: four", "said"]),
-    ],
-)
-def test_how_much_is_said(flag, expected):
-    def body(output):
-        log = logging.getLogger("salsanext_cli.somewhere")
-        log.info("two")
-        log.warning("%s", "three")
-        log.error("four")
-        output.say("said")
+    ):
 
-    result = invoke(body, *flag)
-    assert result.stderr.splitlines() == expected
-    assert invoke(body, "--verbose", "--quiet").exit_code == 2
+        def body(output):
+            log = logging.getLogger("salsanext_cli.somewhere")
+            log.info("two")
+            log.warning("%s", "three")
+            log.error("four")
+            output.say("said")
+
+        result = invoke(body, *flag)
+        assert result.stderr.splitlines() == expected
+        assert invoke(body, "--verbose", "--quiet").exit_code == 2
 
 
 def test_a_result_is_shown_or_json():

@@ -26,13 +26,10 @@ def test_what_was_cut_out_is_named(read):
         SETTINGS.table("in")["none"]
 
 
-@pytest.mark.parametrize(
-    ("read", "key"),
-    [
+def test_what_was_put_in_is_named():
+    for read, key in (
         *(("numbers", key) for key in ("n", "endless", "in")),
         *(("table", key) for key in ("n", "marks", "endless")),
-    ],
-)
-def test_what_was_put_in_is_named(read, key):
-    with pytest.raises(OutputError, match=rf"out/predict\.json · settings have {key} "):
-        getattr(SETTINGS, read)(key)
+    ):
+        with pytest.raises(OutputError, match=rf"out/predict\.json · settings have {key} "):
+            getattr(SETTINGS, read)(key)

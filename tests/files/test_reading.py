@@ -68,16 +68,13 @@ def test_names_that_lead_nowhere(tmp_path):
     assert not is_folder(tmp_path / ("x" * 300))
 
 
-@pytest.mark.parametrize(
-    ("error", "found"),
-    [
+def test_what_the_system_refuses_is_no_damage(tmp_path):
+    for error, found in (
         (OSError(errno.EIO, "Input/output error"), "cannot be read: input/output error"),
         (OSError("Invalid data"), "damaged or cut off: Invalid data"),
-    ],
-)
-def test_what_the_system_refuses_is_no_damage(tmp_path, error, found):
-    with pytest.raises(FormatError, match=found), refusing_damage(tmp_path, "a file"):
-        raise error
+    ):
+        with pytest.raises(FormatError, match=found), refusing_damage(tmp_path, "a file"):
+            raise error
 
 
 @pytest.mark.parametrize(("name", "read"), [("a.bin", read_bin), ("a.label", read_labels)])

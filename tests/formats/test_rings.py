@@ -24,7 +24,7 @@ def pcd(path, width, height, ring=False):
     return read_scan(path)
 
 
-def test_a_column_is_read(tmp_path):
+def test_a_column_is_read_else_rows_of_organised_clouds(tmp_path):
     np.testing.assert_array_equal(pcd(tmp_path / "a.pcd", 8, 1, ring=True).ring, RINGS)
     np.testing.assert_array_equal(pcd(tmp_path / "b.pcd", 4, 2, ring=True).ring, RINGS)
     table = np.column_stack([POINTS, np.zeros(8), RINGS]).astype("<f4")
@@ -34,9 +34,6 @@ def test_a_column_is_read(tmp_path):
     assert read_scan(tmp_path / "d.npy").ring is None
     seen = replace(SMALL, columns=("x", "y", "z", "intensity", "ring"))
     np.testing.assert_array_equal(read_scan(tmp_path / "d.npy", seen).ring, RINGS)
-
-
-def test_rows_of_organised_clouds_are_rings(tmp_path):
     assert pcd(tmp_path / "a.pcd", 8, 1).ring is None
     np.testing.assert_array_equal(pcd(tmp_path / "b.pcd", 2, 4).ring, np.repeat(np.arange(4), 2))
 

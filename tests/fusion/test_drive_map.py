@@ -58,14 +58,11 @@ def test_parts_of_a_drive_keep_their_own_voxels():
             np.testing.assert_array_equal(found[name][found["part"] == part], values)
 
 
-def test_points_without_a_voxel_are_not_in_the_map():
+def test_points_without_a_voxel_and_what_not_every_scan_knows_are_left_out():
     points = columns(0, 5)
     points["x"][:2] = ORIGIN[0] + 1e12, np.nan
     found = one_per_voxel([points], 0.01, ORIGIN[None])
     assert sorted(found["label"]) == sorted(points["label"][2:])
-
-
-def test_what_not_every_scan_knows_is_left_out():
     lacking = columns(1, 9)
     del lacking["label"]
     assert "label" not in one_per_voxel([columns(0, 9), lacking], 0.5, ORIGIN[None])

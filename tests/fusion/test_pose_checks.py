@@ -57,19 +57,16 @@ def test_overlap_is_the_share_of_points_in_voxels_of_the_other():
     assert overlap(second, first, shift(500, 0)) == 0
 
 
-@pytest.mark.parametrize(
-    ("poses", "parts"),
-    [
+def test_a_drive_is_cut_where_its_scans_do_not_meet():
+    for poses, parts in (
         (WAY, [0] * 12),
         (moved(WAY, 6, shift(6, 0)), [0] * 6 + [1] * 6),
         (moved(WAY, 6, shift(0, 3)), [0] * 6 + [1] * 6),
         (moved(WAY, 6, shift(500, 0)), [0] * 6 + [1] * 6),
         (np.concatenate([WAY[:6], WAY[6:7] @ TURNED, WAY[7:]]), [0] * 6 + [1] + [0] * 5),
-    ],
-)
-def test_a_drive_is_cut_where_its_scans_do_not_meet(poses, parts):
-    assert fitting_parts(poses, SEEN)[0].tolist() == parts
-    assert require_fitting("poses.txt", poses, SEEN).tolist() == parts
+    ):
+        assert fitting_parts(poses, SEEN)[0].tolist() == parts
+        assert require_fitting("poses.txt", poses, SEEN).tolist() == parts
 
 
 def test_scans_without_upright_points_go_on_with_the_part():

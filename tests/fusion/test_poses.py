@@ -29,13 +29,6 @@ def written(folder, content):
     return path
 
 
-def test_kitti_is_read_as_written(tmp_path):
-    poses = along(0, 1, 2.5)
-    path = written(tmp_path, encode_poses(poses))
-    np.testing.assert_allclose(read_poses(path, STEMS, STEMS), poses, atol=1e-8)
-    np.testing.assert_allclose(read_poses(path, STEMS, STEMS[1:])[1][0, 3], 2.5)
-
-
 def test_a_file_of_a_whole_drive_has_a_line_per_number(tmp_path):
     path = written(tmp_path, encode_poses(along(*range(10))))
     poses = read_poses(path, ["000002", "000007"], ["000002", "000007"])
@@ -74,11 +67,11 @@ def test_rounded_rotations_become_rigid(tmp_path):
     )
     exact = read_poses(written(tmp_path, encode_poses(poses)), STEMS, STEMS)
     np.testing.assert_array_equal(exact, poses)
+    np.testing.assert_array_equal(read_poses(path, STEMS, STEMS[1:]), poses[1:])
 
 
-@pytest.mark.parametrize(
-    ("content", "found"),
-    [
+def test_what_is_no_pose_is_refused(tmp_path):
+    for content, found in (
         (encode_poses(along(0, 1)), "2 lines"),
         (b"1 2 3\n" * 3, "line 1: '1 2 3'"),
         (b"a b\n" * 3, "line 1: 'a b'"),
@@ -91,8 +84,6 @@ def test_rounded_rotations_become_rigid(tmp_path):
         ),
         (b"0 1 2 3 0 0 0.5 0.5\n" * 3, "line 1 has a quaternion of length 0.707"),
         (b"", "0 lines"),
-    ],
-)
-def test_what_is_no_pose_is_refused(tmp_path, content, found):
-    with pytest.raises(FormatError, match=found):
-        read_poses(written(tmp_path, content), ("a", "b", "c"), ("a", "b", "c"))
+    ):
+        with pytest.raises(FormatError, match=found):
+            read_poses(written(tmp_path, content), ("a", "b", "c"), ("a", "b", "c"))

@@ -30,9 +30,8 @@ def belongs(path, top, scans=SCANS):
     return f"{found.sequence}/{found.stem}"
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
+def test_names_and_folders_tell_the_scan(edited):
+    for name, expected in (
         ("000011 - Cloud.ply", "08/000011"),
         ("000011_edited.PLY", "08/000011"),
         ("my-000100.segmented.las", "00/000100"),
@@ -43,26 +42,21 @@ def belongs(path, top, scans=SCANS):
         ("000010 (00).ply", "00/000010"),
         ("scan 1 b.ply", "x/scan 1 b"),
         ("x/scan 1.ply", "x/scan 1"),
-    ],
-)
-def test_names_and_folders_tell_the_scan(edited, name, expected):
-    assert belongs(edited / name, edited) == expected
+    ):
+        assert belongs(edited / name, edited) == expected
 
 
-@pytest.mark.parametrize(
-    ("name", "found"),
-    [
+def test_a_name_of_no_scan_or_several_is_an_error(edited):
+    for name, found in (
         ("000010.ply", "may belong to 00/000010, 08/000010 · expected"),
         ("1000011.ply", "belongs to no scan · expected"),
         ("00/000011.ply", "belongs to no scan in sequence 00 ·"),
         ("sequences/05/000011.label", "belongs to no scan in sequence 05 ·"),
         ("scan 1 b edited.ply", "may belong to x/scan 1, x/scan 1 b ·"),
-    ],
-)
-def test_a_name_of_no_scan_or_several_is_an_error(edited, name, found):
-    with pytest.raises(LabelError) as caught:
-        belongs(edited / name, edited)
-    assert found in str(caught.value)
+    ):
+        with pytest.raises(LabelError) as caught:
+            belongs(edited / name, edited)
+        assert found in str(caught.value)
 
 
 def test_the_folder_that_is_named_may_be_that_of_a_sequence(edited):

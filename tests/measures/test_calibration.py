@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: MIT
+"""Calibration of softmax, and what histograms keep of it."""
+
 import math
 
 import numpy as np
 import pytest
+from scipy.stats import entropy
 from sklearn.metrics import brier_score_loss, log_loss
 
 from salsanext_cli.measures.calibration import calibration_scores, reliability
@@ -10,6 +13,8 @@ from salsanext_cli.measures.histograms import (
     MIN_PROBABILITY,
     Histogram,
     confidence_histogram,
+    lack_of_confidence,
+    softmax_entropy,
     softmax_errors,
 )
 
@@ -111,3 +116,18 @@ def test_without_points_there_are_no_scores(count):
     assert (result.points, nothing.scans, nothing.left_out) == (0, 0, count)
     for name in ("confidence", "accuracy", "nll", "brier", "ece", "ace"):
         assert math.isnan(getattr(result, name)), name
+
+
+def test_entropy_is_that_of_scipy_and_confidence_the_largest():
+    powers = np.exp(np.random.default_rng(0).normal(0, 4, (300, 20)))
+    softmax = powers / powers.sum(axis=1, keepdims=True)
+    found = softmax_entropy(softmax)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, entropy(softmax, axis=1), atol=1e-5)
+    np.testing.assert_allclose(lack_of_confidence(softmax), 1 - softmax.max(axis=1), atol=1e-6)
+
+
+def test_confident_points_differ_although_float16_rounds_them_to_1():
+    rows = np.array([[1 - 1e-4, 1e-4], [1 - 1e-5, 1e-5]], np.float16)
+    assert (rows[:, 0] == 1).all()
+    np.testing.assert_allclose(lack_of_confidence(rows), [1e-4, 1e-5], rtol=5e-3)

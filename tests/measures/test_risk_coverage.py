@@ -103,20 +103,17 @@ def test_raw_values_are_ranked_nearly_as_exactly():
     assert result.mean == pytest.approx(uncertainty.astype(float).mean(), rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "auroc", "aupr", "aurc", "ause"),
-    [
+def test_with_nothing_to_find_or_nothing_else_there_is_no_auroc():
+    for wrong, auroc, aupr, aurc, ause in (
         ((False, False), math.nan, math.nan, 0, math.nan),
         ((True, True), math.nan, 1, 1, 0),
         ((False,), math.nan, math.nan, 0, math.nan),
         ((True,), math.nan, 1, 1, 0),
-    ],
-)
-def test_with_nothing_to_find_or_nothing_else_there_is_no_auroc(wrong, auroc, aupr, aurc, ause):
-    result = ranking_scores(of([0.3, 1.0][: len(wrong)], wrong))
-    found = (result.auroc, result.aupr, result.aurc, result.ause)
-    np.testing.assert_array_equal(found, (auroc, aupr, aurc, ause))
-    assert (result.points, result.wrong, result.excess_aurc) == (len(wrong), sum(wrong), 0)
+    ):
+        result = ranking_scores(of([0.3, 1.0][: len(wrong)], wrong))
+        found = (result.auroc, result.aupr, result.aurc, result.ause)
+        np.testing.assert_array_equal(found, (auroc, aupr, aurc, ause))
+        assert (result.points, result.wrong, result.excess_aurc) == (len(wrong), sum(wrong), 0)
 
 
 @pytest.mark.parametrize("count", [0, 5])
@@ -178,15 +175,11 @@ KEPT_POINTS = st.lists(
 )
 
 
-def kept_of(values, wrong, kind="error"):
-    return kept_points(kind, of(values, wrong, np.arange(len(values)) % 3, 3))
-
-
 @given(KEPT_POINTS)
 def test_threshold_is_that_of_a_slow_loop(points):
     values, wrong = (np.array(column) for column in zip(*points, strict=True))
     values[values == KEPT_LEVELS[1]] = 0
-    found = kept_of(values, wrong)
+    found = kept_points("error", of(values, wrong, np.arange(len(values)) % 3, 3))
     assert found.points == len(points)
     assert found.risk_of_all == wrong.mean()
     coverages = [(values <= level).mean() for level in sorted(set(values))[:-1]]

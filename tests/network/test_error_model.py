@@ -83,26 +83,23 @@ def test_a_card_keeps_it() -> None:
     assert card(wanted).changed("Quantised.").error is None
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
+def test_damaged_ones_are_one_line() -> None:
+    for damage in (
         lambda error: error.update(layers=[]),
         lambda error: error.update(features=["a"]),
         lambda error: error["layers"].pop(),
         lambda error: error["layers"][0][1].__setitem__(0, math.nan),
         lambda error: error["layers"][0][1].__setitem__(0, "x"),
         lambda error: error.pop("scores"),
-    ],
-)
-def test_damaged_ones_are_one_line(damage) -> None:
-    values = json.loads(card(model()).to_metadata()[KEY])
-    damage(values["error"])
-    with pytest.raises(WeightsError, match=r"^w · damaged metadata: ") as caught:
-        WeightsCard.from_metadata({KEY: json.dumps(values)}, "w")
-    assert "\n" not in str(caught.value)
-    values["error"] = None
-    with pytest.raises(WeightsError, match="error is no table"):
-        WeightsCard.from_metadata({KEY: json.dumps(values)}, "w")
+    ):
+        values = json.loads(card(model()).to_metadata()[KEY])
+        damage(values["error"])
+        with pytest.raises(WeightsError, match=r"^w · damaged metadata: ") as caught:
+            WeightsCard.from_metadata({KEY: json.dumps(values)}, "w")
+        assert "\n" not in str(caught.value)
+        values["error"] = None
+        with pytest.raises(WeightsError, match="error is no table"):
+            WeightsCard.from_metadata({KEY: json.dumps(values)}, "w")
 
 
 RISK = {"kind": "error", "threshold": 0.2, "at_most": 0.1, "confidence": None}

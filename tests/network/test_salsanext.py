@@ -18,10 +18,6 @@ def network():
     return lively(SalsaNext(class_count=7))
 
 
-def noise(*shape, seed=0):
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
-
-
 @pytest.mark.real
 def test_names_and_shapes_are_those_of_the_published_checkpoint(golden):
     rows = (golden / "salsanext_state_dict.tsv").read_text().splitlines()
@@ -37,7 +33,7 @@ def test_names_and_shapes_are_those_of_the_published_checkpoint(golden):
 def test_the_first_version_repeats_the_last_row_and_column(training):
     """The published up block: convolution, repetition, LeakyReLU, batch norm, in this order."""
     unit = lively(transposed_unit(ReplicatingConvTranspose2d(6, 4))).train(training)
-    x = noise(2, 6, 5, 7)
+    x = torch.randn(2, 6, 5, 7)
     convolution, _, norm = unit
     short = F.conv_transpose2d(x, convolution.weight, convolution.bias, stride=2, padding=1)
     assert short.shape == (2, 4, 9, 13)

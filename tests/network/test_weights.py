@@ -149,9 +149,8 @@ def test_the_version_that_wrote_weights_need_not_be_known(weights, tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
+def test_tensors_that_do_not_fit_are_named(weights, tmp_path):
+    for change, says in (
         (lambda _, t: t.pop("logits.bias"), r"lacks 1 tensors, such as logits\.bias"),
         (lambda _, t: t.update(spare=torch.zeros(1)), "1 unknown tensors, such as spare"),
         (lambda _, t: t.update(bias(3)), r"logits\.bias is \(3,\).*\(20,\)"),
@@ -162,30 +161,25 @@ def test_the_version_that_wrote_weights_need_not_be_known(weights, tmp_path):
         (lambda _, t: t.update(bias(20, torch.complex64)), r"bias is of torch\.complex64"),
         (lambda _, t: t["block1.stack.fuse.2.running_var"][:1].fill_(-1e-6), "variances below 0"),
         (lambda m, _: m.clear(), "lacks what salsanext writes"),
-    ],
-)
-def test_tensors_that_do_not_fit_are_named(weights, tmp_path, change, says):
-    path = rewritten(weights, tmp_path / "w.safetensors", change)
-    with pytest.raises(WeightsError, match=says) as caught:
-        read_weights(path)
-    assert caught.value.subject == str(path)
+    ):
+        path = rewritten(weights, tmp_path / "w.safetensors", change)
+        with pytest.raises(WeightsError, match=says) as caught:
+            read_weights(path)
+        assert caught.value.subject == str(path)
 
 
-@pytest.mark.parametrize(
-    ("metadata", "says"),
-    [
+def test_metadata_of_another_form_are_refused(tmp_path):
+    for metadata, says in (
         (None, "lacks what salsanext writes"),
         ({"format": "salsanext-1"}, "lacks what salsanext writes"),
         ({KEY: "{"}, "damaged"),
         ({KEY: "[]"}, "salsanext is no table"),
         ({KEY: ""}, "damaged"),
-    ],
-)
-def test_metadata_of_another_form_are_refused(tmp_path, metadata, says):
-    path = tmp_path / "w.safetensors"
-    path.write_bytes(safetensors.torch.save({"a": torch.zeros(1)}, metadata))
-    with pytest.raises(WeightsError, match=says):
-        read_card(path)
+    ):
+        path = tmp_path / "w.safetensors"
+        path.write_bytes(safetensors.torch.save({"a": torch.zeros(1)}, metadata))
+        with pytest.raises(WeightsError, match=says):
+            read_card(path)
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path):

@@ -50,31 +50,22 @@ def slurm(number, least, count, **more):
     return {f"SLURM_ARRAY_TASK_{name}": str(value) for name, value in names.items()}
 
 
-@pytest.mark.parametrize(
-    ("environment", "shard"),
-    [
+def test_arrays_of_slurm_are_shards_or_refused():
+    for environment, shard in (
         (slurm(7, 0, 8, STEP=1), Shard(8, 8)),
         (slurm(1, 1, 8), Shard(1, 8)),
         (slurm(14, 10, 3, STEP=2), Shard(3, 3)),
         (slurm(5, 5, 1), Shard(1, 1)),
         ({}, None),
         ({"SLURM_ARRAY_TASK_ID": "1"}, None),
-    ],
-)
-def test_arrays_of_slurm(environment, shard):
-    assert Shard.of_slurm(environment) == shard
-
-
-@pytest.mark.parametrize(
-    "environment",
-    [
+    ):
+        assert Shard.of_slurm(environment) == shard
+    for environment in (
         *(slurm(7, 1, 3, STEP=1), slurm(0, 1, 3), slurm(3, 0, 4, STEP=2), slurm("x", 0, 4)),
         *(slurm(1, 0, 4, STEP="x"), slurm(1, 0, 4, STEP="")),
-    ],
-)
-def test_arrays_that_are_no_shards(environment):
-    with pytest.raises(UsageError, match=r"SLURM_ARRAY_TASK_ID.* --shard i/n"):
-        Shard.of_slurm(environment)
+    ):
+        with pytest.raises(UsageError, match=r"SLURM_ARRAY_TASK_ID.* --shard i/n"):
+            Shard.of_slurm(environment)
 
 
 @given(st.lists(st.integers(0, 120), max_size=6), st.integers(1, 40))

@@ -30,14 +30,11 @@ def gif_of(*pictures):
     return Image.open(io.BytesIO(encode_gif(pictures, 4.0, KEPT)))
 
 
-def test_frames_have_one_size(picture):
+def test_frames_of_one_size_show_every_picture_in_turn_for_ever(picture):
     gif = gif_of(picture(RED, 301, 201), picture(GREEN, 280, 250))
     assert gif.size == (301, 250)
     assert sum(gif.convert("RGB").getpixel((300, 249))) < 100  # below the picture it is night
     assert gif_of(picture(RED, 300, 2160)).size == (150, MAX_PX[1])
-
-
-def test_a_gif_shows_every_picture_in_turn_for_ever(picture):
     gif = gif_of(picture(RED), picture(GREEN), picture(RARE))
     assert (gif.n_frames, gif.info["loop"], gif.info["duration"]) == (3, 0, 250)
     for number, colour in enumerate((RED, GREEN, RARE)):

@@ -24,11 +24,6 @@ def numbers(text, dtype):
     return np.frombuffer(base64.b64decode(text), dtype)
 
 
-def positions(data):
-    steps = numbers(data["position"], "<u2").reshape(-1, 3)
-    return np.array(data["low"]) + np.array(data["step"]) * steps
-
-
 def encoded(one):
     return encode_cloud(one, SPACE, SMALL, scales_of([one]))
 
@@ -60,7 +55,9 @@ def test_positions_and_pixels_come_back(seed, count):
     assert data["shown"] == data["points"] == count
     assert np.isfinite([*data["low"], *data["step"]]).all()
     assert np.array_equal(of_pixel(data), counts)
-    assert np.abs(positions(data) - scan.points[order]).max(initial=0) <= max(data["step"])
+    steps = numbers(data["position"], "<u2").reshape(-1, 3)
+    positions = np.array(data["low"]) + np.array(data["step"]) * steps
+    assert np.abs(positions - scan.points[order]).max(initial=0) <= max(data["step"])
 
 
 def test_values_come_back_on_their_scale_and_none_stays_none():

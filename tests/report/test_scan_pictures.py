@@ -116,19 +116,16 @@ def seen(points, colours, **how):
     return raster(points, colours, reach=10, size=20, **how)
 
 
-@pytest.mark.parametrize(
-    ("point", "row", "column"),
-    [
+def test_forward_is_up_and_left_is_left():
+    for point, row, column in (
         ((9.5, 0.5, 0), 0, 9),
         ((-9.5, 0.5, 0), 19, 9),
         ((0.5, 9.5, 0), 9, 0),
         ((0.5, -9.5, 0), 9, 19),
-    ],
-)
-def test_forward_is_up_and_left_is_left(point, row, column):
-    picture = seen([point], [RED])
-    assert np.argwhere((picture == RED).all(axis=-1)).tolist() == [[row, column]]
-    assert ((picture == EMPTY).all(axis=-1)).sum() == 399
+    ):
+        picture = seen([point], [RED])
+        assert np.argwhere((picture == RED).all(axis=-1)).tolist() == [[row, column]]
+        assert ((picture == EMPTY).all(axis=-1)).sum() == 399
 
 
 @pytest.mark.parametrize("spread", [1, 2, 3])

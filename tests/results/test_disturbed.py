@@ -30,13 +30,6 @@ def run(world, meddle: Callable[[], object] = lambda: None, **options):
     return predict_scans(world.data, world.out, settings=world.network, options=given)
 
 
-@pytest.fixture
-def whole(world, tmp_path):
-    """Return the labels of a run that nobody meddled with."""
-    predict_scans(world.data, tmp_path / "whole", settings=world.network)
-    return labels_below(tmp_path / "whole")
-
-
 def test_a_scan_that_is_deleted(world, tmp_path):
     """It is the fourth: when the first is done, the third may be read already."""
     write_sequence(world.data / "sequences/08", ["000000", "000001", "000002"])
@@ -66,14 +59,15 @@ def test_workers_that_find_other_weights_label_no_scan(world, tmp_path):
     assert labels_below(world.out) == {}
 
 
-def test_an_output_folder_that_is_deleted(world, whole):
+def test_an_output_folder_that_is_deleted(world, tmp_path):
     """The results that went with it are not taken for done."""
+    predict_scans(world.data, tmp_path / "whole", settings=world.network)
     with pytest.raises(OutputError, match=r"was removed or replaced .* run again with --overwrite"):
         run(world, lambda: shutil.rmtree(world.out))
     with pytest.raises(OutputError, match="is a result that no stage recorded"):
         run(world)
     assert run(world, overwrite=True).done == 3
-    assert labels_below(world.out) == whole
+    assert labels_below(world.out) == labels_below(tmp_path / "whole")
 
 
 def test_a_file_replaced_by_one_of_the_same_size_and_time(tmp_path):

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from empty_runs import begin_and_end
 from scans import files_below, write_sequence
+from world import begin_and_end
 
 from salsanext_cli import __version__, label_space, sensor
 from salsanext_cli.errors import OutputError
@@ -176,20 +176,17 @@ def test_an_infinite_setting_is_recorded_as_json_can(tmp_path: Path) -> None:
     assert json.loads(text, parse_constant=pytest.fail)["settings"] == {"cutoff": "Infinity"}
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
+def test_damaged_records_are_named(tmp_path: Path) -> None:
+    for content in (
         *(b"{", b"{}", b'{"settings": {}, "writes": 3}'),
         b'{"settings": {}, "writes": ["elsewhere"]}',
         b'{"settings": {}, "writes": [], "scans": {"08": {"folder": 3, "asked_for": []}}}',
-    ],
-)
-def test_damaged_records_are_named(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "predict.json").write_bytes(content)
-    with pytest.raises(OutputError, match=r"predict\.json"):
-        predict(tmp_path)
-    with pytest.raises(OutputError, match=r"predict\.json"):
-        StageRecords(tmp_path).owner("predictions")
+    ):
+        (tmp_path / "predict.json").write_bytes(content)
+        with pytest.raises(OutputError, match=r"predict\.json"):
+            predict(tmp_path)
+        with pytest.raises(OutputError, match=r"predict\.json"):
+            StageRecords(tmp_path).owner("predictions")
 
 
 def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:

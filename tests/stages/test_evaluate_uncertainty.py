@@ -71,10 +71,6 @@ def uncertainty_of(world: World, by_distance: bool = False) -> UncertaintyEvalua
     return evaluate_uncertainty(counts, SPACE)
 
 
-def files_of(world: World) -> set[str]:
-    return {path.name for path in world.out.iterdir() if path.is_file()}
-
-
 def report_of(world: World) -> dict:
     return json.loads((world.out / "eval.json").read_text())
 
@@ -85,7 +81,8 @@ def test_whatever_is_there_is_evaluated(world, folder):
     scores = world.evaluate() and (world.out / "scores.txt").read_bytes()
     world.put(folder, "000000", softmax(1, 0.25) if folder == "probabilities" else [0.1, 0.2])
     world.evaluate()
-    assert files_of(world) == ALWAYS | PICTURES[folder]
+    files = {path.name for path in world.out.iterdir() if path.is_file()}
+    assert files == ALWAYS | PICTURES[folder]
     assert (world.out / "scores.txt").read_bytes() == scores
     report = report_of(world)
     assert ("calibration" in report) == (folder == "probabilities")

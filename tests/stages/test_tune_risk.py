@@ -14,7 +14,7 @@ from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.results.layout import LEAST_CONFIDENCE, find_scans
+from salsanext_cli.results.layout import LEAST_CONFIDENCE, find_scans, output_path
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
@@ -114,7 +114,8 @@ def test_each_class_has_a_threshold_that_holds_of_its_own_points(
     )
     losses, rejected = dict[str, list[float]](), 0
     for file in find_scans(world.data):
-        every = space.to_train(read_labels(world.out.with_name("all") / _labels_of(file)))
+        path = output_path(world.out.with_name("all"), file.sequence, "predictions", file.stem)
+        every = space.to_train(read_labels(path))
         truth = space.to_train(read_labels(file.label_path))
         doubt = np.load(world.result(LEAST_CONFIDENCE, file.sequence, file.stem))
         kept = space.to_train(world.labels(file.sequence, file.stem))
@@ -135,10 +136,6 @@ def test_each_class_has_a_threshold_that_holds_of_its_own_points(
     assert {name: getattr(found.kept, name) for name in tuned["kept"]} == tuned["kept"]
     results = [ResultFolder(world.out).read(file) for file in find_scans(world.data)]
     assert sum(each.rejected_points for each in results) == rejected > 0
-
-
-def _labels_of(file) -> str:
-    return f"sequences/{file.sequence}/predictions/{file.stem}.label"
 
 
 def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, caplog) -> None:

@@ -36,8 +36,9 @@ def test_elevations_are_the_sensors_own_in_two_blocks(beams):
     assert -np.diff(degrees[32:]).mean() == pytest.approx(1 / 2, abs=0.02)
 
 
-def test_rays_are_unit_vectors_at_the_beams_angles(beams):
-    origins, directions, _ = beams.rays()
+def test_rays_turn_clockwise_in_steps_of_the_encoder_ahead_at_time_zero(beams):
+    """As unit vectors at the elevations of the beams; each laser goes once around."""
+    origins, directions, times = beams.rays()
     count = 64 * beams.columns
     assert np.linalg.norm(origins, axis=1).max() < 0.1
     assert origins.shape == directions.shape == (count, 3)
@@ -45,21 +46,12 @@ def test_rays_are_unit_vectors_at_the_beams_angles(beams):
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-12)
     elevation = np.arcsin(directions[:, 2]).reshape(64, -1)
     np.testing.assert_allclose(elevation, np.repeat(beams.elevation[:, None], beams.columns, 1))
-
-
-def test_a_laser_goes_once_around_anticlockwise_in_steps_of_the_encoder(beams):
-    _, directions, _ = beams.rays()
-    azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0])).reshape(64, -1)
-    steps = np.diff(np.unwrap(azimuth, axis=1, period=360), axis=1)
+    azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
+    steps = np.diff(np.unwrap(azimuth.reshape(64, -1), axis=1, period=360), axis=1)
     multiples = steps / ENCODER_STEP_DEG
     np.testing.assert_allclose(multiples, np.round(multiples), atol=1e-6)
     assert set(np.round(multiples).astype(int).ravel()) == {1, 2}
     assert steps.sum(1).max() < 360
-
-
-def test_the_sensor_looks_ahead_at_time_zero_and_turns_clockwise(beams):
-    _, directions, times = beams.rays()
-    azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
     assert np.abs(times).max() <= 0.05
     np.testing.assert_allclose(times, -azimuth / 3600, atol=1e-9)
 

@@ -14,12 +14,6 @@ from salsanext_cli import Scan, project
 from salsanext_cli.uncertainty.error_features import FEATURES, error_features
 
 
-def drawn(count: int, seed: int) -> Scan:
-    random = np.random.default_rng(seed)
-    points = random.normal(size=(count, 3)).astype("f4") * [8, 8, 0.7]
-    return Scan(points.astype("f4"), random.random(count).astype("f4"))
-
-
 @pytest.mark.parametrize("threads", [1, 5])
 @pytest.mark.parametrize(
     ("count", "width", "block"),
@@ -29,7 +23,9 @@ def test_features_are_those_of_a_slow_loop(count, width, block, threads, monkeyp
     """Large blocks of pixels are alike, so that regions are; of many points some are compared."""
     monkeypatch.setattr("salsanext_cli.compiled.MIN_SLICE_ITEMS", 100)
     monkeypatch.setitem(vars(numba.config), "NUMBA_NUM_THREADS", threads)
-    scan = drawn(count, count + block)
+    random = np.random.default_rng(count + block)
+    points = random.normal(size=(count, 3)).astype("f4") * np.float32([8, 8, 0.7])
+    scan = Scan(points, random.random(count).astype("f4"))
     # Points in the origin have no pixel: some where the threads' slices meet.
     borders = [count * part // threads for part in range(threads) if count > threads]
     scan.points[[border - step for border in borders for step in (0, 1)]] = 0

@@ -13,7 +13,7 @@ from salsanext_cli.geometry.network_input import normalise
 from salsanext_cli.network.dropout import ChannelDropout, random_masks, sampling
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
-from salsanext_cli.uncertainty.monte_carlo import PassStatistics, pass_seed, torch_batch
+from salsanext_cli.uncertainty.monte_carlo import pass_seed, torch_batch
 
 SAMPLES = 4
 
@@ -127,18 +127,6 @@ def test_sampling_changes_nothing_in_the_network(network, image):
     layers = [*network.module.modules(), *network.engine.torch_module.modules()]
     assert not any(layer.training for layer in layers)
     np.testing.assert_array_equal(network.probabilities(image), expected)
-
-
-def test_moments_in_closed_form():
-    """Two certain passes in full disagreement share ln 2 of information; variance is ¼ each."""
-    statistics = PassStatistics((2, 1, 1))
-    for softmax in ([1, 0], [0, 1]):
-        statistics.add(np.float32(softmax).reshape(2, 1, 1), np.zeros((1, 1), np.float32))
-    sampled = statistics.summary()
-    assert sampled.probabilities.ravel().tolist() == [0.5, 0.5]
-    assert sampled.uncertainty.epistemic.item() == 0.25
-    assert sampled.uncertainty.entropy.item() == pytest.approx(np.log(2))
-    assert sampled.uncertainty.mutual_information.item() == pytest.approx(np.log(2))
 
 
 def test_dropout_takes_whole_channels_and_keeps_the_expectation():
