@@ -118,16 +118,13 @@ def test_without_points_there_are_no_scores(count):
         assert math.isnan(getattr(result, name)), name
 
 
-def test_entropy_is_that_of_scipy_and_confidence_the_largest():
+def test_entropy_is_that_of_scipy_and_lack_of_confidence_that_of_the_largest():
     powers = np.exp(np.random.default_rng(0).normal(0, 4, (300, 20)))
     softmax = powers / powers.sum(axis=1, keepdims=True)
     found = softmax_entropy(softmax)
     assert found.dtype == np.float32
     np.testing.assert_allclose(found, entropy(softmax, axis=1), atol=1e-5)
     np.testing.assert_allclose(lack_of_confidence(softmax), 1 - softmax.max(axis=1), atol=1e-6)
-
-
-def test_confident_points_differ_although_float16_rounds_them_to_1():
     rows = np.array([[1 - 1e-4, 1e-4], [1 - 1e-5, 1e-5]], np.float16)
     assert (rows[:, 0] == 1).all()
     np.testing.assert_allclose(lack_of_confidence(rows), [1e-4, 1e-5], rtol=5e-3)

@@ -78,12 +78,9 @@ def broken_on_other_drives(drives, scans, *, by_drive=False, draws=500):
     return (losing[held] > 0.1).mean()
 
 
-def test_a_promise_of_few_drives_is_none_of_another():
+def test_a_promise_holds_of_another_drive_if_drives_are_the_unit_and_enough():
     assert broken_on_other_drives(4, 6) > 0.3
     assert broken_on_other_drives(1, 22) > 0.6
-
-
-def test_a_promise_of_enough_drives_holds_of_another_if_the_drive_is_the_unit():
     most = 0.1 + 3 * math.sqrt(0.1 * 0.9 / 500)
     assert broken_on_other_drives(22, 6) > 0.2 > most
     assert broken_on_other_drives(22, 6, by_drive=True) < most
