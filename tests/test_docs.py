@@ -311,10 +311,11 @@ def test_every_link_leads_somewhere():
                 assert anchor in [h.lower().replace(" ", "-") for h in headings], target
 
 
-def test_every_page_is_in_the_navigation():
+def test_every_page_is_in_the_navigation_and_the_version_in_the_changelog():
     # mkdocs' own tags, which plain yaml does not know, do not occur in this file.
     listed = set(re.findall(r": (\S+\.md)$", text_of("mkdocs.yml"), re.MULTILINE))
     assert listed == {page.name for page in DOCS.glob("*.md")}
+    assert f"## [{salsanext_cli.__version__}]" in text_of("CHANGELOG.md")
 
 
 def test_every_make_target_mentioned_exists():
@@ -324,10 +325,6 @@ def test_every_make_target_mentioned_exists():
         mentioned = re.findall(r"`make ([a-z-]+)`", text)
         mentioned += re.findall(r"^make ([a-z-]+)$", "\n".join(blocks(page, "sh")), re.MULTILINE)
         assert set(mentioned) <= targets, page.name
-
-
-def test_the_changelog_names_the_version():
-    assert f"## [{salsanext_cli.__version__}]" in text_of("CHANGELOG.md")
 
 
 @pytest.mark.slow

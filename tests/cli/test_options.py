@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import pytest
 import typer
 from command_line import only_json
 from scans import SMALL, labels_below, write_weights
@@ -49,22 +48,12 @@ def test_the_default_weights_have_a_name():
     assert weights_file(Path("a/default")) == Path("a/default")
 
 
-@pytest.fixture
-def task(monkeypatch):
-    """Return a function that makes this process a task of a Slurm array of two, from 4."""
-
-    def become(number):
-        for name, value in {"ID": number, "MIN": 4, "COUNT": 2}.items():
-            monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", str(value))
-
-    return become
-
-
-def test_tasks_of_an_array_share_the_scans(run, data, tmp_path, weights, task):
+def test_tasks_of_an_array_share_the_scans(run, data, tmp_path, weights, monkeypatch):
     out = tmp_path / "out"
     call = ["predict", data, out, "--weights", weights, "--device", "cpu"]
     for number in (5, 4):
-        task(number)
+        for name, value in {"ID": number, "MIN": 4, "COUNT": 2}.items():
+            monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", str(value))
         result = run(*call, "--json")
         assert result.exit_code == 0
         assert f"shard {number - 3}/2 of the scans" in result.stderr

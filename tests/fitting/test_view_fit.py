@@ -91,15 +91,12 @@ def test_images_of_sensors_that_lie_or_hang(up):
 @pytest.mark.parametrize("height", [0.3, 0.6, 0.9, 1.5])
 def test_a_sensor_in_a_room_stands_upright_where_its_beams_come_from(height):
     """A wide view sees the ceiling; near the floor no more than a part of that."""
-    elevations, azimuths = np.radians(np.linspace(-45, 45, 128)), np.radians(np.arange(0, 360, 0.5))
-    azimuth, elevation = (each.ravel() for each in np.meshgrid(azimuths, elevations))
-    flat = np.cos(elevation)
-    rays = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
+    seen = rays(np.arange(0, 360, 0.5), np.linspace(-45, 45, 128))
     walls = np.array([[-3.2, -2.3, -height], [4.8, 2.7, 2.6 - height]])
     with np.errstate(divide="ignore"):
-        ranges = (walls[:, None] / rays).max(axis=0).min(axis=1)
+        ranges = (walls[:, None] / seen).max(axis=0).min(axis=1)
     ranges = ranges + np.random.default_rng(0).normal(0, 0.01, len(ranges))
-    points = (rays * ranges[:, None]).astype(np.float32)
+    points = (seen * ranges[:, None]).astype(np.float32)
     found = fit_view([Scan(points, np.zeros(len(points), np.float32))], SMALL)
     assert (found.up, found.origin) == (SMALL.up, SMALL.origin)
     assert -46 < found.fov_down < found.fov_up < 46
@@ -194,8 +191,8 @@ NEIGHBOUR = np.array([[-1.0, 1.8, -1.3], [1.0, 2.4, 0.3]])
 HEIGHT = 1.8
 
 
-def rays() -> np.ndarray:
-    azimuth, elevation = np.meshgrid(np.radians(np.arange(360)), np.radians(np.arange(-40, 8)))
+def rays(azimuths_deg=tuple(range(360)), elevations_deg=tuple(range(-40, 8))) -> np.ndarray:
+    azimuth, elevation = np.meshgrid(np.radians(azimuths_deg), np.radians(elevations_deg))
     flat = np.cos(elevation)
     xyz = (flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation))
     return np.stack(xyz, axis=-1).reshape(-1, 3)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 import numpy as np
 import pytest
-from test_pose_checks import street
-from test_poses import along
+from test_poses import along, street
 
 from salsanext_cli import read_scan
 from salsanext_cli.fusion.poses import read_poses

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a run says of its scans at its end: classes, findings, scans of two sensors."""
+"""What a run says of its scans at its end: classes, findings, scans of two sensors, bands."""
 
 from collections import Counter
 from dataclasses import replace
@@ -15,6 +15,7 @@ from scans import SMALL
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli.fitting.scan_checks import Finding, ScanCheck, check_scan
+from salsanext_cli.measures.scan_counts import ScanCounts, band_of_point
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, mixed_sensors
 from salsanext_cli.results.layout import ScanFile
 
@@ -152,3 +153,22 @@ def test_a_run_says_it_at_its_end(caplog):
     (warning,) = summary.finished().warnings()
     assert (warning["code"], warning["scans"]) == ("mixed-sensors", ["08/000004"])
     assert "such as 08/000000" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("distance", "band"),
+    [(0.01, 0), (9.999, 0), (10, 1), (20, 2), (30, 3), (40, 4), (49.99, 4), (50, 5), (1e5, 5)],
+)
+def test_a_distance_band_begins_where_the_previous_one_ends(distance, band):
+    assert band_of_point(np.array([[0, -distance, 0]], np.float32)) == band
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"), [(300, 9800, "3.0%"), (2100, 8000, ""), (1, 900, "")]
+)
+def test_labels_that_hardly_ever_agree_are_doubted(right, wrong, said):
+    counts = ScanCounts.none(label_space(), by_distance=False)
+    counts.confusion.matrix[[1, 9, 0], [1, 0, 5]] = right, wrong, 100_000
+    warnings = [*counts.label_warnings(label_space())]
+    assert len(warnings) == bool(said)
+    assert all(said in text and "--label-space" in text for text in warnings)
