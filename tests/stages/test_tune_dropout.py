@@ -8,11 +8,10 @@ from scans import SMALL, write_weights
 
 from salsanext_cli import label_space, load_network, project, read_labels, read_scan, sample
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import OutputError
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.stages.tune import curve_of, tune
+from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.tuning.dropout_rate import MIN_VARIANCE
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
@@ -60,8 +59,6 @@ def test_every_rate_against_a_slow_loop_and_the_least_is_stored(world, target, t
     assert tuned["scans"] == 2
     assert read_card(target).architecture["dropout"] == tuned["best"]
     assert {layer.rate for layer in dropouts(read_weights(target)[0])} == {tuned["best"]}
-    assert curve_of(target, "dropout").read_bytes().startswith(b"\x89PNG")
-    assert curve_of(target, "dropout").name == "tuned_dropout.png"
 
 
 def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_it(
@@ -89,10 +86,3 @@ def test_the_end_of_the_range_is_named(world, target, caplog, monkeypatch, objec
         assert go(world, target)["best"] == pytest.approx(best)
     assert says in caplog.text
     assert bool(caplog.text) == bool(says)
-
-
-def test_a_curve_is_not_overwritten_unasked(world, target):
-    curve_of(target, "dropout").write_bytes(b"precious")
-    with pytest.raises(OutputError, match=r"tuned_dropout\.png · exists"):
-        go(world, target)
-    assert curve_of(target, "dropout").read_bytes() == b"precious"
