@@ -177,13 +177,16 @@ def fit_risk(
         if few:
             common = f"too few {unit}s for a promise, so by the common threshold"
             sentences.append(f"{first_few(few)}: {common}")
+    means = shares.mean(axis=0)
+    wanted = np.linspace(0, means[0, -1], CURVE_POINTS)
+    steps = np.unique(np.searchsorted(means[0], wanted).clip(max=UNCERTAINTY_BINS - 1))
     report = {
         "promise": promise(risk),
         **risk,
         "skipped": left,
         "kept": asdict(labels),
         "left_out": left_out,
-        "risk_coverage": _curve(shares.mean(axis=0)),
+        "risk_coverage": means[:, steps].tolist(),
         "of_scans": [[kept / points, wrong / points] for points, kept, wrong in of_scans.values()],
         "sentences": sentences,
     }
@@ -212,14 +215,6 @@ def _of_labels(
             losses = means_of_units(below[has, 1] / below[has, :1, -1], units[has])
             of_labels[label] = min(held, held_thresholds(losses, **numbers))
     return of_labels, own
-
-
-def _curve(means: Ratios) -> list[list[float]]:
-    """Return what is kept, and kept and wrong, at about `CURVE_POINTS` of all thresholds (2, B)."""
-    wanted = np.linspace(0, means[0, -1], CURVE_POINTS)
-    steps = np.unique(np.searchsorted(means[0], wanted).clip(max=means.shape[1] - 1))
-    points: list[list[float]] = means[:, steps].tolist()
-    return points
 
 
 def _require_scans(
