@@ -112,12 +112,13 @@ def predict(
     """
     from salsanext_cli.fitting.label_scan import projected_sensor
     from salsanext_cli.results.layout import ERROR
-    from salsanext_cli.stages.fuse import require_fusable
     from salsanext_cli.stages.predict import predict_range_images, predict_scans
 
     source, out = options.sources(context, scans, out, dataset, topic)
     rejects, reject = extras.reject is not None, extras.reject
     if extras.fuse:
+        from salsanext_cli.stages.fuse import require_fusable
+
         if extras.objects or rejects:
             found, remedy = "with --objects or --reject", "those are of the labels of single scans"
             raise UsageError("--fuse", found, "one of them", remedy)
