@@ -147,7 +147,11 @@ def evaluate(
     outcome = run_over_scans(count, scans, options, on_result=apart.add)
     counts = apart.scored()
     if not counts.scans:
-        raise _no_input(counts, out, outcome.failures)
+        found = f"no predictions for any of {counted(len(counts.missing), 'scan')}"
+        if outcome.failures:
+            found = f"no scan could be compared, as {outcome.failures[0].reason}"
+        remedy = "run `salsanext predict` first, or say where they are: salsanext eval OUT"
+        raise NoInputError(out, found, remedy=remedy)
     panoptic = None
     if counts.segments[:, -1].any():
         panoptic = panoptic_quality(counts.segments, space, movable_classes(space))
@@ -210,14 +214,3 @@ def _require_labels(scans: Sequence[ScanFile]) -> None:
                 f"files like {paths[0].name}",
                 "label them, or leave them out with --split or --sequences",
             )
-
-
-def _no_input(counts: ScanCounts, out: Path, failures: Sequence[Failure]) -> NoInputError:
-    if failures:
-        return NoInputError(out, f"no scan could be compared, as {failures[0].reason}")
-    return NoInputError(
-        out,
-        f"no predictions for any of {counted(len(counts.missing), 'scan')}",
-        "files like sequences/08/predictions/000000.label",
-        "run `salsanext predict` first, or say where they are: salsanext eval OUT",
-    )

@@ -91,7 +91,14 @@ def picture(
         seen = Sensor.from_dict(going_on.table("sensor"), going_on.path)
     seen = seen or fitted_view(scans, sensor("hdl64"))
     values = [c for c in colours or COLOURINGS if c not in CLASS_COLOURS]
-    scales = _scales(out, scans, values, space, seen, scale, going_on)
+    values = [colour for colour in values if results.with_column(colour, scans)]
+    scales: Scales = dict.fromkeys(values, scale) if scale else {}
+    if not scale:
+        # A run that goes on colours alike.
+        recorded = going_on.table("scales") if going_on is not None else RecordedSettings({}, out)
+        scales = {colour: recorded.numbers(colour) for colour in recorded}
+        unknown = [colour for colour in values if colour not in scales]
+        scales |= common_scales(out, scans, unknown, space, seen)
     settings = {
         "colours": colours,
         "scales": {colour: list(ends) for colour, ends in scales.items()},
@@ -148,22 +155,3 @@ def _scans_alone(out: Path, query: ResultQuery) -> ChosenResults:
     scans = choose(found_scans, query.selection, space, dataset or out)
     labels = space_of_labels(found_scans, space, own)
     return ChosenResults(scans, space, labels, MissingResults())
-
-
-def _scales(
-    out: Path,
-    scans: Sequence[ScanFile],
-    colours: Sequence[str],
-    space: LabelSpace,
-    sensor: Sensor,
-    given: tuple[float, float] | None,
-    earlier: RecordedSettings | None,
-) -> Scales:
-    """Return the scale of every colour that is a value and known; a run that goes on keeps them."""
-    known = [colour for colour in colours if ResultFolder(out).with_column(colour, scans)]
-    if given:
-        return dict.fromkeys(known, given)
-    recorded = earlier.table("scales") if earlier is not None else RecordedSettings({}, out)
-    kept = {colour: recorded.numbers(colour) for colour in recorded}
-    unknown = [colour for colour in known if colour not in kept]
-    return kept | common_scales(out, scans, unknown, space, sensor)

@@ -46,7 +46,6 @@ class StepReport:
     epochs: int
     step: int
     steps: int
-    loss: float
     row: Row | None = None  # Finished line of the log, after the last step of an epoch
     fold: int = 0  # Number of the fold of a cross-validation, from 1; 0 for the training itself
 
@@ -101,7 +100,7 @@ class Training:
             if now - saved > SAVE_INTERVAL_S and self.learner.group.is_main:
                 save_checkpoint(self.run / CHECKPOINT, self.learner, state)
                 saved = now
-            self._report(state, step, state.losses[-1])
+            self._report(state, step)
 
     def _end_epoch(self, state: TrainingState, write_epoch: EpochWriter) -> None:
         """Validate, write and report an epoch whose steps are done."""
@@ -122,7 +121,7 @@ class Training:
             row |= validate(self._network(), self.validation, group)
         if group.is_main:
             self._write(state, row, write_epoch)
-        self._report(state, step, losses[-1], row)
+        self._report(state, step, row)
 
     def _step(self, batch: Batch, step: int) -> float:
         images, truth, indices = batch
@@ -174,10 +173,10 @@ class Training:
         module = self.learner.average.eval()
         return network_of_module(module, self.card, str(self.learner.device))
 
-    def _report(self, state: TrainingState, step: int, loss: float, row: Row | None = None) -> None:
+    def _report(self, state: TrainingState, step: int, row: Row | None = None) -> None:
         if self.learner.group.is_main:
             epoch, epochs = state.epoch + (row is None), self.learner.recipe.epochs
-            self.report(StepReport(epoch, epochs, step + 1, self.samples.plan.steps, loss, row))
+            self.report(StepReport(epoch, epochs, step + 1, self.samples.plan.steps, row))
 
 
 def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS) -> Row:

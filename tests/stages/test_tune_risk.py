@@ -9,7 +9,7 @@ import pytest
 from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
-from salsanext_cli.errors import TrainingError, UsageError, WeightsError
+from salsanext_cli.errors import OutputError, TrainingError, UsageError, WeightsError
 from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
@@ -162,6 +162,14 @@ def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, ca
     save_with_card(target, target, replace(card, risk={**card.risk, "view": view}))
     predict_scans(world.data, world.out.with_name("o"), settings=network, reject="risk")
     assert "nothing is promised" in caplog.text
+
+
+def test_a_curve_is_not_overwritten_unasked(world: World, target) -> None:
+    curve = target.with_name(f"{target.stem}_risk.png")
+    curve.write_bytes(b"precious")
+    with pytest.raises(OutputError, match=r"_risk\.png"):
+        tune("risk", world.data, target, settings=world.network, at_most=0.5)
+    assert curve.read_bytes() == b"precious"
 
 
 def test_what_few_scans_cannot_promise(unsure_is_wrong: World, target) -> None:

@@ -26,7 +26,7 @@ from salsanext_cli.network.card import read_card
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.stages.tune import curve_of, tune
+from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.tuning.dropout_rate import MIN_VARIANCE
 from salsanext_cli.training.tuning.temperature import negative_log_likelihood
 from salsanext_cli.uncertainty.aleatoric import aleatoric
@@ -73,10 +73,6 @@ def test_progress_and_selection(world, target, caplog):
 
 
 def test_what_cannot_be_written_is_noticed_before_the_work(world, target, tmp_path):
-    curve_of(target, "dropout").write_bytes(b"precious")
-    with pytest.raises(OutputError, match=r"tuned_dropout\.png · exists"):
-        go(world, target, "dropout", progress=pytest.fail)
-    assert curve_of(target, "dropout").read_bytes() == b"precious"
     target.write_bytes(b"precious")
     for place in (tmp_path / "w.pt", target, target / "w.safetensors"):
         with pytest.raises(OutputError):
@@ -206,8 +202,6 @@ def test_every_rate_against_a_slow_loop_and_the_least_is_stored(world, target, t
     assert tuned["scans"] == 2
     assert read_card(target).architecture["dropout"] == tuned["best"]
     assert {layer.rate for layer in dropouts(read_weights(target)[0])} == {tuned["best"]}
-    assert curve_of(target, "dropout").read_bytes().startswith(b"\x89PNG")
-    assert curve_of(target, "dropout").name == "tuned_dropout.png"
 
 
 def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_it(

@@ -93,4 +93,4 @@ def fit_dropout(
         "scans": len(scans.files),
         "points": points,
     }
-    return Tuned(candidates[best].card, report)
+    return candidates[best].card, report

@@ -81,7 +81,7 @@ def fit_error_model(scans: TuningScans) -> Tuned:
     model = cross_validated(judged, folds(files, FOLDS) if len(files) > 1 else [])
     if model.scores["folds"] and not gains(model):
         log.warning("the error is no better than the confidence on scans left out")
-    return Tuned(replace(network.card, error=model, risk={}), dict(model.scores))
+    return replace(network.card, error=model, risk={}), dict(model.scores)
 
 
 def cross_validated(

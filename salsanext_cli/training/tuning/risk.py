@@ -122,8 +122,11 @@ def fit_risk(
     _require_scans(scans, len(scans.files), at_most, confidence)
     network, space = scans.network, scans.space
     kind = "error" if knows_error(network) else "least_confidence"
-    if kind == "error":
-        _warn_of_fitted(scans)
+    # The error may have been fitted to sequences of the same names.
+    fitted = set(network.card.error.scores.get("sequences", ())) if network.card.error else set()
+    if kind == "error" and (same := sorted(fitted & {file.sequence for file in scans.files})):
+        message = "the error was fitted to %s too: a threshold holds for scans that no fit has seen"
+        log.warning(message, first_few(same))
     classes = space.class_count
     counts = np.zeros((classes, classes, UNCERTAINTY_BINS + 1), np.int64)
     known, judged = set(network.card.trained_on), list[JudgedScan]()
@@ -174,13 +177,16 @@ def fit_risk(
         if few:
             common = f"too few {unit}s for a promise, so by the common threshold"
             sentences.append(f"{first_few(few)}: {common}")
+    means = shares.mean(axis=0)
+    wanted = np.linspace(0, means[0, -1], CURVE_POINTS)
+    steps = np.unique(np.searchsorted(means[0], wanted).clip(max=UNCERTAINTY_BINS - 1))
     report = {
         "promise": promise(risk),
         **risk,
         "skipped": left,
         "kept": asdict(labels),
         "left_out": left_out,
-        "risk_coverage": _curve(shares.mean(axis=0)),
+        "risk_coverage": means[:, steps].tolist(),
         "of_scans": [[kept / points, wrong / points] for points, kept, wrong in of_scans.values()],
         "sentences": sentences,
     }
@@ -189,7 +195,7 @@ def fit_risk(
         log.warning("%s: more wrong than that, by the threshold of the others", first_few(above))
     elif not left_out:
         log.warning("scans of one sequence do not tell how the threshold holds on another")
-    return Tuned(replace(network.card, risk=risk), report)
+    return replace(network.card, risk=risk), report
 
 
 def _of_labels(
@@ -209,23 +215,6 @@ def _of_labels(
             losses = means_of_units(below[has, 1] / below[has, :1, -1], units[has])
             of_labels[label] = min(held, held_thresholds(losses, **numbers))
     return of_labels, own
-
-
-def _curve(means: Ratios) -> list[list[float]]:
-    """Return what is kept, and kept and wrong, at about `CURVE_POINTS` of all thresholds (2, B)."""
-    wanted = np.linspace(0, means[0, -1], CURVE_POINTS)
-    steps = np.unique(np.searchsorted(means[0], wanted).clip(max=means.shape[1] - 1))
-    points: list[list[float]] = means[:, steps].tolist()
-    return points
-
-
-def _warn_of_fitted(scans: TuningScans) -> None:
-    """Warn where the error of the weights was fitted to sequences of the same names."""
-    model = scans.network.card.error
-    fitted = set(model.scores.get("sequences", ())) if model else set()
-    if same := sorted(fitted & {file.sequence for file in scans.files}):
-        message = "the error was fitted to %s too: a threshold holds for scans that no fit has seen"
-        log.warning(message, first_few(same))
 
 
 def _require_scans(
