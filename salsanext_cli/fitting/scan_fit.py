@@ -27,7 +27,7 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import evenly_spaced
-from salsanext_cli.results.stage_records import StageRecords, as_json
+from salsanext_cli.results.stage_records import StageRecords, as_json, recorded_sensor
 from salsanext_cli.sensors.sensor import Sensor
 
 log = logging.getLogger(__name__)
@@ -233,7 +233,7 @@ def network_of_run(
     image_of: Callable[[ScanFile], Float] | None = None,
 ) -> Network:
     """Return a network fitted to a run's scans, as earlier results in its folder were made."""
-    earlier = None if overwrite else StageRecords(out).settings_with(network.engine.sha256)
-    sensor = Sensor.from_dict(earlier.table("sensor"), earlier.path) if earlier else None
+    made = [] if overwrite else map(StageRecords(out).settings, ("predict", "uncertainty"))
+    earlier = next((s for s in made if s and s.get("weights") == network.engine.sha256), None)
     sample = ScanSample(files, network.sensor, image_of)
-    return fit_scans(settings, network, sample, sensor)
+    return fit_scans(settings, network, sample, recorded_sensor(earlier))

@@ -94,10 +94,6 @@ class CheckedPart:
                 return number, upright
         return self.scans[-1]
 
-    def add(self, index: int, upright: Points) -> None:
-        """Let a scan go on with the part."""
-        self.scans = [*self.scans[1 - COMPARED_SCANS :], (index, upright)]
-
 
 def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
     """Return the parts of a drive in which each scan lies on those before, and the misfit.
@@ -123,7 +119,7 @@ def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
                 is_near = _apart(poses, before, index) < OUT_OF_SIGHT_M
                 misfit += index - before if is_near else 0
             part = CheckedPart(numbers.max() + 1 if index else 0)
-        part.add(index, upright)
+        part.scans = [*part.scans[1 - COMPARED_SCANS :], (index, upright)]
         # The last one and the one before.
         parts = [part, *(each for each in parts[:2] if each is not part)]
         numbers[index] = part.number
@@ -186,8 +182,9 @@ def _better_reading(poses: Poses, read: ReadPoints) -> str | None:
         @ poses
         @ np.linalg.inv(CAMERA),
         "have w first in their quaternions, not last": with_w_first(poses),
-        "are in centimetres": _scaled(poses, 0.01),
-        "are in millimetres": _scaled(poses, 0.001),
+        # Steps between poses that scale alike have places of another unit.
+        "are in centimetres": poses * [1, 1, 1, 0.01],
+        "are in millimetres": poses * [1, 1, 1, 0.001],
     }
     shares = dict.fromkeys(readings, 0.0)
     firsts = np.unique(np.linspace(0, len(poses) - 2, SAMPLED_PAIRS).astype(int))
@@ -199,9 +196,3 @@ def _better_reading(poses: Poses, read: ReadPoints) -> str | None:
     best = max(shares, key=lambda name: shares[name])
     is_better = shares[best] >= max(MIN_OVERLAP, shares[""] + MARGIN)
     return best if best and is_better else None
-
-
-def _scaled(poses: Poses, factor: float) -> Poses:
-    scaled = poses.copy()
-    scaled[:, :3, 3] *= factor
-    return scaled

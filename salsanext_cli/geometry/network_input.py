@@ -140,8 +140,6 @@ def why_no_intensity(points: Float, intensity: Float) -> str:
         return f"{unusable:.0%} of the points have no intensity: NaN or above {MAX_INTENSITY:g}"
     values, ranges = intensity[usable], ranges[usable]
     equal = np.unique(values, return_counts=True)[1].max() / len(values)
-    if equal == 1:
-        return "no intensity: all points have the same"
     if equal > MAX_EQUAL:
         return f"no intensity: {equal:.0%} of the points have the same"
     if len(values) < MIN_INTENSITY_POINTS:

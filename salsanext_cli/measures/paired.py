@@ -119,10 +119,8 @@ class RunComparison:
         held = self.sums[:, 1:, 0, 1].sum(axis=0) > 0
         same = held[held.any(axis=1)].all(axis=0)
         bands = zip(BAND_NAMES, np.moveaxis(self.sums[:, 1:], 1, 0), held, strict=False)
-        differences = {
-            name: paired_differences(s, same)[:2] for name, s, any_ in bands if any_.any()
-        }
-        return {name: (accuracy, mean) for name, (accuracy, mean) in differences.items()}
+        differences = {name: paired_differences(s, same) for name, s, any_ in bands if any_.any()}
+        return {name: (accuracy, mean) for name, (accuracy, mean, *_) in differences.items()}
 
     @cached_property
     def turned(self) -> Counts:

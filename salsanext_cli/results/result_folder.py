@@ -92,11 +92,6 @@ class ScanResults:
             counts = counts & ~self.rejected
         return np.where(counts, wrong, np.float32(np.nan))
 
-    @property
-    def rejected_points(self) -> int:
-        """Number of points whose label was taken away."""
-        return 0 if self.rejected is None else int(self.rejected.sum())
-
     def rejecting(self, max_error: float, space: LabelSpace) -> "ScanResults":
         """Return the same with the points unlabelled whose error is above a threshold."""
         if self.label is None:

@@ -137,11 +137,6 @@ class StageRecords:
         stages = map(self.owner, folders)
         return next((self.settings(stage) for stage in stages if stage), None)
 
-    def settings_with(self, weights: str | None) -> RecordedSettings | None:
-        """Return the settings of labels or uncertainties made with these weights, if any."""
-        made = map(self.settings, ("predict", "uncertainty"))
-        return next((s for s in made if s is not None and s.get("weights") == weights), None)
-
     def origins(self, stages: Iterable[str]) -> dict[str, str]:
         """Return a digest of the settings of each of the stages that ran, for later records."""
         records = filter(None, map(self.record, stages))
@@ -202,9 +197,7 @@ class StageRecords:
     def known_sensor(self) -> Sensor | None:
         """Return the sensor that results were made through, if one is recorded."""
         folders = ("pixel_labels", "predictions", "uncertainty/epistemic", "range")
-        if (settings := self.settings_of(*folders)) is None:
-            return None
-        return Sensor.from_dict(settings.table("sensor"), settings.path)
+        return recorded_sensor(self.settings_of(*folders))
 
     def sensor(self) -> Sensor:
         """Return the sensor that labels were made through; else the HDL-64."""
@@ -259,6 +252,11 @@ class StageRecords:
         lowest = min([above, *promised.get("classes", {}).values()])
         kind = settings.get("reject_by", "error")
         return Rejection(kind, above, lowest, self._digests(promised, "digests"))
+
+
+def recorded_sensor(settings: RecordedSettings | None) -> Sensor | None:
+    """Return the sensor in the settings of a stage, None without any."""
+    return None if settings is None else Sensor.from_dict(settings.table("sensor"), settings.path)
 
 
 def as_json(settings: Any) -> Any:

@@ -64,8 +64,8 @@ def export_scan(
     (folder,), points = output.folders, dict(zip("xyz", results.scan.points.T, strict=True))
     more = [] if max_error is None else [f"unlabelled where error is above {max_error:g}"]
     cloud = encode_cloud(output.path(file, folder), points, columns, colours, more)
-    output.write_result(file, folder, cloud)
-    return results.rejected_points
+    output.write(output.path(file, folder), cloud)
+    return 0 if results.rejected is None else int(results.rejected.sum())
 
 
 def encode_cloud(

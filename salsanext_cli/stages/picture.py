@@ -56,7 +56,7 @@ def picture_scan(
     views = colours or known_views(columns)
     strips = colours or [colour for colour in COLOURINGS if colour in columns]
     png = picture_of_results(file.name, results, space, sensor, scales, views, strips)
-    output.write_result(file, FOLDER, png)
+    output.write(output.path(file, FOLDER), png)
 
 
 def picture(

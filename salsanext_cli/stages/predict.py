@@ -105,7 +105,7 @@ class LabelWriter:
         raw = space.to_raw(labels)
         if "objects" in output.folders:
             objects = find_objects(image, labels, movable_classes(space))
-            output.write_result(file, "objects", object_table(scan, objects, space))
+            output.write(output.path(file, "objects"), object_table(scan, objects, space))
             raw |= objects.astype(np.uint32) << 16
         output.write_labels(file, raw)
         summary = ScanSummary.of_scan(scan, space, int(rejected.sum()))

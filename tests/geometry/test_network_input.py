@@ -113,7 +113,7 @@ def test_what_is_no_intensity():
         (STREET.intensity, "^$"),
         (np.floor(3 * STREET.intensity), "^$"),
         (STREET.intensity / RANGES**2, "^$"),
-        (np.zeros(4000), "all points have the same"),
+        (np.zeros(4000), "100% of the points have the same"),
         (STREET.intensity > 0.975, "9[78]% of the points have the same"),
         (np.full(4000, np.nan), "100% of the points have no intensity: NaN or above"),
         (np.where(STREET.intensity < 0.3, np.inf, STREET.intensity), "(28|29|3.)% of the points"),

@@ -255,10 +255,10 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
 
 def _worst_class(rows: Sequence[ScanRow], space: LabelSpace) -> int | None:
     """Return the class of the lowest IoU of those that the truth holds."""
-    matrix = np.zeros((space.class_count, space.class_count), np.int64)
+    confusion = Confusion(space.class_count)
     for row in rows:
-        matrix += 0 if row.confusion is None else row.confusion
-    held = [each for each in scores(Confusion(len(matrix), matrix), space).classes if each.points]
+        confusion.matrix += 0 if row.confusion is None else row.confusion
+    held = [each for each in scores(confusion, space).classes if each.points]
     return min(held, key=lambda each: each.iou).train_id if held else None
 
 
