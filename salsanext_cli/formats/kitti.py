@@ -19,7 +19,7 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import USUAL_COLUMNS, ring_of, scan_of, unnamed_columns
+from salsanext_cli.formats.columns import USUAL_COLUMNS, scan_of, unnamed_columns
 from salsanext_cli.records import Double, Float, Mask, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
@@ -49,7 +49,6 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
         scan = Scan(
             np.ascontiguousarray(table[:, :3], np.float32),
             normalised_intensity(table[:, 3], intensity_scale),
-            ring_of(table[:, 4]) if has_ring else None,
         )
     if not are_coordinates(scan.points):
         found = "numbers that are no coordinates in metres, or no float32"

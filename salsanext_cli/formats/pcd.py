@@ -17,7 +17,7 @@ import numpy as np
 
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import Columns, rows_as_rings
+from salsanext_cli.formats.columns import Columns
 
 TYPES = {
     **{f"F{size}": f"<f{size}" for size in (4, 8)},
@@ -68,9 +68,7 @@ def pcd_columns(path: Path) -> Columns:
                 columns = read_compressed(file, header)
             case _:
                 raise ValueError(f"PCD data of kind {header.kind}, not ascii or binary")
-    # Without columns, points take no room, however many there are.
-    rings = rows_as_rings(header.point_count, header.height) if columns else {}
-    return {**rings, **columns}
+    return columns
 
 
 def _read_ascii(file: BufferedReader, header: Header) -> Columns:

@@ -51,8 +51,6 @@ def test_impossible_sensors() -> None:
         {"origin": (0, 1e9, 0)},
         {"intensity_quantiles": (0.0, 1.0)},
         {"intensity_quantiles": (1.0,) + (0.0,) * 64},
-        *({"beams": beams} for beams in ([1.0], [1, 2], [2, math.nan], [2, -91], ["a", "b"], "12")),
-        {"beams": list(range(44, -213, -1))},
     ):
         with pytest.raises(UsageError, match="sensor"):
             Sensor.from_dict(VALID.to_dict() | change)
@@ -81,10 +79,9 @@ def test_unknown_and_missing_keys() -> None:
         Sensor.from_dict({"name": "s", "fov_up": 1, "width": 1})
 
 
-def test_columns_beams_and_origin_belong_to_the_view_where_they_are_told(tmp_path: Path) -> None:
+def test_columns_and_origin_belong_to_the_view_where_they_are_told(tmp_path: Path) -> None:
     for key, value in (
         ("columns", ("x", "y", "z", "_", "ring", "_")),
-        ("beams", (10.5, 2.0, -3.25)),
         ("origin", (0.9, 0.0, 1.75)),
     ):
         told = replace(VALID, **{key: value})
@@ -133,17 +130,3 @@ def test_the_view_is_all_but_name_noise_and_quantiles():
     one = replace(one, intensity_quantiles=(0.0,) * 65, row_gaps=0.2)
     left_out = {"name", "range_noise", "intensity_noise", "intensity_quantiles", "row_gaps"}
     assert set(one.to_dict()) - set(one.view()) == left_out
-
-
-def test_beams_without_a_size_count_where_those_of_the_weights_do(tmp_path):
-    own = replace(VALID, beams=(10.5, 2.0, -3.25))
-    path = tmp_path / "valid.toml"
-    path.write_text(own.to_toml(images=False))
-    assert sensor(path, VALID).beams == ()
-    assert sensor(path, replace(VALID, beams=(3.0, 2.0))).beams == own.beams
-    assert sensor(path).beams == own.beams
-    path.write_text(own.to_toml())
-    assert sensor(path, VALID).beams == own.beams
-    path.write_text("fov_up = 3\nfov_down = -25\nbeams = [1, 2]\n")
-    with pytest.raises(UsageError, match=r"beams \(1, 2\)"):
-        sensor(path, VALID)

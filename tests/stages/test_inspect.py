@@ -66,17 +66,6 @@ def write_beams(folder, beams):
     return folder
 
 
-def test_a_fit_for_images_of_its_own_has_beams_and_the_whole_view(tmp_path):
-    beams = np.array([40, 20, 8, 5, 3, 2, 1, 0, -1, -2, -3, -4, -5, -6, -8, -10, -15, -25])
-    folder = write_beams(tmp_path / "scans", beams)
-    found = inspect(folder, sensor=SMALL.resized(18, 64), fit=True)
-    own = found.fitted_sensor("own")
-    np.testing.assert_allclose(own.beams, beams, atol=0.02)
-    assert (own.fov_up, own.fov_down) == pytest.approx((40, -25), abs=0.1)
-    # Statistics are those of a row per beam.
-    assert found.total.pixels == 18 * 64
-
-
 def test_a_fit_for_the_images_of_weights_has_the_view_that_auto_takes(tmp_path):
     folder = write_beams(tmp_path / "scans", np.linspace(40, -40, 60))
     found = inspect(folder, sensor=SMALL, fit=True)
@@ -86,5 +75,5 @@ def test_a_fit_for_the_images_of_weights_has_the_view_that_auto_takes(tmp_path):
     assert mine.fov_up - mine.fov_down < 72
     assert found.fitted_sensor("mine").fov_up == pytest.approx(40, abs=0.1)
     write_sensor(tmp_path / "mine.toml", mine, images=False)
-    usual = {"beams": (), "means": SMALL.means, "stds": SMALL.stds}
+    usual = {"means": SMALL.means, "stds": SMALL.stds}
     assert sensor(tmp_path / "mine.toml", SMALL) == replace(mine, **usual)

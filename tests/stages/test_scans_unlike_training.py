@@ -199,19 +199,3 @@ def test_the_network_sees_no_gaps(world, tmp_path):
         full = replace(image, channels=fill_rows(image.channels))
         labels = knn_refine(image, network.probabilities(full).argmax(0), space.class_count)
         np.testing.assert_array_equal(np.frombuffer(content, "<u4"), space.to_raw(labels))
-
-
-def test_beams_of_a_sensor_reach_every_stage(world, tmp_path):
-    seen = replace(SMALL, beams=(3.0, -1.0, -3.0, -12.0, -25.0))
-    network = replace(world.network, sensor=seen)
-    predict_scans(world.data, world.out, settings=network)
-    assert StageRecords(world.out).settings("predict")["sensor"]["beams"] == list(seen.beams)
-    steps = tmp_path / "steps"
-    project_scans(world.data, steps, sensor=seen)
-    predict_range_images(steps, steps, settings=network)
-    knn_refine_scans(steps)
-    assert labels_below(steps) == labels_below(world.out)
-    image = np.load(next(steps.rglob("range/*.npy")))
-    assert (image[0] > 0).any(axis=1).sum() == len(seen.beams)
-    predict_scans(world.data, tmp_path / "rows", settings=world.network)
-    assert labels_below(tmp_path / "rows") != labels_below(world.out)

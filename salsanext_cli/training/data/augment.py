@@ -140,9 +140,7 @@ def concatenate(*scans: LabelledScan) -> LabelledScan:
     """Return the points of all scans, in their order."""
     points = np.concatenate([scan.points for scan, _ in scans])
     intensity = np.concatenate([scan.intensity for scan, _ in scans])
-    rings = [scan.ring for scan, _ in scans if scan.ring is not None]
-    ring = np.concatenate(rings) if len(rings) == len(scans) else None
-    return Scan(points, intensity, ring), np.concatenate([labels for _, labels in scans])
+    return Scan(points, intensity), np.concatenate([labels for _, labels in scans])
 
 
 def choose_columns(
