@@ -51,7 +51,7 @@ def use_threads(count: int) -> None:
 
 def _if_loaded(name: str) -> Any:
     """Return a module that was imported before, complete; None for another."""
-    return import_module(name) if name in sys.modules else None
+    return import_module(name) if sys.modules.get(name) else None
 
 
 @contextmanager

@@ -96,7 +96,7 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     world.result(LEAST_CONFIDENCE, file.sequence, file.stem).unlink()
     assert evaluate(find_scans(world.data), world.out, space).promise == found.promise
     results = ResultFolder(world.out).read(find_scans(world.data)[0], truth_in=(space, space))
-    assert results.rejected_points == doubts[0]
+    assert results.rejected.sum() == doubts[0]
 
 
 def test_each_class_has_a_threshold_that_holds_of_its_own_points(
@@ -135,7 +135,7 @@ def test_each_class_has_a_threshold_that_holds_of_its_own_points(
     assert found.kept is not None
     assert {name: getattr(found.kept, name) for name in tuned["kept"]} == tuned["kept"]
     results = [ResultFolder(world.out).read(file) for file in find_scans(world.data)]
-    assert sum(each.rejected_points for each in results) == rejected > 0
+    assert sum(each.rejected.sum() for each in results) == rejected > 0
 
 
 def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, caplog) -> None:
