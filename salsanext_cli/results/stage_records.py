@@ -5,6 +5,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import LabelError, OutputError, first_few, shortened
+from salsanext_cli.files.identity import identity
 from salsanext_cli.files.json_files import RecordedSettings, read_json, write_json
 from salsanext_cli.network.card import parted
 from salsanext_cli.results.layout import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
@@ -75,6 +77,26 @@ class StageRecord:
         write_json(out / f"{self.stage}.json", self.to_dict())
 
 
+@lru_cache(4 * len(RESULT_STAGES))  # Of some folders
+def _read_record(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord | None:
+    content = read_json(path)
+    if content is None:
+        return None
+    try:
+        settings, folders = content["settings"], tuple(content["writes"])
+        if not isinstance(settings, dict) or not all(f in SUFFIX_OF_FOLDER for f in folders):
+            raise TypeError
+        sources = content.get("scans", {}).items()
+        scans = {name: ScanSource.from_dict(source) for name, source in sources}
+        kept = frozenset(content.get("kept", ()))
+        if not all(isinstance(path, str) for path in kept):
+            raise TypeError
+        return StageRecord(stage, settings, folders, scans, kept)
+    except (TypeError, KeyError, AttributeError) as error:
+        remedy = "delete it or use another folder"
+        raise OutputError(path, f"not what `{stage}` writes", remedy=remedy) from error
+
+
 class Rejection(NamedTuple):
     """Rule by which a run left points unlabelled."""
 
@@ -97,24 +119,9 @@ class StageRecords:
     root: Path
 
     def record(self, stage: str) -> StageRecord | None:
-        """Read the record of a stage, None if it did not run here."""
+        """Return the record of a stage, None if it did not run here; read anew if it changed."""
         path = self.root / f"{stage}.json"
-        content = read_json(path)
-        if content is None:
-            return None
-        try:
-            settings, folders = content["settings"], tuple(content["writes"])
-            if not isinstance(settings, dict) or not all(f in SUFFIX_OF_FOLDER for f in folders):
-                raise TypeError
-            sources = content.get("scans", {}).items()
-            scans = {name: ScanSource.from_dict(source) for name, source in sources}
-            kept = frozenset(content.get("kept", ()))
-            if not all(isinstance(path, str) for path in kept):
-                raise TypeError
-            return StageRecord(stage, settings, folders, scans, kept)
-        except (TypeError, KeyError, AttributeError) as error:
-            remedy = "delete it or use another folder"
-            raise OutputError(path, f"not what `{stage}` writes", remedy=remedy) from error
+        return _read_record(path, stage, identity(path))
 
     def records(self) -> dict[str, StageRecord]:
         """Read the records of all stages that ran here, by stage."""
