@@ -102,7 +102,7 @@ WITH_SAMPLES = (
     f"pick DATA picked {NETWORK} --count 1000",
     "import-labels DATA/sequences/08/labels picked",
     "import-labels DATA/sequences/08/labels picked",
-    "tune temperature DATA tuned.safetensors --weights WEIGHTS --device cpu",
+    "tune risk DATA tuned.safetensors --at-most 99% --weights WEIGHTS --device cpu",
 )
 
 
