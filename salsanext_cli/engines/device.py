@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import MissingDependency, UsageError, error_text, warn_once
+from salsanext_cli.files.optional_packages import OPENVINO_ERRORS, import_openvino
 
 PRECISIONS = ("auto", "float32", "bfloat16", "float16")
 ENGINES = ("auto", "openvino", "torch")
@@ -25,10 +26,6 @@ BFLOAT16_ISA = {
 }
 """Flags of processors that multiply bfloat16, of x86 and of ARM, and parts of the values of
 `ISA_VARIABLES` that leave them to the libraries."""
-CONVERTER = "openvino.tools.ovc"
-"""Part of OpenVINO that reports its use over the network. OpenVINO imports it if it can."""
-OPENVINO_ERRORS = (AttributeError, ImportError, OSError, RuntimeError, TypeError, ValueError)
-"""Raised by installations that are damaged or of another platform."""
 
 log = logging.getLogger(__name__)
 
@@ -79,8 +76,7 @@ def openvino_core() -> Any:
     """Return OpenVINO for this process, until it ends."""
     # The CPU plugin gives the thread that loads it a stack for signal handlers, and takes the
     # memory back when it is unloaded: the next signal would end the process.
-    import openvino
-
+    openvino = import_openvino()
     # Two threads that ask for this first would wait for each other for ever.
     openvino.Type.f32.to_dtype()
     core = openvino.Core()
@@ -92,15 +88,10 @@ def openvino_core() -> Any:
 @cache
 def _openvino_fails() -> str:
     """Return why OpenVINO cannot compute on this CPU, empty if it can."""
-    known = CONVERTER in sys.modules
-    sys.modules.setdefault(CONVERTER, None)  # type: ignore[arg-type]
     try:
         openvino_core().get_property("CPU", "FULL_DEVICE_NAME")
-    except OPENVINO_ERRORS as error:
+    except (MissingDependency, *OPENVINO_ERRORS) as error:
         return f"does not start: {error_text(error)}"
-    finally:
-        if not known:
-            del sys.modules[CONVERTER]
     return ""
 
 
