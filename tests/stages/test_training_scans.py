@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scans import write_bin
 from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan
 from salsanext_cli.errors import OutputError
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.measures.scores import Confusion
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from scans import SMALL, make_scan, write_sequence
+from scans import SMALL, make_scan, write_bin, write_sequence
 from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import (
@@ -23,7 +23,6 @@ from salsanext_cli import (
 )
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
 from salsanext_cli.fitting.scan_fit import with_image_statistics
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.network_input import (
     match_intensity,
     with_filled_gaps,
