@@ -100,7 +100,7 @@ def choose_precision(name: str, device: str) -> str:
     if name not in PRECISIONS:
         raise UsageError("--precision", name, ", ".join(PRECISIONS))
     if device == "cpu":
-        possible = ("float32", "bfloat16") if has_bfloat16() else ("float32",)
+        possible = ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
         if name not in ("auto", *possible):
             raise UsageError("--precision", f"{name} on this CPU", " or ".join(possible))
         return possible[-1] if name == "auto" else name
@@ -119,13 +119,8 @@ def flags() -> frozenset[str]:
     return frozenset(lines[0].partition(":")[2].split() if lines else ())
 
 
-def has_bfloat16() -> bool:
-    """Say whether the CPU multiplies bfloat16 by itself, and the environment allows it."""
-    return bool(bfloat16_instructions())
-
-
 def bfloat16_instructions() -> list[str]:
-    """Return the flags of those that multiply bfloat16 here and that the environment allows."""
+    """Return the flags of instructions that multiply bfloat16, as far as the environment allows."""
     limit = _isa_limit()
     return [f for f in BFLOAT16_ISA if f in flags() and any(p in limit for p in BFLOAT16_ISA[f])]
 
