@@ -27,7 +27,7 @@ from salsanext_cli.geometry.network_input import (
     match_intensity,
     with_filled_gaps,
 )
-from salsanext_cli.measures.scores import Confusion, scores
+from salsanext_cli.measures.scores import scores
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.training.data.dataset import Samples, SamplingPlan
 from salsanext_cli.training.data.sources import (
@@ -211,7 +211,7 @@ def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
         truth = space.to_train(read_labels(file.label_path))
         np.add.at(expected, (truth, predicted), 1)
     assert expected.sum() == 4500
-    wanted = scores(Confusion(20, expected), space)
+    wanted = scores(expected, space)
     row = validate(network, Source(files, space, network.sensor))
     assert (row["accuracy"], row["miou"]) == (wanted.accuracy, wanted.iou_mean_present)
     np.testing.assert_equal(
