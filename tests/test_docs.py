@@ -19,13 +19,12 @@ import numpy as np
 import pytest
 import yaml
 from command_line import every_command, parsed, root
-from scans import SMALL, make_scan, write_array, write_sequence
+from scans import SMALL, make_scan, write_array, write_bin, write_sequence
 
 import salsanext_cli
 from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project, read_scan
 from salsanext_cli.cli.app import COMMANDS
 from salsanext_cli.formats import SCAN_SUFFIXES
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.formats.las import asprs_class
 from salsanext_cli.results.layout import SUFFIX_OF_FOLDER
 from salsanext_cli.sensors import sensor as sensors

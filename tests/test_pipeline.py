@@ -9,7 +9,7 @@ import plyfile
 import pytest
 import safetensors
 import torch
-from scans import labels_below, write_sequence
+from scans import labels_below, write_bin, write_sequence
 from typer.testing import CliRunner
 
 from salsanext_cli import (
@@ -23,7 +23,6 @@ from salsanext_cli import (
 )
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.options import ScanSelection

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import python
-from scans import SMALL, labels_below, make_scan, write_weights
+from scans import SMALL, labels_below, make_scan, write_bin, write_weights
 from typer.testing import CliRunner
 
 import salsanext_cli as sn
@@ -28,7 +28,6 @@ from salsanext_cli.errors import (
     escaped,
     printable,
 )
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.predict import predict_scans
 

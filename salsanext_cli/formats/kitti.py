@@ -110,11 +110,6 @@ def encode_bin(scan: Scan) -> bytes:
     return np.column_stack([scan.points, scan.intensity]).astype("<f4", copy=False).tobytes()
 
 
-def write_bin(path: Path, scan: Scan) -> None:
-    """Write a scan as float32 x, y, z, intensity."""
-    write_bytes(path, encode_bin(scan))
-
-
 def read_labels(path: Path, count: int | None = None) -> RawIds:
     """Read the raw ids of a scan's points, (N,) uint32.
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few
-from salsanext_cli.measures.scores import Confusion, Ratios
+from salsanext_cli.measures.scores import Counts, Ratios, scored_rows
 
 PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
 """Classes whose points are of people."""
@@ -115,10 +115,10 @@ class KeptLabels:
 
     @classmethod
     def of_confusion(
-        cls, confusion: Confusion, space: LabelSpace, scans: Mapping[str, tuple[int, int, int]]
+        cls, confusion: Counts, space: LabelSpace, scans: Mapping[str, tuple[int, int, int]]
     ) -> Self:
         """Count the points whose predicted class is not 0; `scans`: as `worst`, by name."""
-        matrix = confusion.counted(space.scored)
+        matrix = scored_rows(confusion, space)
         kept, right = matrix[:, 1:].sum(axis=0), matrix.diagonal()[1:]
         of_classes = zip(space.names[1:], kept.tolist(), (kept - right).tolist(), strict=True)
         in_order = sorted(of_classes, key=lambda each: each[0] not in PEOPLE)

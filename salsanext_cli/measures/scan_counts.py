@@ -33,7 +33,14 @@ from salsanext_cli.measures.histograms import (
     uncertainty_histogram,
 )
 from salsanext_cli.measures.panoptic import SEGMENT_COUNTS, count_segments
-from salsanext_cli.measures.scores import Confusion, Mask, Ratios, scores
+from salsanext_cli.measures.scores import (
+    Counts,
+    Mask,
+    Ratios,
+    confusion_matrix,
+    scored_rows,
+    scores,
+)
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Indices, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
@@ -62,9 +69,9 @@ BAND_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "o
 class ScanCounts:
     """Counts over scans."""
 
-    confusion: Confusion  # Counts of all points
+    confusion: Counts  # (C, C): of all points
     segments: Ratios  # As `count_segments` returns, where objects were predicted
-    bands: tuple[Confusion, ...] = ()  # One per name in `BAND_NAMES`; empty if not requested
+    bands: tuple[Counts, ...] = ()  # One per name in `BAND_NAMES`; empty if not requested
     # Number of points by raw id that the label space does not know
     unknown_truth: Counter[int] = field(default_factory=Counter)
     unknown_predictions: Counter[int] = field(default_factory=Counter)
@@ -82,15 +89,15 @@ class ScanCounts:
     # Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `DISTANCE`, or
     # `CLASS`, which is the most probable class for the confidence, else the true one
     histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)
-    by_sequence: dict[str, Confusion] = field(default_factory=dict)
+    by_sequence: dict[str, Counts] = field(default_factory=dict)
     by_scan: dict[str, dict[str, Any]] = field(default_factory=dict)  # Some scores, by name
 
     @classmethod
     def none(cls, space: LabelSpace, by_distance: bool) -> ScanCounts:
         """Return the counts of no scan at all."""
-        classes = space.class_count
-        bands = tuple(Confusion(classes) for _ in BAND_NAMES) if by_distance else ()
-        return cls(Confusion(classes), np.zeros((classes, SEGMENT_COUNTS)), bands)
+        none = np.zeros((space.class_count, space.class_count), np.int64)
+        bands = tuple(none.copy() for _ in BAND_NAMES) if by_distance else ()
+        return cls(none, np.zeros((space.class_count, SEGMENT_COUNTS)), bands)
 
     def add(self, other: ScanCounts) -> None:
         """Add the counts of other scans, which are used up."""
@@ -124,7 +131,7 @@ class ScanCounts:
             if ids:
                 listed = first_few([f"{i} ({count:,}×)" for i, count in sorted(ids.items())])
                 yield f"{what}: unknown ids {listed} are taken as unlabelled"
-        matrix = self.confusion.counted(space.scored)
+        matrix = scored_rows(self.confusion, space)
         points, right = int(matrix.sum()), int(np.trace(matrix))
         if points >= MIN_JUDGED and right < MIN_ACCURACY * points:
             yield (
@@ -192,8 +199,8 @@ def count_scan(
     counts.trained_on = int(is_among(trained_on, len(truth), read))
     counts.unknown_truth.update(of_truth.unknown_ids(raw_truth))
     counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
-    counts.confusion.update(truth, predicted)
-    counts.by_sequence[scan.sequence] = counts.confusion
+    counts.confusion = confusion_matrix(truth, predicted, space.class_count)
+    counts.by_sequence[scan.sequence] = counts.confusion.copy()
     own = scores(counts.confusion, space).to_dict()
     counts.by_scan[scan.name] = {key: own[key] for key in SCORES_OF_SCAN}
     if objects:
@@ -204,8 +211,10 @@ def count_scan(
     groups: dict[str, tuple[npt.NDArray[Any], int]] = {CLASS: (true_class, space.class_count)}
     if cloud is not None:
         band = band_of_point((in_sensor_frame(cloud, sensor) if sensor else cloud).points)
-        for i, of_band in enumerate(counts.bands):
-            of_band.update(truth[band == i], predicted[band == i])
+        counts.bands = tuple(
+            confusion_matrix(truth[band == i], predicted[band == i], space.class_count)
+            for i in range(len(BAND_NAMES))
+        )
         # Points without a measurement are a group of their own.
         groups[DISTANCE] = band[scored] % (len(BAND_NAMES) + 1), len(BAND_NAMES) + 1
     values: dict[str, Float] = {}

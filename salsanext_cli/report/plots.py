@@ -12,7 +12,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.measures.calibration import Reliability
 from salsanext_cli.measures.risk_coverage import COVERAGE
-from salsanext_cli.measures.scores import Confusion, Ratios, Scores, ratio
+from salsanext_cli.measures.scores import Counts, Ratios, Scores, ratio, scored_rows
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
     RankingResult,
@@ -58,7 +58,7 @@ BELOW_PX = 90
 
 
 def evaluation_pictures(
-    scores: Scores, confusion: Confusion, uncertainty: UncertaintyEvaluation, space: LabelSpace
+    scores: Scores, confusion: Counts, uncertainty: UncertaintyEvaluation, space: LabelSpace
 ) -> dict[str, bytes]:
     """Draw what there is to an evaluation, PNG by name, in the order of `PICTURES`."""
     return {
@@ -118,11 +118,11 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
     return canvas.png_of(figure)
 
 
-def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
+def confusion_picture(confusion: Counts, space: LabelSpace) -> bytes:
     """Draw the confusion matrix, each row in percent of its true class, as a PNG."""
     import matplotlib
 
-    matrix = confusion.counted(space.scored)
+    matrix = scored_rows(confusion, space)
     scored, predicted = np.flatnonzero(space.scored), np.arange(space.class_count)
     shares = ratio(matrix, np.broadcast_to(matrix.sum(axis=1)[:, None], matrix.shape))[scored]
     width, height = CELL_PX * len(predicted), CELL_PX * len(scored)

@@ -100,7 +100,7 @@ class Evaluation:
             "by_scan": dict(sorted(counts.by_scan.items())),
             **({"panoptic": self.panoptic} if self.panoptic else {}),
             "classes": list(self.space.names),
-            "confusion": counts.confusion.matrix.tolist(),
+            "confusion": counts.confusion.tolist(),
             **self.uncertainty.to_dict(self.space),
             "rejection": self.kept
             and asdict(self.kept) | {"promise": self.promise and asdict(self.promise)},

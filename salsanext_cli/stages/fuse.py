@@ -232,9 +232,9 @@ def fuse_results(
                 and of_single.is_done(file)
                 and of_fused.is_done(file)
             ),
-            on_result=summary.add,
+            summary=summary,
         )
-    return replace(outcome, summary=summary, missing=missing)
+    return replace(outcome, missing=missing)
 
 
 def _of_each(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `knn-refine`: pixel labels, or any point labels, to point labels by neighbours."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -131,7 +131,4 @@ def knn_refine_scans(
         task = partial(
             refine_scan, labels=labels, space=space, sensor=sensor, knn=knn, output=output
         )
-        outcome = run_over_scans(
-            task, scans, options, is_done=output.is_done, on_result=summary.add
-        )
-    return replace(outcome, summary=summary)
+        return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)

@@ -27,6 +27,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import FOLDERS, ChosenResults, ResultFolder, scalar_columns
 from salsanext_cli.results.selection import MissingResults, choose, scans_of, space_of_labels
+from salsanext_cli.results.stage_records import recorded_sensor
 from salsanext_cli.sensors.sensor import Sensor, sensor
 
 STAGE, FOLDER = "picture", "pictures"
@@ -86,9 +87,7 @@ def picture(
     made_of, earlier = results.origins(PREDICTION_STAGES), results.settings(STAGE)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
     going_on = None if overwrite else earlier
-    seen = results.known_sensor()
-    if seen is None and going_on is not None:
-        seen = Sensor.from_dict(going_on.table("sensor"), going_on.path)
+    seen = results.known_sensor() or recorded_sensor(going_on)
     seen = seen or fitted_view(scans, sensor("hdl64"))
     values = [c for c in colours or COLOURINGS if c not in CLASS_COLOURS]
     values = [colour for colour in values if results.with_column(colour, scans)]

@@ -191,11 +191,9 @@ def predict_scans(
         task = NetworkTask(
             function, settings.resolved(network), network, takes_softmax=True, batch=batch
         )
-        outcome = run_over_scans(
-            task, scans, options, is_done=output.is_done, on_result=summary.add
-        )
+        outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
     rejected = None if reject is None else summary.rejected_points
-    return replace(outcome, summary=summary, rejected_points=rejected)
+    return replace(outcome, rejected_points=rejected)
 
 
 def _chosen_threshold(
@@ -259,10 +257,7 @@ def predict_range_images(
     with run as output, summary.kept_in(output, scans):
         steps = partial(predict_image, folder=folder, output=output)
         task = NetworkTask(steps, settings.resolved(network), network)
-        outcome = run_over_scans(
-            task, scans, options, is_done=output.is_done, on_result=summary.add
-        )
-    return replace(outcome, summary=summary)
+        return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
 
 
 class PointLabels(NamedTuple):

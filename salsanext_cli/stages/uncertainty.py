@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -97,10 +97,7 @@ def uncertainty(
     with run as output, summary.kept_in(output, scans):
         function = partial(uncertainty_scan, knn=knn, method=method, output=output)
         task = NetworkTask(function, settings.resolved(network), network)
-        outcome = run_over_scans(
-            task, scans, options, is_done=output.is_done, on_result=summary.add
-        )
-    return replace(outcome, summary=summary)
+        return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
 
 
 def _require_network_of_labels(out: Path, settings: dict[str, Any]) -> None:

@@ -19,7 +19,7 @@ from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, TrainingError
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.measures.scores import Confusion, scores
+from salsanext_cli.measures.scores import confusion_matrix, scores
 from salsanext_cli.network.card import TEMPERATURES, WeightsCard
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
@@ -182,7 +182,7 @@ class Training:
 def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS) -> Row:
     """Score scans labelled as `predict` does, shared by workers; also fit a temperature."""
     space = network.card.space
-    confusion = Confusion(space.class_count)
+    confusion = np.zeros((space.class_count, space.class_count), np.int64)
     # (C, M) float32, (M,) int64: some points of the classes that count, evenly spaced in every scan
     logits, truth = [torch.empty(space.class_count, 0)], [torch.empty(0, dtype=torch.int64)]
     for file in source.files[group.rank :: group.size]:
@@ -190,18 +190,18 @@ def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROC
         scan, labels = read_labelled(file, source.space, own.sensor)
         image = project(scan, own.sensor)
         of_pixels = own.logits(image)
-        confusion.update(labels, own.labels(image, of_pixels))
+        confusion += confusion_matrix(labels, own.labels(image, of_pixels), space.class_count)
         usable = np.flatnonzero(space.scored[labels] & (image.pixel_of_point >= 0))
         chosen = usable[:: max(1, len(usable) * len(source.files) // MAX_VALIDATED_POINTS)]
         pixels = image.pixel_of_point[chosen]
         logits.append(torch.from_numpy(of_pixels.reshape(space.class_count, -1)[:, pixels]))
         truth.append(torch.from_numpy(labels[chosen].astype(np.int64)))
-    counts = group.sum(torch.from_numpy(confusion.matrix).to(network.device)).cpu().numpy()
+    counts = group.sum(torch.from_numpy(confusion).to(network.device)).cpu().numpy()
     all_logits, all_truth = (
         torch.cat(group.gather(torch.cat(own, dim=-1).to(network.device)), dim=-1).cpu()
         for own in (logits, truth)
     )
-    result, (lowest, highest) = scores(Confusion(space.class_count, counts), space), TEMPERATURES
+    result, (lowest, highest) = scores(counts, space), TEMPERATURES
     best = best_temperature(all_logits.T.contiguous(), all_truth) if len(all_truth) else 1.0
     return {
         "accuracy": result.accuracy,

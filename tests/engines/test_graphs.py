@@ -17,10 +17,10 @@ from torch import nn
 
 from salsanext_cli.engines import device
 from salsanext_cli.engines.device import (
+    bfloat16_instructions,
     choose_device,
     choose_engine,
     choose_precision,
-    has_bfloat16,
 )
 from salsanext_cli.engines.graphs import compiled_graph, converted
 from salsanext_cli.engines.network import Graph
@@ -151,7 +151,7 @@ def test_every_architecture_in_float32(name):
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 
 
-@pytest.mark.skipif(not has_bfloat16(), reason="a CPU without bfloat16")
+@pytest.mark.skipif(not bfloat16_instructions(), reason="a CPU without bfloat16")
 @pytest.mark.parametrize("name", ["salsanext", pytest.param("rangenet53", marks=pytest.mark.slow)])
 def test_ends_stay_float32_when_the_rest_is_short(name):
     """By OpenVINO and by torch; a range that was rounded would be metres away."""
@@ -176,7 +176,7 @@ def test_ends_stay_float32_when_the_rest_is_short(name):
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("bfloat16", marks=pytest.mark.slow)])
 def test_the_bits_do_not_depend_on_threads_or_streams(precision):
-    if precision == "bfloat16" and not has_bfloat16():
+    if precision == "bfloat16" and not bfloat16_instructions():
         pytest.skip("a CPU without bfloat16")
     module, x = network("salsanext"), images(1, 5, 32, 96)
     others = [images(1, 5, 32, 96).flip(axis).numpy() for axis in (2, 3)]

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scans import make_scan
+from scans import make_scan, write_bin
 
 from salsanext_cli.errors import FormatError, OutputError
 from salsanext_cli.files.json_files import RecordedSettings
 from salsanext_cli.files.reading import filled, is_folder, present, refusing_damage
 from salsanext_cli.formats import SCAN_SUFFIXES, kitti, read_scan
-from salsanext_cli.formats.kitti import read_bin, read_labels, write_bin, write_labels
+from salsanext_cli.formats.kitti import read_bin, read_labels, write_labels
 from salsanext_cli.formats.npy import read_array
 
 READERS = dict.fromkeys(SCAN_SUFFIXES, read_scan) | {

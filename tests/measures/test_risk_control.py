@@ -19,7 +19,7 @@ from salsanext_cli.measures.risk_control import (
     needed_scans,
     promise,
 )
-from salsanext_cli.measures.scores import Confusion
+from salsanext_cli.measures.scores import confusion_matrix
 
 DRAWS = 2000
 
@@ -141,7 +141,7 @@ def test_labels_that_are_kept_are_counted():
     )
     truth = np.array([0, car, car, person, person, person, road, rider])
     predicted = np.array([car, car, 0, road, person, 0, road, person])
-    confusion = Confusion(space.class_count).update(truth, predicted)
+    confusion = confusion_matrix(truth, predicted, space.class_count)
     scans = {"a/0": (20, 4, 2), "a/1": (30, 1, 1), "a/2": (0, 0, 0)}
     kept = KeptLabels.of_confusion(confusion, space, scans)
     assert (kept.points, kept.kept, kept.wrong) == (7, 5, 2)

@@ -168,7 +168,7 @@ def test_a_distance_band_begins_where_the_previous_one_ends(distance, band):
 )
 def test_labels_that_hardly_ever_agree_are_doubted(right, wrong, said):
     counts = ScanCounts.none(label_space(), by_distance=False)
-    counts.confusion.matrix[[1, 9, 0], [1, 0, 5]] = right, wrong, 100_000
+    counts.confusion[[1, 9, 0], [1, 0, 5]] = right, wrong, 100_000
     warnings = [*counts.label_warnings(label_space())]
     assert len(warnings) == bool(said)
     assert all(said in text and "--label-space" in text for text in warnings)

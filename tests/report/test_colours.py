@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from matplotlib.image import imread
 
 from salsanext_cli.classes.label_space import label_space
-from salsanext_cli.measures.scores import Confusion, scores
+from salsanext_cli.measures.scores import Counts, confusion_matrix, scores
 from salsanext_cli.report.colours import (
     EMPTY,
     MIN_CONTRAST,
@@ -150,12 +150,11 @@ def test_of_more_classes_32_are_told_apart():
     assert len(np.unique(colours, axis=0)) == 32
 
 
-def counts() -> Confusion:
+def counts() -> Counts:
     """Every car found, half the road called unlabelled, everything else absent."""
     car, road = SPACE.names.index("car"), SPACE.names.index("road")
-    return Confusion(SPACE.class_count).update(
-        np.array([car, car, road, road, 0]), np.array([car, car, road, 0, car])
-    )
+    truth, predicted = np.array([[car, car, road, road, 0], [car, car, road, 0, car]])
+    return confusion_matrix(truth, predicted, SPACE.class_count)
 
 
 def pixels(png: bytes) -> np.ndarray:
@@ -191,7 +190,8 @@ def test_cells_are_as_dark_as_the_share_of_the_row():
 
 def test_without_points_and_with_any_names_there_is_a_picture():
     space = small_space("none", "$\\frac{$ [b]", "Straße")
-    for confusion in (Confusion(3), Confusion(3).update(np.array([1, 2]), np.array([1, 1]))):
+    some = confusion_matrix(np.array([1, 2]), np.array([1, 1]), 3)
+    for confusion in (np.zeros_like(some), some):
         assert pixels(iou_bars(scores(confusion, space), space)).size
         assert pixels(confusion_picture(confusion, space)).size
 

@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command_line import only_json
-from scans import SMALL, labels_below
+from scans import SMALL, labels_below, write_bin
 from typer.testing import CliRunner
 
 from salsanext_cli import Scan, read_labels, read_scan
 from salsanext_cli.cli.app import app
-from salsanext_cli.formats.kitti import write_bin
 
 NEAR = 300
 

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import plyfile
 import pytest
-from scans import write_array
+from scans import write_array, write_bin
 from typer.testing import CliRunner
 
 from salsanext_cli import Scan, label_space, read_labels, read_scan, write_labels
 from salsanext_cli.cli.app import app
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.fusion import drive_map
 from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.drive_map import MapTask

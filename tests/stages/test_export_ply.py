@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import plyfile
 import pytest
-from scans import SMALL, files_below, write_array
+from scans import SMALL, files_below, write_array, write_bin
 from world import Kept, begin_and_end
 
 from salsanext_cli import LabelSpace, Scan, label_space, read_labels, read_scan, write_labels
@@ -17,7 +17,6 @@ from salsanext_cli.errors import (
     NoInputError,
     OutputError,
 )
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.formats.las import classification
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions

@@ -8,7 +8,7 @@ import numpy as np
 import plyfile
 import pytest
 from command_line import only_json
-from scans import files_below
+from scans import files_below, write_bin
 from typer.testing import CliRunner
 
 from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_labels, read_scan
@@ -21,7 +21,6 @@ from salsanext_cli.errors import (
     SalsanextError,
     UsageError,
 )
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.fusion.poses import encode_poses, read_poses
 from salsanext_cli.fusion.window import FusionWindow, disagreement, fuse, fused_labels
 from salsanext_cli.options import ScanSelection

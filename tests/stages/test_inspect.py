@@ -3,12 +3,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, make_scan
+from scans import SMALL, make_scan, write_bin
 
 from salsanext_cli import Scan, project, read_scan, sensor
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.fitting.view_fit import fit_view
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.stages.inspect import inspect, write_sensor
 
 TILT = np.radians(6.5)

@@ -15,6 +15,7 @@ from scans import (
     make_scan,
     replace_points,
     share_alike,
+    write_bin,
     write_sequence,
     write_weights,
 )
@@ -23,7 +24,6 @@ from salsanext_cli import KnnParameters, LabelSpace, knn_refine, label_space, pr
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.fitting.label_scan import projected_sensor
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.parallel.run import RunOptions

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import only_json
-from scans import make_scan, write_sequence
+from scans import make_scan, write_bin, write_sequence
 from typer.testing import CliRunner
 
 from salsanext_cli.cli.app import app
 from salsanext_cli.errors import OutputError
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.results.layout import find_scans, require_none_hidden
 
 

@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, labels_below, share_alike, write_sequence, write_weights
+from scans import SMALL, labels_below, share_alike, write_bin, write_sequence, write_weights
 
 from salsanext_cli import Scan, knn_refine, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.network_input import fill_rows, intensity_quantiles, row_gaps
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.options import Shard

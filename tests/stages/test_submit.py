@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from scans import make_scan
+from scans import make_scan, write_bin
 
 from salsanext_cli import label_space, write_labels
 from salsanext_cli.errors import LabelError, OutputError
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.stages import submit as module
 from salsanext_cli.stages.submit import SCANS_OF_TEST, submit

@@ -8,12 +8,11 @@ import numba
 import numpy as np
 import pytest
 import torch
-from scans import SMALL, make_scan, write_sequence
+from scans import SMALL, make_scan, write_bin, write_sequence
 from scipy.special import softmax
 
 from salsanext_cli import Scan, knn_refine, load_network, project, read_scan, sample
 from salsanext_cli.errors import FormatError
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.error_features import FEATURES, error_features
 from salsanext_cli.uncertainty.scan_description import describe_scan, label_sampled, pixel_features

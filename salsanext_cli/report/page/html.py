@@ -18,7 +18,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, escaped, printable
 from salsanext_cli.measures.scan_counts import BAND_NAMES
-from salsanext_cli.measures.scores import Confusion, Counts, band_rows, largest_confusions, scores
+from salsanext_cli.measures.scores import Counts, band_rows, largest_confusions, scored_rows, scores
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
 from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
 from salsanext_cli.report.page.run_results import (
@@ -234,9 +234,9 @@ def _bands(compared: Comparison, space: LabelSpace) -> str:
     return f"<h3>By distance</h3><table>{table}</table>" if lines else ""
 
 
-def _confusions(confusion: Confusion, space: LabelSpace) -> list[str]:
+def _confusions(confusion: Counts, space: LabelSpace) -> list[str]:
     """Say what is taken for what, most points first."""
-    matrix, names = confusion.counted(space.scored), space.names
+    matrix, names = scored_rows(confusion, space), space.names
     truths = matrix.sum(axis=1).tolist()
     return [
         f"{names[true]} taken for {names[predicted]}: "
@@ -247,7 +247,7 @@ def _confusions(confusion: Confusion, space: LabelSpace) -> list[str]:
 
 def _occurring(class_points: Counts, compared: Comparison | None) -> dict[str, list[int]]:
     """Return the classes of some scan, by colour: the legend is the same for all scans."""
-    true = compared.counts.confusion.matrix.sum(axis=1) if compared else ()
+    true = compared.counts.confusion.sum(axis=1) if compared else ()
     found = {"label": class_points.sum(axis=0), "truth": true, "wrong": np.ones(3)}
     return {name: np.flatnonzero(points).tolist() for name, points in found.items()}
 

@@ -34,7 +34,7 @@ from salsanext_cli.measures.risk_control import (
     promise,
 )
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts, count_scan, read_softmax
-from salsanext_cli.measures.scores import Confusion, Counts, Scores, scores
+from salsanext_cli.measures.scores import Counts, Scores, scored_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
@@ -85,7 +85,7 @@ class ScanRow:
     points: int  # Number of its points that have a label or an uncertainty
     class_points: Counts | None  # (C,) int64 or None: number of points by predicted train id
     uncertainty: dict[str, float]  # Mean over the points by kind; NaN without any
-    confusion: Counts | None = None  # (C, C) as `Confusion.counted`; None without labels
+    confusion: Counts | None = None  # (C, C) as `scored_rows`; None without labels
 
     @property
     def wrong(self) -> float:
@@ -119,7 +119,7 @@ def read_row(
     counts = count_scan(
         file, out, space, by_distance, *compared_in, trained_on, rejection=reader.rejection
     )
-    confusion = counts.confusion.counted(space.scored)
+    confusion = scored_rows(counts.confusion, space)
     return ScanRow(file, points, class_points, uncertainty, confusion), counts
 
 
@@ -255,9 +255,9 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
 
 def _worst_class(rows: Sequence[ScanRow], space: LabelSpace) -> int | None:
     """Return the class of the lowest IoU of those that the truth holds."""
-    confusion = Confusion(space.class_count)
+    confusion = np.zeros((space.class_count, space.class_count), np.int64)
     for row in rows:
-        confusion.matrix += 0 if row.confusion is None else row.confusion
+        confusion += 0 if row.confusion is None else row.confusion
     held = [each for each in scores(confusion, space).classes if each.points]
     return min(held, key=lambda each: each.iou).train_id if held else None
 

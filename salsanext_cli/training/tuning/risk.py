@@ -27,7 +27,7 @@ from salsanext_cli.measures.risk_control import (
     needed_scans,
     promise,
 )
-from salsanext_cli.measures.scores import Confusion, Counts, Ratios
+from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.options import KnnParameters
 from salsanext_cli.results.layout import ScanFile
@@ -97,8 +97,8 @@ def kept_labels(
     Then points, kept and wrong ones of each scan.
     """
     is_kept = np.arange(counts.shape[2]) < held[:, None]
-    confusion = Confusion(space.class_count, (counts * is_kept).sum(axis=2))
-    confusion.matrix[:, 0] += (counts * ~is_kept).sum(axis=(1, 2))
+    confusion = (counts * is_kept).sum(axis=2)
+    confusion[:, 0] += (counts * ~is_kept).sum(axis=(1, 2))
     labels = np.flatnonzero(held)
     kept = [each.below[:, labels, held[labels] - 1].sum(axis=1).tolist() for each in scans]
     of_scans = {s.file.name: (s.points, *of_scan) for s, of_scan in zip(scans, kept, strict=True)}
