@@ -26,7 +26,7 @@ Model = Callable[[Scan, RawIds, float, np.random.Generator], LabelledScan]
 
 DETECTABLE = 6e-6
 """Signal in 1/m² below which an HDL-64 reports nothing: asphalt at 40 m, beside its border."""
-LEAST_REFLECTIVITY = 0.01
+MIN_REFLECTIVITY = 0.01
 """Reflectivity of what is reported as black."""
 NEAREST_M, FARTHEST_M = 2.0, 80.0
 """Ranges between which echoes appear that are none of the scene."""
@@ -98,9 +98,9 @@ def wet_ground(
     along = (WATER_INDEX * cosine - inside) / (WATER_INDEX * cosine + inside)
     through = (1 - (across**2 + along**2) / 2) ** 2 / WATER_INDEX**2
     covered = min(film_mm / ROUGHNESS_MM, 1.0)
-    dry = np.maximum(scan.intensity, LEAST_REFLECTIVITY).astype(float)
+    dry = np.maximum(scan.intensity, MIN_REFLECTIVITY).astype(float)
     share = np.where(ground, 1 - covered + covered * through / (1 - FILM_REFLECTED * dry), 1)
-    darker = Scan(scan.points, (scan.intensity * share).astype(np.float32), scan.ring)
+    darker = Scan(scan.points, (scan.intensity * share).astype(np.float32))
     before = np.full(len(scan), np.inf)
     np.divide(dry * cosine, ranges**2, out=before, where=ground)
     return _kept(darker, labels, ~_is_lost(before * share, before))
@@ -149,7 +149,7 @@ def motion_blur(
     time = REVOLUTION_S * np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi)
     moved = scan.points + jitter * noise
     moved[:, 0] -= SPEED_PER_JITTER * jitter * time
-    return Scan(moved.astype(np.float32), scan.intensity, scan.ring), labels
+    return Scan(moved.astype(np.float32), scan.intensity), labels
 
 
 def missing_beams(
@@ -205,7 +205,7 @@ def _ranges_and_signals(scan: Scan) -> tuple[Array, Array]:
     ranges = np.linalg.norm(scan.points.astype(float), axis=1)
     ranges[~np.isfinite(ranges)] = 0
     signal = np.full(len(scan), np.inf)
-    reflectivity = np.maximum(scan.intensity, LEAST_REFLECTIVITY)
+    reflectivity = np.maximum(scan.intensity, MIN_REFLECTIVITY)
     np.divide(reflectivity, ranges**2, out=signal, where=ranges > 0)
     return ranges, signal
 
@@ -216,9 +216,7 @@ def _is_lost(signal: Array, before: Array) -> Mask:
 
 
 def _beams(scan: Scan) -> npt.NDArray[np.int64]:
-    """Return the beam of each point: its ring, else the step of its elevation."""
-    if scan.ring is not None:
-        return scan.ring.astype(np.int64)
+    """Return the beam of each point: the step of its elevation."""
     x, y, z = np.nan_to_num(scan.points.astype(float)).T
     return np.floor(np.degrees(np.arctan2(z, np.hypot(x, y))) / BEAM_DEG).astype(np.int64)
 
@@ -228,7 +226,7 @@ def _in_air(
 ) -> LabelledScan:
     """Let a share (N,) of the light through, lose what is too weak then, and put echoes on rays."""
     _, signal = _ranges_and_signals(scan)
-    weaker = Scan(scan.points, (scan.intensity * shown).astype(np.float32), scan.ring)
+    weaker = Scan(scan.points, (scan.intensity * shown).astype(np.float32))
     changed, labels = _with_echoes(weaker, labels, echo, ranges, reflectivity)
     return _kept(changed, labels, echo | ~_is_lost(signal * shown, signal))
 
@@ -242,7 +240,7 @@ def _with_echoes(
     points[where] = old * (ranges[where] / np.linalg.norm(old, axis=1))[:, None]
     intensity[where] = np.minimum(reflectivity[where], 1)
     labels[where] = 0
-    return Scan(points, intensity, scan.ring), labels
+    return Scan(points, intensity), labels
 
 
 def _kept(scan: Scan, labels: RawIds, kept: Mask) -> LabelledScan:

@@ -28,15 +28,16 @@ from commands import salsanext
 from corruption_models import LEVELS, LabelledScan
 
 import salsanext_cli as sn
+from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import read_json, write_json
-from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space
 
 CLEAN = "clean"
-BASELINES, ERROR = ("confidence", "softmax_entropy"), "error"
+BASELINES, ERROR = ("least_confidence", "softmax_entropy"), "error"
 COVERAGE_PERCENT = 80
 SEVERITIES = (1, 2, 3)
 Shares = dict[str, tuple[float, ...]]
@@ -60,7 +61,7 @@ def write_data_set(root: Path, space: sn.LabelSpace, files: Sequence[ScanFile], 
     for file in files:
         scan, labels = corrupted(file, *how)
         folder = root / "sequences" / file.sequence
-        write_bin(folder / "velodyne" / f"{file.stem}.bin", scan)
+        write_bytes(folder / "velodyne" / f"{file.stem}.bin", encode_bin(scan))
         sn.write_labels(folder / "labels" / f"{file.stem}.label", labels)
     # Last: it says that the data set is complete.
     write_json(root / "labels.yaml", space.to_dict())

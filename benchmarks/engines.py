@@ -26,11 +26,11 @@ from speed_hardware import seconds_of
 
 import salsanext_cli as sn
 from salsanext_cli.compiled import thread_count
-from salsanext_cli.engines.device import has_bfloat16, openvino_core
+from salsanext_cli.engines.device import bfloat16_instructions, openvino_core
 from salsanext_cli.engines.graphs import HINTS
 from salsanext_cli.engines.network import Graph, Network
 
-KINDS = ("float32", "bfloat16") if has_bfloat16() else ("float32",)
+KINDS = ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
 Engine = Callable[[np.ndarray], np.ndarray]
 """Takes a normalised range image (1, 5, H, W), returns logits (1, C, H, W)."""
 

@@ -24,7 +24,7 @@ from commands import salsanext
 
 from salsanext_cli import label_space, read_labels
 
-LEAST_POINTS = 1000
+MIN_POINTS = 1000
 
 
 def timed(*words: object) -> float:
@@ -53,7 +53,7 @@ def worst_loss(single: dict[str, Any], fused: dict[str, Any]) -> float:
     losses = [
         after[i]["iou"] - before[i]["iou"]
         for i in before
-        if points[i] > LEAST_POINTS and before[i]["iou"] is not None
+        if points[i] > MIN_POINTS and before[i]["iou"] is not None
     ]
     return 100 * min(losses)
 

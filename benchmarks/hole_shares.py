@@ -28,7 +28,7 @@ from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 
 KINDS, BINS = HOLE_SHARES.shape
 TITLES = ("all", *(f"bin {k + 1}" for k in range(BINS)), "go on")
-LEAST_PIXELS = 100
+MIN_PIXELS = 100
 """Pixels of a cell below which its share is not shown."""
 
 Counts = npt.NDArray[np.int64]
@@ -52,7 +52,7 @@ def shares(path: Path, given: Sensor, limit: int) -> npt.NDArray[np.float64]:
     pixels, holes, going_on = sum(count_holes(image.channels[0]) for image in images)
     total = holes.sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        by_range = np.where(pixels < LEAST_PIXELS, np.nan, holes / pixels)
+        by_range = np.where(pixels < MIN_PIXELS, np.nan, holes / pixels)
         columns = (total / pixels.sum(axis=1), *by_range.T, going_on.sum(axis=1) / total)
     return np.stack(columns, axis=1)
 

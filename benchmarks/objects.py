@@ -19,7 +19,7 @@ import numpy as np
 
 from salsanext_cli import label_space, project, read_labels, read_scan, sensor
 from salsanext_cli.fusion.window import movable_classes
-from salsanext_cli.geometry.objects import MIN_POINTS, find_objects
+from salsanext_cli.geometry.objects import MIN_OBJECT_POINTS, find_objects
 from salsanext_cli.measures.panoptic import count_segments, panoptic_quality
 from salsanext_cli.records import Scan
 from salsanext_cli.results.layout import find_scans, output_path
@@ -43,7 +43,7 @@ def dbscan(scan: Scan, _: Any, labels: Any, eps: float) -> Any:
         )
         found = np.asarray(cloud.cluster_dbscan(eps, CORE_POINTS)) + 1
         sizes = np.bincount(found)
-        large = sizes >= MIN_POINTS
+        large = sizes >= MIN_OBJECT_POINTS
         large[0] = False
         objects[own] = (large * (np.cumsum(large) + objects.max()))[found]
     return objects

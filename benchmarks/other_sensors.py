@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Labels of scans of other sensors than the weights': by view, by gaps between rows, by beams.
+"""Labels of scans of other sensors than the weights': by view, by gaps between rows.
 
 Scans are sixteen synthetic ones per simulated sensor, two of each of eight streets that no weights
 were trained on. With a data set of KITTI's files, laser by laser, also those with every n-th beam
@@ -10,7 +10,6 @@ weights     in the view of the weights
 whole       in the whole view of the sensor
 fitted      in the view that `--sensor auto` fits
 filled      likewise, gaps between rows filled where training had fewer: what `predict` does
-beams       with the beams spread over the rows instead, filled likewise
 
 Run: python benchmarks/other_sensors.py [DATASET … --sensors hdl32 vlp16 --weights FILE]
 """
@@ -25,7 +24,7 @@ import numpy as np
 import salsanext_cli as sn
 from salsanext_cli.engines.network import Network
 from salsanext_cli.fitting.scan_fit import with_image_statistics
-from salsanext_cli.fitting.view_fit import fit_beams, fit_view
+from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.synthesis import drive
@@ -43,7 +42,7 @@ SENSORS = {
     "os2-32": (np.linspace(11.25, -11.25, 32), 1024),
 }
 """Elevations of the beams in degrees, and firings per revolution."""
-COLUMNS = ("weights", "whole", "fitted", "filled", "beams")
+COLUMNS = ("weights", "whole", "fitted", "filled")
 
 
 def simulated(name: str, space: sn.LabelSpace) -> Iterator[LabelledScan]:
@@ -97,12 +96,9 @@ def measure(network: Network, scans: list[LabelledScan]) -> list[str]:
     found = fit_view([scan for scan, _ in scans], usual)
     surveys = (survey(scan, sn.project(scan, usual), None) for scan, _ in scans)
     up, down = sum(surveys, start=Survey()).field_of_view()
-    beams = fit_beams([scan for scan, _ in scans], usual)
     views = (usual, replace(usual, fov_up=up, fov_down=down), found)
     plain = [score(network, scans, view, fill=False) for view in views]
-    filled = score(network, scans, found, fill=True)
-    by_beam = score(network, scans, replace(found, beams=beams), fill=True) if beams else "–"
-    return [*plain, filled, by_beam]
+    return [*plain, score(network, scans, found, fill=True)]
 
 
 def main(*words: str) -> None:

@@ -27,9 +27,10 @@ from speed_turn import take_turn
 from salsanext_cli.engines.device import choose_device, choose_precision
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError, UsageError, WeightsError, counted
+from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.card import WeightsCard, read_card, require_tensors
 from salsanext_cli.options import ScanSelection
@@ -97,7 +98,7 @@ def benchmark(
         Path(folder, "sensor.toml").write_text(sensor_of_scans.to_toml(), "utf-8")
         for number in range(rounds):
             scan = Path(folder, f"{number:06}.bin")
-            write_bin(scan, scans[number % len(scans)])
+            write_bytes(scan, encode_bin(scans[number % len(scans)]))
             hardware.append(take_turn("product", "hardware", task, scan))
             for done, part in enumerate(parts, start=1 + number * len(parts)):
                 # Each side begins in every other round; help has no baseline.

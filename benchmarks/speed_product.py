@@ -10,7 +10,7 @@ from speed_hardware import describe
 
 import salsanext_cli as sn
 from salsanext_cli.geometry.projection import points_from_pixels
-from salsanext_cli.measures.scores import Confusion
+from salsanext_cli.measures.scores import confusion_matrix
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
@@ -48,4 +48,4 @@ def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]
         return lambda: sn.knn_refine(image, pixel_labels, count)
     labels = sn.knn_refine(image, pixel_labels, count)
     before = points_from_pixels(pixel_labels, image.pixel_of_point, 0)
-    return lambda: Confusion(count).update(labels, before)
+    return lambda: confusion_matrix(labels, before, count)

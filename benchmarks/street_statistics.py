@@ -45,7 +45,7 @@ GROUND = ("road", "parking", "sidewalk", "other-ground", "terrain")
 NEARER_M = (5.0, 10.0, 20.0)
 BINS_M = (0.0, 10.0, 20.0, 40.0)
 QUARTILES = (0.25, 0.5, 0.75)
-LEAST_IN_TOP = 0.01
+MIN_IN_TOP = 0.01
 """Share of the columns that are occupied in the top row of the view, at least."""
 TOP_ROWS = 2
 """Rows that count as the top: not every column has a point in the first."""
@@ -133,7 +133,7 @@ def near_columns(classes: TrainIds, near: Mask, occupied: Mask) -> tuple[TrainId
 
     ``classes``, ``near`` and ``occupied`` are (H, W); no near pixel is empty.
     """
-    top = int(np.argmax(occupied.mean(axis=1) >= LEAST_IN_TOP))
+    top = int(np.argmax(occupied.mean(axis=1) >= MIN_IN_TOP))
     found = []
     for rows in (slice(None), slice(0, top + TOP_ROWS)):
         row, column = np.nonzero(near[rows] & (classes[rows] > 0))

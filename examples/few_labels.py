@@ -12,9 +12,11 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
+
 import salsanext_cli as sn
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.measures.scores import Confusion, scores
+from salsanext_cli.measures.scores import confusion_matrix, scores
 from salsanext_cli.results.layout import find_scans, output_path
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.pick import pick
@@ -39,13 +41,12 @@ def score(scans: Path, out: Path, truth: Path, weights: Path | None) -> str:
     """Predict scans, compare with the truth, and return accuracy and mean IoU as text."""
     predict_scans(scans, out, settings=NetworkSettings(weights))
     space = sn.label_space(truth / "labels.yaml")
-    confusion = Confusion(space.class_count)
+    confusion = np.zeros((space.class_count, space.class_count), np.int64)
     labels = {file.stem: file.label_path for file in find_scans(truth)}
     for file in find_scans(scans):
         predicted = output_path(out, file.sequence, "predictions", file.stem)
-        confusion.update(
-            *(space.to_train(sn.read_labels(path)) for path in (labels[file.stem], predicted))
-        )
+        pair = (space.to_train(sn.read_labels(path)) for path in (labels[file.stem], predicted))
+        confusion += confusion_matrix(*pair, space.class_count)
     found = scores(confusion, space)
     return f"accuracy {100 * found.accuracy:.1f} %, mean IoU {100 * found.iou_mean_present:.1f} %"
 

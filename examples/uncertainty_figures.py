@@ -57,7 +57,8 @@ def scatter(axes: Axes, slow: Values, fast: Values, titles: tuple[str, str, str]
 def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weights: str) -> None:
     network = sn.load_network(*weights, device="cpu")
     # Uncertainties are those of the plain softmax.
-    network = replace(network, card=replace(network.card, temperature=1.0))
+    card = replace(network.card, temperature=1.0)
+    network = replace(network, engine=replace(network.engine, card=card))
     image = sn.project(sn.read_scan(scan), network.sensor)
     seen = image.point_of_pixel >= 0
 

@@ -2,7 +2,7 @@
 """Entry point of ``salsanext`` and ``python -m salsanext_cli``."""
 
 try:
-    from salsanext_cli.interruption import end_on_signals
+    from salsanext_cli.cli.interruption import end_on_signals
 except KeyboardInterrupt:
     raise SystemExit(130) from None
 

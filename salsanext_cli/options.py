@@ -16,7 +16,7 @@ from salsanext_cli.errors import UsageError
 Group = TypeVar("Group")
 
 MAX_REACH = 1000  # Largest reach of `FusionReach`, in scans, each of some megabytes
-LARGEST_WINDOW_PX = 63  # Largest side of the window of `KnnParameters`, in pixels
+MAX_WINDOW_PX = 63  # Largest side of the window of `KnnParameters`, in pixels
 
 
 @dataclass_transform(frozen_default=True)
@@ -101,21 +101,19 @@ class KnnParameters:
 
     def __post_init__(self) -> None:
         window, most = self.window, self.window**2
-        possible = {
-            "window": 1 <= window <= LARGEST_WINDOW_PX and window % 2 == 1,
-            "k": 1 <= self.k <= most,
-            "sigma": 0 < self.sigma < math.inf,
-            "cutoff": self.cutoff >= 0,
-        }
-        expected = {
-            "window": f"an odd window from 1 to {LARGEST_WINDOW_PX}",
-            "k": f"1 ≤ k ≤ {most} neighbours in a window of {window}",
-            "sigma": "a finite sigma above 0 pixels",
-            "cutoff": "a cutoff ≥ 0 metres",
-        }
-        for name, holds in possible.items():
+        conditions = (
+            (
+                "window",
+                1 <= window <= MAX_WINDOW_PX and window % 2 == 1,
+                f"an odd window from 1 to {MAX_WINDOW_PX}",
+            ),
+            ("k", 1 <= self.k <= most, f"1 ≤ k ≤ {most} neighbours in a window of {window}"),
+            ("sigma", 0 < self.sigma < math.inf, "a finite sigma above 0 pixels"),
+            ("cutoff", self.cutoff >= 0, "a cutoff ≥ 0 metres"),
+        )
+        for name, holds, expected in conditions:
             if not holds:
-                raise UsageError("knn", f"{name} {getattr(self, name)}", expected[name])
+                raise UsageError("knn", f"{name} {getattr(self, name)}", expected)
 
 
 @option_group

@@ -35,13 +35,10 @@ class Scan:
         no measurement, belong to no pixel and get label 0.
     intensity : (N,) float32
         Returned intensity (remission), nominally 0…1.
-    ring : (N,) int32, optional
-        Number of the beam of each point in the sensor's own order, -1 where it is not known.
     """
 
     points: Float
     intensity: Float
-    ring: Int | None = None
 
     def __post_init__(self) -> None:
         if self.points.ndim != 2 or self.points.shape[1] != 3 or self.points.dtype != np.float32:
@@ -50,17 +47,13 @@ class Scan:
             raise ValueError(
                 f"intensity: {self.intensity.shape} {self.intensity.dtype}, not (N,) float32"
             )
-        ring = self.ring
-        if ring is not None and (ring.shape != self.intensity.shape or ring.dtype != np.int32):
-            raise ValueError(f"ring: {ring.shape} {ring.dtype}, not (N,) int32")
 
     def __len__(self) -> int:
         return len(self.points)
 
     def take(self, index: npt.NDArray[np.intp]) -> "Scan":
         """Return the points of an index (K,), in its order."""
-        ring = None if self.ring is None else self.ring.take(index)
-        return Scan(self.points.take(index, 0), self.intensity.take(index), ring)
+        return Scan(self.points.take(index, 0), self.intensity.take(index))
 
 
 def normalised_intensity(values: npt.NDArray[Any], scale: float) -> Float:

@@ -18,9 +18,7 @@ from salsanext_cli.cli.app import app
 
 def every_command() -> dict[str, Callable[..., None]]:
     """Return the function of every command, as typer reads it, by its full name."""
-    found: dict[str, Any] = {
-        command.name or "": command.callback for command in app.registered_commands
-    }
+    found: dict[str, Any] = {c.name or "": c.callback for c in app.registered_commands}
     for group in app.registered_groups:
         members = group.typer_instance.registered_commands if group.typer_instance else []
         found |= {f"{group.name} {member.name}": member.callback for member in members}

@@ -4,10 +4,9 @@
 from pathlib import Path
 
 import numpy as np
-from scans import write_array
+from scans import write_array, write_bin
 
 from salsanext_cli import LabelSpace, Scan, label_space, write_labels
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.measures.histograms import (
     confidence_histogram,

@@ -11,7 +11,8 @@ import torch
 from torch import nn
 
 from salsanext_cli import LabelSpace, Scan, Sensor, label_space, write_labels
-from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.files.atomic import write_bytes
+from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.registry import build
@@ -45,6 +46,11 @@ def make_scan(count: int = 1500, seed: int = 0) -> Scan:
     return Scan(
         np.stack(points, axis=1).astype(np.float32), random.random(count).astype(np.float32)
     )
+
+
+def write_bin(path: Path, scan: Scan) -> None:
+    """Write a scan as float32 x, y, z, intensity; folders are made."""
+    write_bytes(path, encode_bin(scan))
 
 
 def write_array(path: Path, array: npt.ArrayLike) -> None:
@@ -126,3 +132,11 @@ def files_below(folder: Path) -> dict[str, bytes]:
 def labels_below(folder: Path) -> dict[str, bytes]:
     """Return the content of every `.label` file below a folder."""
     return {name: data for name, data in files_below(folder).items() if name.endswith(".label")}
+
+
+def share_alike(found: Path, expected: Path) -> float:
+    """Return the share of points of two folders of results with the same label."""
+    one, other = labels_below(found), labels_below(expected)
+    assert one.keys() == other.keys()
+    pairs = [(np.frombuffer(one[n], "<u4"), np.frombuffer(other[n], "<u4")) for n in one]
+    return sum(int((a == b).sum()) for a, b in pairs) / sum(len(a) for a, _ in pairs)

@@ -102,15 +102,14 @@ WITH_SAMPLES = (
     f"pick DATA picked {NETWORK} --count 1000",
     "import-labels DATA/sequences/08/labels picked",
     "import-labels DATA/sequences/08/labels picked",
-    "tune temperature DATA tuned.safetensors --weights WEIGHTS --device cpu",
+    "tune risk DATA tuned.safetensors --at-most 99% --weights WEIGHTS --device cpu",
 )
 
 
 def counts_of(place: Path, commands, weights: Path, scans: int) -> list:
     """Run commands on some scans; return their calls, which of two scans are not counted."""
     write_sequence(place / "DATA/sequences/08", [f"{n:06d}" for n in range(scans)], count=60)
-    view = ("fov_up", "fov_down", "height", "width")
-    (place / "small.toml").write_text("\n".join(f"{k} = {getattr(SMALL, k)}" for k in view))
+    (place / "small.toml").write_text(SMALL.to_toml())
     found = []
     for command in commands:
         words = command.replace("WEIGHTS", f"{weights}").split()

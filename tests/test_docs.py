@@ -19,13 +19,12 @@ import numpy as np
 import pytest
 import yaml
 from command_line import every_command, parsed, root
-from scans import SMALL, make_scan, write_array, write_sequence
+from scans import SMALL, make_scan, write_array, write_bin, write_sequence
 
 import salsanext_cli
 from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project, read_scan
 from salsanext_cli.cli.app import COMMANDS
 from salsanext_cli.formats import SCAN_SUFFIXES
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.formats.las import asprs_class
 from salsanext_cli.results.layout import SUFFIX_OF_FOLDER
 from salsanext_cli.sensors import sensor as sensors
@@ -311,10 +310,11 @@ def test_every_link_leads_somewhere():
                 assert anchor in [h.lower().replace(" ", "-") for h in headings], target
 
 
-def test_every_page_is_in_the_navigation():
+def test_every_page_is_in_the_navigation_and_the_version_in_the_changelog():
     # mkdocs' own tags, which plain yaml does not know, do not occur in this file.
     listed = set(re.findall(r": (\S+\.md)$", text_of("mkdocs.yml"), re.MULTILINE))
     assert listed == {page.name for page in DOCS.glob("*.md")}
+    assert f"## [{salsanext_cli.__version__}]" in text_of("CHANGELOG.md")
 
 
 def test_every_make_target_mentioned_exists():
@@ -324,10 +324,6 @@ def test_every_make_target_mentioned_exists():
         mentioned = re.findall(r"`make ([a-z-]+)`", text)
         mentioned += re.findall(r"^make ([a-z-]+)$", "\n".join(blocks(page, "sh")), re.MULTILINE)
         assert set(mentioned) <= targets, page.name
-
-
-def test_the_changelog_names_the_version():
-    assert f"## [{salsanext_cli.__version__}]" in text_of("CHANGELOG.md")
 
 
 @pytest.mark.slow

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scans import make_scan, write_array, write_sequence
+from scans import make_scan, write_array, write_bin, write_sequence
 
 from salsanext_cli import read_labels
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SALSANET, SalsaNext

@@ -1,26 +1,40 @@
 # SPDX-License-Identifier: MIT
-"""The pipeline as a user types it, and each of its ways the same bytes."""
+"""The package as it is shipped and typed: default weights, three lines, real scans."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import plyfile
 import pytest
-from scans import files_below, labels_below, write_sequence
+import safetensors
+import torch
+from scans import labels_below, write_bin, write_sequence
 from typer.testing import CliRunner
 
-from salsanext_cli import label_space, sensor
+from salsanext_cli import (
+    knn_refine,
+    label_space,
+    load_network,
+    project,
+    read_labels,
+    read_scan,
+    sensor,
+)
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.geometry.projection import points_from_pixels
+from salsanext_cli.network.card import default_weights
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.results.layout import find_scans
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
-from salsanext_cli.stages.uncertainty import uncertainty
-from salsanext_cli.uncertainty.method import UncertaintyMethod
+from salsanext_cli.stages.synth import synthesise
+from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.training.tuning.error import error_scores
+from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
 THREE_LINES = (
     "salsanext predict seq/velodyne out/",
@@ -50,26 +64,6 @@ def test_the_three_lines_as_typed(tmp_path, monkeypatch):
     assert len(np.unique(vertex["green"])) > 20
 
 
-@pytest.mark.slow
-def test_two_jobs_give_the_bytes_of_one(tmp_path, weights):
-    """Through every stage that runs a network."""
-    data = write_sequence(tmp_path / "one", ["a", "b", "c"])
-    network = NetworkSettings(weights, "cpu")
-    for jobs in (1, 2):
-        out, options = tmp_path / f"jobs{jobs}", RunOptions(jobs=jobs)
-        extras = ("pixel_labels", "probabilities")
-        predict_scans(data, out, settings=network, extras=extras, options=options)
-        uncertainty(
-            data, out, settings=network, method=UncertaintyMethod(samples=3), options=options
-        )
-        export_ply(out, colour="epistemic", options=options)
-    one, two = (files_below(tmp_path / f"jobs{jobs}") for jobs in (1, 2))
-    stages = {"predict.json", "predict.warnings.json", "uncertainty.json", "export-ply.json"}
-    assert {name for name in one if "/" not in name} == stages
-    assert len(one) == 3 * 10 + len(stages)
-    assert one == two
-
-
 @pytest.mark.real
 def test_real_scans_in_steps_or_in_one(golden, real_data, tmp_path):
     """Published weights on real scans, a quarter of the width to save time."""
@@ -88,3 +82,53 @@ def test_real_scans_in_steps_or_in_one(golden, real_data, tmp_path):
         ids = set(np.frombuffer(content, "<u4"))
         assert ids <= set(label_space().learning_map_inv.values())
         assert len(ids) > 3
+
+
+def test_they_are_small_half_precision_and_say_what_they_are():
+    assert default_weights().stat().st_size < 15e6
+    with safetensors.safe_open(default_weights(), framework="pt") as file:
+        assert file.get_tensor("logits.weight").dtype == torch.float16
+    card = load_network(None, "cpu").card
+    assert "Hesai and Scale AI, CC BY 4.0" in card.description
+    assert "not for use on real roads" in card.description
+    # How often a training was validated changes nothing of what it learnt.
+    seldom = recipe("street").with_changes(validate_every=card.recipe["validate_every"])
+    # They may have begun from others, whose name is no recipe's.
+    plan = Recipe.from_dict({**card.recipe, "initial": "random"})
+    assert plan == seldom.with_changes(precision=card.recipe["precision"])
+
+
+@pytest.mark.parametrize("streets", [1, pytest.param(4, marks=pytest.mark.slow)])
+def test_they_know_streets_that_they_never_saw(tmp_path, streets):
+    """Several streets together: a single one may be easier or harder than its error says."""
+    synthesise(tmp_path, train=0, valid=streets, scans=1, seed=1234)
+    network = load_network(None, "cpu")
+    assert knows_error(network)
+    judged = [[], [], []]
+    for file in find_scans(tmp_path):
+        scan = read_scan(file.path)
+        image = project(scan, network.sensor)
+        probabilities = network.probabilities(image)
+        labels = knn_refine(image, probabilities.argmax(axis=0))
+        truth = network.card.space.to_train(read_labels(file.label_path, len(scan)))
+        confidence = points_from_pixels(probabilities, image.pixel_of_point, np.eye(1, 20))
+        doubt = 1 - confidence[np.arange(len(labels)), labels]
+        error = error_probability(network, image, probabilities, labels)
+        for all_points, values in zip(judged, (labels != truth, error, doubt), strict=True):
+            all_points.append(values[truth > 0])
+    wrong, error, doubt = map(np.concatenate, judged)
+    assert wrong.mean() < 0.25
+    error, baseline = (error_scores(values, wrong) for values in (error, np.clip(doubt, 0, 1)))
+    assert error["aurc"] < baseline["aurc"]
+    assert error["ece"] < 0.06
+
+
+@pytest.mark.real
+def test_noise_is_less_probable_than_any_street(real_data, tmp_path):
+    scan = read_scan(real_data / "data/semantickitti/sequences/00/velodyne/000000.bin")
+    noise = np.random.default_rng(0).normal(0, 1, scan.points.shape).astype(np.float32)
+    write_bin(tmp_path / "scans/street.bin", scan)
+    write_bin(tmp_path / "scans/noisy.bin", replace(scan, points=scan.points + noise))
+    outcome = predict_scans(tmp_path / "scans", tmp_path / "out")
+    doubted = {found["code"]: found["scans"] for found in outcome.summary.warnings()}
+    assert doubted["low-confidence"] == ["scans/noisy"]

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""The names that other programs use."""
+"""The names and the errors that other programs use."""
 
 import ast
 import importlib
+import logging
+import pickle
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,13 +14,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import python
-from scans import SMALL, labels_below, make_scan, write_weights
+from scans import SMALL, labels_below, make_scan, write_bin, write_weights
 from typer.testing import CliRunner
 
 import salsanext_cli as sn
 from salsanext_cli.cli.app import app
+from salsanext_cli.cli.console import Output
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.errors import (
+    FormatError,
+    OutputError,
+    SalsanextError,
+    escaped,
+    printable,
+)
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.predict import predict_scans
 
@@ -34,13 +44,10 @@ def typed_names():
     return {name: home for name, home in found.items() if home != "typing"}
 
 
-def test_all_is_what_type_checkers_see():
+def test_all_is_what_type_checkers_see_and_each_is_what_its_home_holds():
     assert set(NAMES) == set(typed_names())
     assert list(sn.__all__) == sorted(set(sn.__all__))
     assert set(NAMES) <= set(dir(sn))
-
-
-def test_each_is_what_its_home_holds():
     for name, home in typed_names().items():
         assert getattr(sn, name) is getattr(importlib.import_module(home), name)
         assert getattr(sn, name).__doc__, name
@@ -130,9 +137,8 @@ def test_warnings_are_on_stderr_without_any_logging_set_up():
     assert process.stderr.decode().strip() == "so"
 
 
-@pytest.mark.parametrize(
-    ("points", "intensity", "message"),
-    [
+def test_label_refuses_what_are_no_points(weights):
+    for points, intensity, message in (
         (np.zeros((9, 4)), None, r"an array \(9, 4\) of float64 · expected numbers \(N, 3\)"),
         (np.zeros((9, 3)), np.zeros(8), r"intensity · an array \(8,\) .* expected numbers \(9,\)"),
         ([["a", "b", "c"]], None, "points · an array"),
@@ -140,11 +146,9 @@ def test_warnings_are_on_stderr_without_any_logging_set_up():
         (np.zeros((200, 3)), None, "none of its 200 points is a measurement"),
         (np.full((200, 3), 1e300), None, "none of its 200 points is a measurement"),
         (np.full((200, 3), 5e3), None, "a median range of 8.66e.03 m"),
-    ],
-)
-def test_label_refuses_what_are_no_points(points, intensity, message, weights):
-    with pytest.raises(sn.SalsanextError, match=message):
-        sn.label(points, intensity, sn.load_network(weights, "cpu", engine="torch"))
+    ):
+        with pytest.raises(sn.SalsanextError, match=message):
+            sn.label(points, intensity, sn.load_network(weights, "cpu", engine="torch"))
 
 
 def test_label_of_no_points_says_so(weights, caplog):
@@ -165,3 +169,44 @@ def test_a_fit_may_leave_view_or_intensity(other_sensor):
     assert raw.sensor == replace(fitted.sensor, intensity_quantiles=())
     with pytest.raises(sn.SalsanextError, match="nowhere · no such file"):
         sn.fit_network(plain, "nowhere")
+
+
+def test_errors_are_their_parts_and_survive_the_way_from_a_worker_process():
+    assert str(SalsanextError("a", "b", "c", "d")) == "a · b · expected c · d"
+    assert str(SalsanextError("a", "b", remedy="d")) == "a · b · d"
+    error = OutputError("out", "disk full", remedy="free some space")
+    copy = pickle.loads(pickle.dumps(error))
+    assert type(copy) is OutputError
+    assert vars(copy) == vars(error)
+
+
+def test_every_kind_has_its_own_documented_code():
+    kinds = [SalsanextError, *SalsanextError.__subclasses__()]
+    page = (Path(__file__).parents[1] / "docs/json.md").read_text("utf-8")
+    table = page.partition("| code | meaning |")[2].partition("\n\n")[0]
+    codes = set(re.findall(r"`([a-z-]+)`", table)) - {"interrupted", "terminated"}
+    assert codes == {kind.code for kind in kinds}
+    assert len(codes) == len(kinds)
+
+
+def test_control_characters_in_names_of_files_are_escaped():
+    said = str(FormatError("a\nerror: b\x1b]0;x\x07.bin", "cut\x9b off", remedy="größer"))
+    assert said == "a\\x0aerror: b\\x1b]0;x\\x07.bin · cut\\x9b off · größer"
+    assert printable("ä\t\x7f") == "ä\\x09\\x7f"
+    assert printable("a\u202enib.bin\u2028\u2066") == "a\\u202enib.bin\\u2028\\u2066"
+
+
+def test_data_for_other_programs_is_text():
+    data = {"a\udcff": ["b\udc80\n", ("ü", 1)], "deep": {"c": None, 3: 0.5}}
+    expected = {"a\\xff": ["b\\x80\n", ["ü", 1]], "deep": {"c": None, 3: 0.5}}
+    assert escaped(data) == expected
+
+
+def test_commands_log_and_say_printable_text(capsys, monkeypatch):
+    logger = logging.getLogger("salsanext_cli")
+    monkeypatch.setattr(logger, "handlers", [])
+    monkeypatch.setattr(logger, "level", logger.level)
+    output = Output(verbose=True)
+    logger.info("reading %s", "a\x1b[2J.bin")
+    output.say("→ b\x07\nc")
+    assert capsys.readouterr().err == "reading a\\x1b[2J.bin\n→ b\\x07\\x0ac\n"

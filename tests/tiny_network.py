@@ -4,9 +4,10 @@
 from torch import Tensor, nn
 
 from salsanext_cli.network.dropout import ChannelDropout
+from salsanext_cli.network.segmentation import SegmentationNetwork
 
 
-class TinyNetwork(nn.Module):
+class TinyNetwork(SegmentationNetwork):
     """Takes and returns what SalsaNext does, in a millisecond."""
 
     stride = (1, 1)
@@ -18,7 +19,8 @@ class TinyNetwork(nn.Module):
         self.dropout = ChannelDropout(dropout)
         self.logits = nn.Conv2d(8, class_count, 1)
 
-    def forward(self, image: Tensor) -> Tensor:
-        """Map (B, 5, H, W) to (B, C, H, W)."""
-        logits: Tensor = self.logits(self.dropout(self.norm(self.features(image)).relu()))
-        return logits
+    def trunk(self, image: Tensor) -> tuple[Tensor, ...]:
+        return (self.norm(self.features(image)).relu(),)
+
+    def decoded(self, *features: Tensor) -> Tensor:
+        return self.dropout(*features)

@@ -2,16 +2,18 @@
 """A data set and an output folder for tests of stages."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scans import write_sequence
 
 from salsanext_cli import read_labels, write_labels
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.results.layout import SUFFIX_OF_FOLDER
+from salsanext_cli.results.layout import SUFFIX_OF_FOLDER, ScanFile
+from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.stages.predict import predict_scans
 
 
@@ -69,3 +71,17 @@ class Kept:
         shutil.rmtree(self.place, ignore_errors=True)
         shutil.copytree(self.kept, self.place)
         return replace(self.world)
+
+
+def begin_and_end(
+    out: Path,
+    stage: str,
+    settings: Mapping[str, Any],
+    folders: Iterable[str],
+    scans: Sequence[ScanFile] = (),
+    *,
+    overwrite: bool = False,
+) -> OutputRun:
+    """Register a run in an output folder, as one does that finds nothing to do."""
+    with output_run(out, stage, settings, folders, scans, overwrite=overwrite) as output:
+        return output

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, ParamSpec, cast
 
 import typer
 
+from salsanext_cli.cli.interruption import ARRIVED, INTACT, WORDS, interruptible
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, escaped, printable
-from salsanext_cli.interruption import ARRIVED, INTACT, WORDS, interruptible
 from salsanext_cli.options import option, option_group
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ import typer
 
 from salsanext_cli.cli import console, options, run_end
 from salsanext_cli.cli.console import over_scans, progress
+from salsanext_cli.cli.interruption import ARRIVED
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import counted
-from salsanext_cli.interruption import ARRIVED
 from salsanext_cli.options import names_in, option_group, own_option
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.results.query import ResultQuery, named_label_space
@@ -40,7 +40,7 @@ class PictureOptions:
 def picture(
     *,
     results: options.Results,
-    drawn: PictureOptions,
+    pictures: PictureOptions,
     query: ResultQuery,
     running: RunOptions,
     output: console.Output,
@@ -55,10 +55,10 @@ def picture(
     with over_scans("picture", running, output.quiet) as run:
         outcome = stage(
             out,
-            colours=drawn.colour or (),
-            scale=drawn.scale,
-            gif=drawn.gif,
-            frames_per_second=drawn.fps,
+            colours=pictures.colour or (),
+            scale=pictures.scale,
+            gif=pictures.gif,
+            frames_per_second=pictures.fps,
             query=query,
             options=run,
         )

@@ -14,13 +14,12 @@ from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, Networ
 from salsanext_cli.errors import UsageError
 from salsanext_cli.options import ScanSelection, argument, option, option_group
 from salsanext_cli.parallel.options import RunOptions
-from salsanext_cli.results.query import ResultQuery
+from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery
 
 if TYPE_CHECKING:
     from salsanext_cli.sensors.sensor import Sensor
 
 OUT_VARIABLE = "SALSANEXT_OUT"
-DATASET_VARIABLE = "SALSANEXT_DATASET"
 SCANS_HELP = "Scan file, folder of scans, sequence folder, data set or recording."
 SENSOR_HELP = "Name of a built-in sensor, or a .toml file."
 EVENLY_SPACED = {"help": "At most this number of scans, evenly spaced."}

@@ -22,7 +22,7 @@ def inspect(
     *,
     fit: Annotated[
         Path | None,
-        typer.Option(help="Write a sensor file (.toml) with view, beams, statistics of the scans."),
+        typer.Option(help="Write a sensor file (.toml) with view and statistics of the scans."),
     ] = None,
     height: Annotated[int | None, typer.Option(help="Rows of its range image.")] = None,
     width: Annotated[int | None, typer.Option(help="Columns of its range image.")] = None,
@@ -61,8 +61,7 @@ def inspect(
         images = height is not None or width is not None
         fitted = found.fitted_sensor(fit.stem, images=images)
         write_sensor(fit, fitted, images=images, overwrite=running.overwrite)
-        beams = f", {len(fitted.beams)} beams" if fitted.beams else ", beams not discernible"
-        output.say(f"inspect: sensor, {view_text(fitted)}{beams} → {fit}")
+        output.say(f"inspect: sensor, {view_text(fitted)} → {fit}")
     tables = survey_tables(found.sequences, found.total, found.space, found.sensor)
     output.result(found.to_dict(), tables)
     run_end.name_failures(found.failures)

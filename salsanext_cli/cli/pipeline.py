@@ -117,7 +117,12 @@ def predict(
     source, out = options.sources(context, scans, out, dataset, topic)
     rejects, reject = extras.reject is not None, extras.reject
     if extras.fuse:
-        _require_fusable(source, out, running, of_single=extras.objects or rejects)
+        from salsanext_cli.stages.fuse import require_fusable
+
+        if extras.objects or rejects:
+            found, remedy = "with --objects or --reject", "those are of the labels of single scans"
+            raise UsageError("--fuse", found, "one of them", remedy)
+        require_fusable(source, out, running)
     wanted = {"pixel_labels": extras.pixel_labels, "probabilities": extras.probabilities}
     wanted |= {ERROR: extras.error, "votes": extras.fuse and not extras.probabilities}
     wanted |= {"objects": extras.objects}
@@ -145,18 +150,6 @@ def predict(
     if extras.fuse and outcome.done + outcome.skipped:
         outcome, results = _then_fused(outcome, out, selection, running, output)
     run_end.finish("predict", outcome, out, output, split=split, strict=strict, results=results)
-
-
-def _require_fusable(
-    source: Path | list[Path], out: Path, running: RunOptions, *, of_single: bool
-) -> None:
-    """Refuse what cannot be fused, and what holds for labels of single scans only."""
-    from salsanext_cli.stages.fuse import require_fusable
-
-    if of_single:
-        found, remedy = "with --objects or --reject", "those are of the labels of single scans"
-        raise UsageError("--fuse", found, "one of them", remedy)
-    require_fusable(source, out, running)
 
 
 def _then_fused(

@@ -173,12 +173,12 @@ def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
     from rich.console import Group
     from rich.text import Text
 
-    from salsanext_cli.report.tables import kept_table, ring_table, score_table, uncertainty_tables
+    from salsanext_cli.report.tables import band_table, kept_table, score_table, uncertainty_tables
     from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
 
     of_training = ON_TRAINING_SCANS if found.counts.trained_on else ""
     shown: list[Any] = [score_table(found.scores, of_training)]
-    shown += [ring_table(found.by_distance)] if found.by_distance else []
+    shown += [band_table(found.by_distance)] if found.by_distance else []
     shown += uncertainty_tables(found.uncertainty)
     shown += [Text(found.uncertainty.kept.sentence)] if found.uncertainty.kept else []
     shown += [Text(found.object_sentence)] if found.panoptic else []

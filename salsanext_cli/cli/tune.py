@@ -128,7 +128,7 @@ def tune_dropout(
     overwrite: options.Overwrite = False,
     output: console.Output,
 ) -> None:
-    """Find the dropout rate to sample with, write new weights and plot the search.
+    """Find the dropout rate to sample with, and write new weights.
 
     Example: salsanext tune dropout streets/ tuned.safetensors --steps 10
     """
@@ -138,7 +138,7 @@ def tune_dropout(
     tuned = _tuned("dropout", dataset, target, settings, selection, overwrite, output, **rates)
     best = tuned["best"]
     output.result(tuned, rate_table(tuned["rates"], tuned["objectives"], best))
-    output.say(f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}, {tuned['curve']}")
+    output.say(f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}")
 
 
 def _tuned(

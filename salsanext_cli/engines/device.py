@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import MissingDependency, UsageError, error_text, warn_once
+from salsanext_cli.files.optional_packages import OPENVINO_ERRORS, import_openvino
 
 PRECISIONS = ("auto", "float32", "bfloat16", "float16")
 ENGINES = ("auto", "openvino", "torch")
@@ -25,10 +26,6 @@ BFLOAT16_ISA = {
 }
 """Flags of processors that multiply bfloat16, of x86 and of ARM, and parts of the values of
 `ISA_VARIABLES` that leave them to the libraries."""
-CONVERTER = "openvino.tools.ovc"
-"""Part of OpenVINO that reports its use over the network. OpenVINO imports it if it can."""
-OPENVINO_ERRORS = (AttributeError, ImportError, OSError, RuntimeError, TypeError, ValueError)
-"""Raised by installations that are damaged or of another platform."""
 
 log = logging.getLogger(__name__)
 
@@ -79,8 +76,7 @@ def openvino_core() -> Any:
     """Return OpenVINO for this process, until it ends."""
     # The CPU plugin gives the thread that loads it a stack for signal handlers, and takes the
     # memory back when it is unloaded: the next signal would end the process.
-    import openvino
-
+    openvino = import_openvino()
     # Two threads that ask for this first would wait for each other for ever.
     openvino.Type.f32.to_dtype()
     core = openvino.Core()
@@ -92,15 +88,10 @@ def openvino_core() -> Any:
 @cache
 def _openvino_fails() -> str:
     """Return why OpenVINO cannot compute on this CPU, empty if it can."""
-    known = CONVERTER in sys.modules
-    sys.modules.setdefault(CONVERTER, None)  # type: ignore[arg-type]
     try:
         openvino_core().get_property("CPU", "FULL_DEVICE_NAME")
-    except OPENVINO_ERRORS as error:
+    except (MissingDependency, *OPENVINO_ERRORS) as error:
         return f"does not start: {error_text(error)}"
-    finally:
-        if not known:
-            del sys.modules[CONVERTER]
     return ""
 
 
@@ -109,7 +100,7 @@ def choose_precision(name: str, device: str) -> str:
     if name not in PRECISIONS:
         raise UsageError("--precision", name, ", ".join(PRECISIONS))
     if device == "cpu":
-        possible = ("float32", "bfloat16") if has_bfloat16() else ("float32",)
+        possible = ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
         if name not in ("auto", *possible):
             raise UsageError("--precision", f"{name} on this CPU", " or ".join(possible))
         return possible[-1] if name == "auto" else name
@@ -128,13 +119,8 @@ def flags() -> frozenset[str]:
     return frozenset(lines[0].partition(":")[2].split() if lines else ())
 
 
-def has_bfloat16() -> bool:
-    """Say whether the CPU multiplies bfloat16 by itself, and the environment allows it."""
-    return bool(bfloat16_instructions())
-
-
 def bfloat16_instructions() -> list[str]:
-    """Return the flags of those that multiply bfloat16 here and that the environment allows."""
+    """Return the flags of instructions that multiply bfloat16, as far as the environment allows."""
     limit = _isa_limit()
     return [f for f in BFLOAT16_ISA if f in flags() and any(p in limit for p in BFLOAT16_ISA[f])]
 

@@ -18,10 +18,10 @@ from salsanext_cli.engines.graphs import LOGITS
 from salsanext_cli.errors import WeightsError
 from salsanext_cli.files.optional_packages import import_extra, import_nncf
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.onnx_metadata import OPSET
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import CHANNELS, Float
 
+OPSET = 17  # The latest that TensorRT 8.6 reads; OpenVINO and ONNX Runtime read later ones too
 INPUT, OUTPUT = "image", "logits"
 TOLERANCE = 1e-3  # Largest difference from torch, relative to the largest logit
 SHIFT = 128  # From signed to unsigned bytes

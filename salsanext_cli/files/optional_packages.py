@@ -7,9 +7,13 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
-from salsanext_cli.errors import MissingDependency
+from salsanext_cli.errors import MissingDependency, error_text
 
 MIN_ROSBAGS_VERSION = (0, 11)
+CONVERTER = "openvino.tools.ovc"
+"""Part of OpenVINO that reports its use over the network. OpenVINO imports it if it can."""
+OPENVINO_ERRORS = (AttributeError, ImportError, OSError, RuntimeError, TypeError, ValueError)
+"""Raised by installations that are damaged or of another platform."""
 
 
 def import_open3d() -> Any:
@@ -44,6 +48,20 @@ def require_rosbags() -> None:
         expected = f"{'.'.join(map(str, MIN_ROSBAGS_VERSION))} or newer"
         remedy = "pip install 'salsanext[ros]', in another environment than ouster-sdk"
         raise MissingDependency("rosbags", f"version {found}", expected, remedy)
+
+
+def import_openvino() -> Any:
+    """Import OpenVINO without its converter."""
+    known = CONVERTER in sys.modules
+    sys.modules.setdefault(CONVERTER, None)  # type: ignore[arg-type]
+    try:
+        return import_module("openvino")
+    except OPENVINO_ERRORS as error:
+        found = f"cannot be imported: {error_text(error)}"
+        raise MissingDependency("openvino", found, remedy="install it again") from error
+    finally:
+        if not known:
+            sys.modules.pop(CONVERTER, None)
 
 
 def import_nncf() -> Any:

@@ -15,7 +15,7 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.options import KnnParameters
 from salsanext_cli.records import CHANNELS, Float, RangeImage, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
-from salsanext_cli.results.stage_records import StageRecords, differences
+from salsanext_cli.results.stage_records import StageRecords, differences, recorded_sensor
 from salsanext_cli.sensors.sensor import Sensor
 
 
@@ -81,10 +81,7 @@ def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> tuple[Path, Flo
 
 def projected_sensor(folder: Path) -> Sensor | None:
     """Return the sensor of the range images in an output folder, None if it holds none."""
-    settings = StageRecords(folder).settings("project")
-    if settings is None:
-        return None
-    return Sensor.from_dict(settings.table("sensor"), settings.path)
+    return recorded_sensor(StageRecords(folder).settings("project"))
 
 
 def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> Sensor:

@@ -21,7 +21,7 @@ PLANES = 256  # Planes that are tried, of those that may be the ground
 MIN_AREA_M2 = np.float32(1e-3)  # Twice the least area of the triangle of a triple
 TOLERANCE_M = 0.15
 MIN_SHARE = 0.1  # Least share of the points on a plane that is called the ground
-MIN_POINTS = 100
+MIN_GROUND_POINTS = 100
 MIN_HEIGHT_M = 0.4
 """Least height of a sensor; lower, the origin of the points is not the sensor's place."""
 MIN_COSINE = 0.8
@@ -58,7 +58,7 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
     # sensor that turns about z.
     ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
     near = np.flatnonzero((ranges > RANGES_M[0]) & (ranges < RANGES_M[1]))
-    if len(near) < MIN_POINTS:
+    if len(near) < MIN_GROUND_POINTS:
         return None
     chosen = near[:: -(-len(near) // MAX_POINTS)]
     points, weights = points[chosen], ranges[chosen]

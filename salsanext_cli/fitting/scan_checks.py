@@ -27,7 +27,7 @@ from salsanext_cli.geometry.network_input import (
     BRIGHT,
     INTENSITY_FACTOR,
     NO_INTENSITY,
-    without_intensity,
+    why_no_intensity,
 )
 from salsanext_cli.geometry.projection import (
     ego_points,
@@ -42,7 +42,7 @@ NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)
 """Elevations between which points are counted. Below them every beam meets the ground, wherever the
 sensor is; above, it may meet the sky."""
 VIEW = (0.01, 0.99)  # Quantiles of the elevation that describe a view
-MIN_POINTS = 100  # Fewest points of which a check says something
+MIN_CHECKED_POINTS = 100  # Fewest points of which a check says something
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ class ScanCheck:
     """Result of a check: reasons to doubt the scan, and traits of its sensor."""
 
     findings: tuple[Finding, ...] = ()
-    # None of a scan of fewer than `MIN_POINTS` points with a measurement
+    # None of a scan of fewer than `MIN_CHECKED_POINTS` points with a measurement
     traits: ScanTraits | None = None
     ego_share: float = 0.0  # Share of the points on the housing of the sensor or its vehicle, 0…1
 
@@ -104,7 +104,7 @@ NAME_IT = (
     "scale, intensity_scale in a file for --sensor"
 )
 
-LARGEST_SHARE_OUTSIDE = 0.2
+MAX_SHARE_OUTSIDE = 0.2
 """Largest share of points outside without a warning; a matching sensor has 0.07 or less."""
 MEDIAN_RANGES_M = (0.3, 250.0)
 """Least and largest median range of a scan in metres; real scans had 4 to 32."""
@@ -167,9 +167,9 @@ def intensity_findings(
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
     """Check the intensity of a range image (5, H, W); its view was checked by `project`."""
     occupied = channels[:, channels[0] > 0]
-    if occupied.shape[1] < MIN_POINTS:
+    if occupied.shape[1] < MIN_CHECKED_POINTS:
         return UNCHECKED
-    reason, bright = without_intensity(occupied[1:4].T, occupied[4]), upper_intensity(occupied[4])
+    reason, bright = why_no_intensity(occupied[1:4].T, occupied[4]), upper_intensity(occupied[4])
     return ScanCheck(tuple(intensity_findings(bright, reason, sensor, trained)))
 
 
@@ -188,7 +188,7 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     """
     some = in_sensor_frame(few_points(scan), sensor)
     ranges, measured = measured_ranges(some.points)
-    if len(some) < len(scan) and measured.sum() < MIN_POINTS:
+    if len(some) < len(scan) and measured.sum() < MIN_CHECKED_POINTS:
         some = in_sensor_frame(scan, sensor)
         ranges, measured = measured_ranges(some.points)
     _require_metres(path, len(scan), ranges[measured])
@@ -197,13 +197,13 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     if len(own):
         some = some.take(np.delete(np.arange(len(some)), own))
         ranges, measured = measured_ranges(some.points)
-    if (count := int(measured.sum())) < MIN_POINTS:
+    if (count := int(measured.sum())) < MIN_CHECKED_POINTS:
         few = f"{counted(count, 'point')} with a measurement, too few to check"
         return ScanCheck((Finding("few-points", few, "give whole scans"),), None, ego_share)
     share, ranges = count / len(some), ranges[measured]
     some = Scan(some.points[measured], some.intensity[measured])
     sines = _sines(some.points)
-    reason = without_intensity(some.points, some.intensity)
+    reason = why_no_intensity(some.points, some.intensity)
     named = trained is None or sensor.name not in (FITTED_NAME, trained.name)
     fit = AUTO + FIT if named else FIT
     findings = [
@@ -219,10 +219,10 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
 
 
 def _require_metres(path: Path, count: int, ranges: Double) -> None:
-    if count >= MIN_POINTS and not len(ranges):
+    if count >= MIN_CHECKED_POINTS and not len(ranges):
         found = f"none of its {count} points is a measurement"
         raise FormatError(path, found, "finite coordinates around the sensor")
-    if len(ranges) < MIN_POINTS:
+    if len(ranges) < MIN_CHECKED_POINTS:
         return
     median, (least, most) = float(np.median(ranges)), MEDIAN_RANGES_M
     if not least <= median <= most:
@@ -254,7 +254,7 @@ def _of_units(ranges: Double, measured: float, sensor: Sensor) -> Iterator[Findi
 
 def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
     outside = share_outside(sines, sensor)
-    if outside > LARGEST_SHARE_OUTSIDE:
+    if outside > MAX_SHARE_OUTSIDE:
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
         found = f"{outside:.0%} of the points lie outside the view of {view}"
         yield Finding("out-of-view", found, fit)
@@ -266,7 +266,7 @@ def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Fin
     rows = (downwards * (sensor.height / (sensor.fov_up - sensor.fov_down))).astype(int)
     per_row = np.bincount(rows.clip(0, sensor.height - 1), minlength=sensor.height)
     occupied = float((per_row > FEW_OF_ROW * per_row.mean()).mean())
-    if occupied < MIN_ROWS and outside <= LARGEST_SHARE_OUTSIDE:
+    if occupied < MIN_ROWS and outside <= MAX_SHARE_OUTSIDE:
         found = f"points in {occupied:.0%} of the {sensor.height} rows of the image"
         yield Finding("sparse", found, TRAIN)
 

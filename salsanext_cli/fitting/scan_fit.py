@@ -27,7 +27,7 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import evenly_spaced
-from salsanext_cli.results.stage_records import StageRecords, as_json
+from salsanext_cli.results.stage_records import StageRecords, as_json, recorded_sensor
 from salsanext_cli.sensors.sensor import Sensor
 
 log = logging.getLogger(__name__)
@@ -208,14 +208,14 @@ def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, A
     return dict(as_json(asked))
 
 
-def view_of(sensor: Sensor) -> dict[str, Any]:
+def view_record(sensor: Sensor) -> dict[str, Any]:
     """Return what a fit of the view changes, as JSON gives it back."""
     return dict(as_json({name: getattr(sensor, name) for name in FITTED}))
 
 
 def is_other_view(view: Mapping[str, Any], sensor: Sensor) -> bool:
-    """Say whether a sensor is not fitted as that of `view_of` was, or far otherwise."""
-    own = view_of(sensor)
+    """Say whether a sensor is not fitted as that of `view_record` was, or far otherwise."""
+    own = view_record(sensor)
     other = own | dict(view)
     return bool(own["name"] != other["name"]) or any(
         np.abs(np.subtract(own[name], other[name])).max() > tolerance
@@ -233,7 +233,7 @@ def network_of_run(
     image_of: Callable[[ScanFile], Float] | None = None,
 ) -> Network:
     """Return a network fitted to a run's scans, as earlier results in its folder were made."""
-    earlier = None if overwrite else StageRecords(out).settings_with(network.engine.sha256)
-    sensor = Sensor.from_dict(earlier.table("sensor"), earlier.path) if earlier else None
+    made = [] if overwrite else map(StageRecords(out).settings, ("predict", "uncertainty"))
+    earlier = next((s for s in made if s and s.get("weights") == network.engine.sha256), None)
     sample = ScanSample(files, network.sensor, image_of)
-    return fit_scans(settings, network, sample, sensor)
+    return fit_scans(settings, network, sample, recorded_sensor(earlier))

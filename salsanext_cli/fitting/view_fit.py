@@ -7,126 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from salsanext_cli.fitting.mounting_fit import fit_mounting, ground_of
-from salsanext_cli.fitting.scan_checks import LARGEST_SHARE_OUTSIDE, share_outside
-from salsanext_cli.geometry.projection import (
-    in_sensor_frame,
-    measured_ranges,
-    medians_of_rings,
-    without_ego,
-)
-from salsanext_cli.records import MAX_RANGE_M, Double, Float, Indices, Int, Mask, Scan
-from salsanext_cli.sensors.sensor import FITTED_NAME, MAX_BEAMS, ORIGIN, UP, Sensor
+from salsanext_cli.fitting.scan_checks import MAX_SHARE_OUTSIDE, share_outside
+from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges, without_ego
+from salsanext_cli.records import MAX_RANGE_M, Double, Float, Indices, Scan
+from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 
-MIN_RANGE_OF_BEAMS_M = 1.0
-"""Nearest range that counts: beams start some centimetres beside the origin."""
-STEP_DEG = 0.01
-SMOOTHINGS_DEG = (0.2, 0.1)
-"""Half the widths of the Hann windows that smooth the histogram: dense beams need the
-second, which takes noise for beams elsewhere."""
-MIN_GAIN = 0.005  # Least gain of a narrower window, as a share of the points close to a beam
-MAX_VALLEY = 0.5
-"""Largest share of the lower of two maxima that the histogram falls to between two beams."""
-MIN_WEIGHT = 0.15  # Least weight of a beam, as a share of that of one beside it
-MIN_SHARE = 0.75
-"""Least share of the points within a quarter of the distance to the next beam; evenly spread
-elevations have a half."""
 DIGITS = 2
-
-
-def fit_beams(scans: Sequence[Scan], sensor: Sensor) -> tuple[float, ...]:
-    """Return the elevations of the beams in degrees from top to bottom, none if not discernible."""
-    # Where all scans know rings, they are the medians of these. Otherwise they are the maxima of
-    # the histogram of elevations; points count by their range, since near ones are seen from beside
-    # the origin. Scans whose motion was taken out, or whose beams start far from the origin as
-    # those of an HDL-64, have no clear maxima.
-    elevations, ranges, rings = [np.empty(0)], [np.empty(0)], [np.empty(0, np.int32)]
-    for scan in scans:
-        sines, distance, measured = _sines(scan, sensor)
-        far = distance > MIN_RANGE_OF_BEAMS_M
-        ranges.append(distance[far])
-        elevations.append(np.degrees(np.arcsin(sines[far])))
-        if scan.ring is not None:
-            rings.append(scan.ring[measured][far])
-    elevation, ring = np.concatenate(elevations), np.concatenate(rings)
-    rising = _of_rings(elevation, ring) if len(ring) == len(elevation) else np.empty(0)
-    if not len(rising):
-        rising = _of_histogram(elevation, np.concatenate(ranges))
-    beams = tuple(dict.fromkeys(rising[::-1].round(DIGITS).tolist()))
-    return beams if 2 <= len(beams) <= MAX_BEAMS else ()
-
-
-def _sines(scan: Scan, sensor: Sensor) -> tuple[Double, Double, Mask]:
-    """Return sines of elevation and ranges (M,) of the measured points, and which these are."""
-    points = without_ego(scan, sensor).points
-    ranges, measured = measured_ranges(points, float(MAX_RANGE_M))
-    return points[measured, 2] / ranges[measured], ranges[measured], measured
-
-
-def _of_rings(elevation: Double, ring: Int) -> Double:
-    """Return the medians of rings, rising; none if they seem to hold something else."""
-    elevation, ring = elevation[ring >= 0], ring[ring >= 0]
-    medians = medians_of_rings(elevation, ring)
-    beams = np.sort(medians[np.isfinite(medians)])
-    if len(beams) < 2:
-        return np.empty(0)
-    away = np.abs(elevation - medians[ring])
-    return beams if np.median(away) < (beams[-1] - beams[0]) / len(beams) else np.empty(0)
-
-
-def _of_histogram(elevation: Double, weight: Double) -> Double:
-    """Return the maxima of the histogram, rising; none if the elevations lie between them too."""
-    bins = round(180 / STEP_DEG)
-    histogram = np.histogram(elevation, bins, (-90, 90), weights=weight)[0]
-    best, beams = MIN_SHARE - MIN_GAIN, np.empty(0)
-    for half_width in SMOOTHINGS_DEG:
-        window = np.hanning(2 * round(half_width / STEP_DEG) + 1)
-        places = _maxima(np.convolve(histogram, window, "same"))
-        maxima = ((places + 0.5) * STEP_DEG - 90).astype(np.float64)
-        share, strong = _of_maxima(maxima, elevation, weight)
-        if share >= best + MIN_GAIN:
-            best, beams = share, strong
-    return beams
-
-
-def _of_maxima(beams: Double, elevation: Double, weight: Double) -> tuple[float, Double]:
-    """Return beams (B,) but for weak ones, after the share of the points that are close to one."""
-    while len(beams) >= 2:
-        nearest = np.searchsorted((beams[1:] + beams[:-1]) / 2, elevation)
-        weights = np.bincount(nearest, weight, len(beams))
-        others = np.pad(weights, 1)
-        strong = weights >= MIN_WEIGHT * np.maximum(others[2:], others[:-2])
-        if strong.all():
-            gaps = np.diff(beams, prepend=-np.inf, append=np.inf)
-            gap = np.minimum(gaps[1:], gaps[:-1])[nearest]
-            close = weight[np.abs(elevation - beams[nearest]) < gap / 4].sum()
-            return float(close / weight.sum()), beams
-        beams = beams[strong]
-    return 0.0, beams
-
-
-def _maxima(values: Double) -> Indices:
-    """Return the places of maxima between which the values fall to `MAX_VALLEY` of the lower."""
-    rises = (values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:])
-    places: list[int] = []
-    for place in (np.flatnonzero(rises) + 1).tolist():
-        while places:
-            lower = min(values[places[-1]], values[place])
-            if values[places[-1] : place].min() <= MAX_VALLEY * lower:
-                places.append(place)
-                break
-            if values[place] <= values[places[-1]]:
-                break
-            places.pop()
-        else:
-            places.append(place)
-    return np.array(places, np.intp)
-
-
 MIN_RANGE_M = 1.0
 """Range below which only housing and mount were seen, of four vehicles; the street began at 1.3."""
 SHARE_OF_HEIGHT = 0.8
 """Largest minimum range, as a share of the height above the ground: a low sensor sees its floor."""
-LEAST_HEIGHT_M = 0.1  # Least height of a sensor above what can be the ground that it stands on
+MIN_HEIGHT_M = 0.1  # Least height of a sensor above what can be the ground that it stands on
 FARTHEST_M = 3.0  # Farthest body of a vehicle that is sought
 MIN_SCANS = 5
 AZIMUTHS, ELEVATIONS = 120, 120  # Cells around, and from straight down to straight up
@@ -160,7 +51,7 @@ def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     height = float(np.median(heights)) if heights else None
     if least is None:
         least = MIN_RANGE_M
-        if height is not None and height >= LEAST_HEIGHT_M:
+        if height is not None and height >= MIN_HEIGHT_M:
             least = round(min(least, SHARE_OF_HEIGHT * height), DIGITS)
     if box is None:
         box = _ego_box(upright, height) if height is not None and len(scans) >= MIN_SCANS else ()
@@ -215,24 +106,24 @@ OUTLIERS = 0.001  # Share of the points above, and of those below, that no view 
 SHOWN = 0.85
 """Least share of the points that a fitted view shows; the whole view of a sensor that sees far up
 and down would make objects much lower in the image than those of training."""
-MOST_ENLARGED = 1.2
+MAX_ENLARGED = 1.2
 """Largest extent of a view of all points that is taken as it is, as a multiple of training's."""
 PLACES = 400  # Places of a view of given extent that are tried
 NEARLY = 0.999
 """Share of the most points in a view at which another is as good; of these, the middle one."""
 MIN_VIEW_DEG = 1.0
-MIN_POINTS = 1000
+MIN_VIEW_POINTS = 1000
 
 
 def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     """Return the sensor of weights with the view and mounting of scans where they differ much."""
     # Points of housing and vehicle are left out, as `fit_ego` finds them. The mounting changes as
-    # `fit_mounting` says, the view where more than `LARGEST_SHARE_OUTSIDE` of all points lie
+    # `fit_mounting` says, the view where more than `MAX_SHARE_OUTSIDE` of all points lie
     # outside. Size and normalisation of the range images stay. Of the labelled scans of three
     # sensors, this was never worse than the view of the weights.
     sensor = fit_ego(scans, fit_mounting(scans, sensor))
-    sines = np.concatenate([np.empty(0), *(_sines(scan, sensor)[0] for scan in scans)])
-    if share_outside(sines, sensor) <= LARGEST_SHARE_OUTSIDE or len(sines) < MIN_POINTS:
+    sines = np.concatenate([np.empty(0), *(_sines(scan, sensor) for scan in scans)])
+    if share_outside(sines, sensor) <= MAX_SHARE_OUTSIDE or len(sines) < MIN_VIEW_POINTS:
         return sensor
     elevations = np.degrees(np.arcsin(np.sort(sines)))
     lower, upper = _view(elevations, sensor.fov_up - sensor.fov_down)
@@ -241,12 +132,19 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     return replace(sensor, name=FITTED_NAME, fov_up=round(upper, 2), fov_down=round(lower, 2))
 
 
+def _sines(scan: Scan, sensor: Sensor) -> Double:
+    """Return the sines of the elevations (M,) of the measured points."""
+    points = without_ego(scan, sensor).points
+    ranges, measured = measured_ranges(points, float(MAX_RANGE_M))
+    return points[measured, 2] / ranges[measured]
+
+
 def _view(elevations: Double, extent: float) -> tuple[float, float]:
     """Return lower and upper edge in degrees of a view of elevations (N,) that rise."""
     # Of all points, if it then is about as large as that of training; else as large, or larger
     # until it shows `SHOWN` of the points.
     lowest, highest = map(float, np.quantile(elevations, (OUTLIERS, 1 - OUTLIERS)))
-    if highest - lowest <= MOST_ENLARGED * extent:
+    if highest - lowest <= MAX_ENLARGED * extent:
         return lowest, highest
     shown = int(SHOWN * len(elevations))
     narrowest = (elevations[shown:] - elevations[: len(elevations) - shown]).min()

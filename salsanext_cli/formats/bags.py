@@ -14,7 +14,7 @@ import numpy as np
 from salsanext_cli.errors import FormatError
 from salsanext_cli.files.optional_packages import require_rosbags
 from salsanext_cli.files.reading import filled, reading, refusing_damage
-from salsanext_cli.formats.columns import Columns, rows_as_rings
+from salsanext_cli.formats.columns import Columns
 
 POINT_CLOUD2 = "sensor_msgs/msg/PointCloud2"
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -50,8 +50,7 @@ def columns_of(message: Any, path: Path) -> Columns:
         data = np.asarray(message.data, np.uint8)
         points = np.ndarray((height, width), point, data, 0, (row_step, step))
     # Without fields, points take no room, however many there are.
-    rings = rows_as_rings(height * width, height) if fields else {}
-    return rings | {name: points[name].ravel() for name in fields}
+    return {name: points[name].ravel() for name in fields}
 
 
 class Bag:

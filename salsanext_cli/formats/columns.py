@@ -9,15 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted, shortened
-from salsanext_cli.records import Float, Int, Scan, normalised_intensity
-from salsanext_cli.sensors.sensor import MAX_BEAMS, UNUSED_COLUMN
+from salsanext_cli.records import Float, Scan, normalised_intensity
+from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
 Columns = Mapping[str, npt.NDArray[Any]]  # Values by name, each (N,)
 
 INTENSITY_NAMES = ("intensity", "scalar_intensity", "reflectivity", "reflectance", "remission", "i")
 """Names of the intensity, in lower case; the first one found counts."""
-RING = "ring"  # Name of the number of the beam
-MAX_RING = 4095
 MAX_SHOWN_CHARACTERS = 300
 USUAL_COLUMNS = ("x", "y", "z", "intensity")
 MAX_UNNAMED_COLUMNS = 5
@@ -33,8 +31,7 @@ def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
     known = {name.lower(): values for name, values in columns.items() if values.dtype.kind in "iuf"}
     intensities = (known[name] for name in INTENSITY_NAMES if name in known)
     intensity = next(intensities, np.zeros(len(points), np.float32))
-    ring = ring_of(known[RING]) if RING in known else None
-    return Scan(points, normalised_intensity(intensity, intensity_scale), ring)
+    return Scan(points, normalised_intensity(intensity, intensity_scale))
 
 
 def coordinates(columns: Columns, path: Path) -> Float:
@@ -51,18 +48,6 @@ def coordinates(columns: Columns, path: Path) -> Float:
 def listed(columns: Columns) -> str:
     """Return the names of columns for an error."""
     return shortened(", ".join(columns) or "nothing", MAX_SHOWN_CHARACTERS)
-
-
-def ring_of(values: npt.NDArray[Any]) -> Int:
-    """Return numbers of beams (N,) as int32, -1 for those that cannot be one."""
-    possible = (values >= 0) & (values <= MAX_RING)
-    return np.where(possible, values, -1).astype(np.int32)
-
-
-def rows_as_rings(count: int, height: int) -> dict[str, npt.NDArray[Any]]:
-    """Return the ring of each of so many points of an organised cloud: its row; none of others."""
-    organised = 1 < height <= MAX_BEAMS and count % height == 0
-    return {RING: np.repeat(np.arange(height), count // height)} if organised else {}
 
 
 def unnamed_columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Columns:

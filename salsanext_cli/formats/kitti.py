@@ -19,7 +19,7 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import USUAL_COLUMNS, ring_of, scan_of, unnamed_columns
+from salsanext_cli.formats.columns import USUAL_COLUMNS, scan_of, unnamed_columns
 from salsanext_cli.records import Double, Float, Mask, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
@@ -49,7 +49,6 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
         scan = Scan(
             np.ascontiguousarray(table[:, :3], np.float32),
             normalised_intensity(table[:, 3], intensity_scale),
-            ring_of(table[:, 4]) if has_ring else None,
         )
     if not are_coordinates(scan.points):
         found = "numbers that are no coordinates in metres, or no float32"
@@ -109,11 +108,6 @@ def count_points(path: Path) -> int:
 def encode_bin(scan: Scan) -> bytes:
     """Return the content of a `.bin` file: float32 x, y, z, intensity of each point."""
     return np.column_stack([scan.points, scan.intensity]).astype("<f4", copy=False).tobytes()
-
-
-def write_bin(path: Path, scan: Scan) -> None:
-    """Write a scan as float32 x, y, z, intensity."""
-    write_bytes(path, encode_bin(scan))
 
 
 def read_labels(path: Path, count: int | None = None) -> RawIds:
@@ -187,11 +181,11 @@ CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")
 """Bytes that do not occur in text; blanks, line ends and escapes do."""
 LEAST, MOST = 1e-12, 1e7
 """Possible magnitudes of values other than 0, in metres and in any unit of intensity and time."""
-LEAST_POSSIBLE_SHARE = 0.5
+MIN_POSSIBLE_SHARE = 0.5
 """Share of coordinates that are possible in any scan; of random bytes it is a quarter."""
-LEAST_POSSIBLE_SHARE_OF_LOW = 0.42
+MIN_POSSIBLE_SHARE_OF_LOW = 0.42
 """The same of every second float32, of which a scanner of one plane has half, z, equal to 0."""
-LEAST_POSSIBLE_SHARE_OF_FLOAT64 = 0.9
+MIN_POSSIBLE_SHARE_OF_FLOAT64 = 0.9
 SAMPLE = 4096  # Rows that are looked at, evenly spaced
 
 
@@ -216,7 +210,7 @@ def are_float64(values: Float) -> bool:
     possible = are_possible(halves.view("<f8")).mean()
     possible_low = are_possible(halves[:, 0]).mean()
     return bool(
-        possible > LEAST_POSSIBLE_SHARE_OF_FLOAT64 and possible_low < LEAST_POSSIBLE_SHARE_OF_LOW
+        possible > MIN_POSSIBLE_SHARE_OF_FLOAT64 and possible_low < MIN_POSSIBLE_SHARE_OF_LOW
     )
 
 
@@ -224,7 +218,7 @@ def are_coordinates(values: Float) -> bool:
     """Say whether coordinates (N, 3) float32 can be metres, for all that are a measurement."""
     rows = _sample(values)
     measured = rows[np.isfinite(rows) & (rows != 0)]
-    return int(are_possible(measured).sum()) >= LEAST_POSSIBLE_SHARE * len(measured)
+    return int(are_possible(measured).sum()) >= MIN_POSSIBLE_SHARE * len(measured)
 
 
 def _sample(rows: Float) -> Float:
@@ -250,9 +244,9 @@ tables read with another number of columns 0.34 or less."""
 SHARE_OF_LARGEST = 0.6
 """Share of the largest explained variance at which a number of columns is a possible one: in real
 scans the right one has 0.97 or more, in tables of others 4 has 0.4 or less."""
-LEAST_EXPLAINED, LEAST_EXPLAINED_BY_CHANCE = 0.05, 40
+MIN_EXPLAINED, MIN_EXPLAINED_BY_CHANCE = 0.05, 40
 """Explained variance below which nothing is said; the second is by the number of values."""
-LEAST_VARIANCE = 0.005  # Variance of a property below which it is not looked at
+MIN_VARIANCE = 0.005  # Variance of a property below which it is not looked at
 RANGE_LOG10 = 3.0  # Magnitudes count up to a factor of a thousand
 
 
@@ -264,7 +258,7 @@ def evident_count(values: Float, expected: int) -> int | None:
         return _padded_count(values, expected)
     explained = {n: _explained(values, n) for n in {*COUNTS, expected}}
     most = max(explained.values())
-    if most < LEAST_EXPLAINED + LEAST_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE):
+    if most < MIN_EXPLAINED + MIN_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE):
         return None
     if explained[expected] >= SHARE_OF_LARGEST * most:
         return None
@@ -311,5 +305,5 @@ def _explained(values: Float, columns: int) -> float:
     magnitude = np.log10(np.maximum(size, 10**-RANGE_LOG10)) / RANGE_LOG10
     properties = np.stack([sample < 0, is_whole, np.minimum(magnitude, 1)])
     within, total = properties.var(axis=1, ddof=1).mean(axis=1), properties.var(axis=(1, 2))
-    vary = total > LEAST_VARIANCE
+    vary = total > MIN_VARIANCE
     return float(np.mean(1 - within[vary] / total[vary])) if vary.any() else 0.0

@@ -13,7 +13,7 @@ from threading import Lock
 from salsanext_cli.errors import FormatError
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import Columns, rows_as_rings
+from salsanext_cli.formats.columns import Columns
 
 EXPECTED = "a recording of Ouster sensors"
 REMEDY = "put the metadata of the sensor beside a .pcap, as a .json of the same name"
@@ -78,7 +78,6 @@ class OusterRecording:
             distances = frame.field("RANGE")
             points = XYZLut(frame.sensor_info)(distances) * (distances > 0)[..., None]
             columns = {axis: points[..., n].ravel() for n, axis in enumerate("xyz")}
-            columns |= rows_as_rings(distances.size, len(distances))
             return columns | {"reflectivity": frame.field("REFLECTIVITY").ravel()}
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import Columns, rows_as_rings
+from salsanext_cli.formats.columns import Columns
 
 TYPES = {
     **{f"F{size}": f"<f{size}" for size in (4, 8)},
@@ -27,7 +27,7 @@ TYPES = {
 """numpy's type of each TYPE and SIZE."""
 PADDING = "_"
 MAX_HEADER_BYTES = 1 << 16
-LARGEST_RATIO = 264 / 3  # Largest compression ratio of LZF: three bytes stand for up to 264
+MAX_RATIO = 264 / 3  # Largest compression ratio of LZF: three bytes stand for up to 264
 
 
 class Header(NamedTuple):
@@ -68,9 +68,7 @@ def pcd_columns(path: Path) -> Columns:
                 columns = read_compressed(file, header)
             case _:
                 raise ValueError(f"PCD data of kind {header.kind}, not ascii or binary")
-    # Without columns, points take no room, however many there are.
-    rings = rows_as_rings(header.point_count, header.height) if columns else {}
-    return {**rings, **columns}
+    return columns
 
 
 def _read_ascii(file: BufferedReader, header: Header) -> Columns:
@@ -107,7 +105,7 @@ def read_compressed(file: BufferedIOBase, header: Header) -> Columns:
     packed = file.read()
     if len(sizes) < 2 or len(packed) < sizes[0] or sizes[1] != promised:
         raise ValueError(f"{len(packed)} bytes of compressed data, not of {promised}")
-    if promised > LARGEST_RATIO * sizes[0]:
+    if promised > MAX_RATIO * sizes[0]:
         raise ValueError(f"{sizes[0]} bytes of compressed data that cannot be of {promised}")
     if header.point_count == 0:
         return {name: np.empty(0, header.point[name]) for name in header.scalars}

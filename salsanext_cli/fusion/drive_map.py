@@ -59,7 +59,7 @@ def apart(columns: Columns) -> str:
     return f"{count} parts whose places to each other are not known" if count > 1 else ""
 
 
-class SeenScan(NamedTuple):
+class MapScan(NamedTuple):
     """A scan with its results."""
 
     columns: Columns  # Of its points with a label
@@ -98,7 +98,7 @@ class MapTask:
             yield file, {name: values[stays] for name, values in columns.items()}, None
 
     def _standing(
-        self, columns: Columns, others: Mapping[int, SeenScan], sensor: Sensor
+        self, columns: Columns, others: Mapping[int, MapScan], sensor: Sensor
     ) -> npt.NDArray[np.bool_]:
         """Return which points (N,) are of what stands still.
 
@@ -122,7 +122,7 @@ class MapTask:
         stays: npt.NDArray[np.bool_] = (through == 0) | (through < most)
         return stays
 
-    def _seen(self, index: int, sensor: Sensor) -> SeenScan:
+    def _seen(self, index: int, sensor: Sensor) -> MapScan:
         file, pose = self.files[index], self.drive.poses[index]
         cloud = self.results.read(file, sensor, self.space)
         columns = scalar_columns(cloud, self.space)
@@ -140,4 +140,4 @@ class MapTask:
         image = project(cloud.scan, sensor)
         ranges = np.where(image.point_of_pixel >= 0, image.channels[0], np.float32(np.nan))
         columns = {name: values[is_shown] for name, values in columns.items()}
-        return SeenScan(columns, ranges.ravel())
+        return MapScan(columns, ranges.ravel())

@@ -81,7 +81,7 @@ def _voxels(points: Points) -> tuple[Parts, ...]:
 
 
 @dataclass(slots=True)
-class Part:
+class CheckedPart:
     """Part of a drive that may go on: its last scans that tell whether another lies on them."""
 
     number: int
@@ -94,10 +94,6 @@ class Part:
                 return number, upright
         return self.scans[-1]
 
-    def add(self, index: int, upright: Points) -> None:
-        """Let a scan go on with the part."""
-        self.scans = [*self.scans[1 - COMPARED_SCANS :], (index, upright)]
-
 
 def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
     """Return the parts of a drive in which each scan lies on those before, and the misfit.
@@ -107,7 +103,7 @@ def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
     a scan whose points tell nothing goes on with the last part, unless it is far.
     """
     numbers = np.zeros(len(poses), np.int64)
-    parts: list[Part] = []
+    parts: list[CheckedPart] = []
     misfit = 0
     for index in range(len(poses)):
         upright = upright_points(read(index))
@@ -122,8 +118,8 @@ def fitting_parts(poses: Poses, read: ReadPoints) -> tuple[Parts, float]:
                 before, _ = parts[0].compared(poses, index)
                 is_near = _apart(poses, before, index) < OUT_OF_SIGHT_M
                 misfit += index - before if is_near else 0
-            part = Part(numbers.max() + 1 if index else 0)
-        part.add(index, upright)
+            part = CheckedPart(numbers.max() + 1 if index else 0)
+        part.scans = [*part.scans[1 - COMPARED_SCANS :], (index, upright)]
         # The last one and the one before.
         parts = [part, *(each for each in parts[:2] if each is not part)]
         numbers[index] = part.number
@@ -134,7 +130,7 @@ def _apart(poses: Poses, one: int, other: int) -> float:
     return float(np.linalg.norm(poses[one, :3, 3] - poses[other, :3, 3]))
 
 
-def _fits(part: Part, poses: Poses, index: int, upright: Points) -> bool:
+def _fits(part: CheckedPart, poses: Poses, index: int, upright: Points) -> bool:
     before, others = part.compared(poses, index)
     step = np.linalg.inv(poses[before]) @ poses[index]
     if len(others) < MIN_UPRIGHT:
@@ -186,8 +182,9 @@ def _better_reading(poses: Poses, read: ReadPoints) -> str | None:
         @ poses
         @ np.linalg.inv(CAMERA),
         "have w first in their quaternions, not last": with_w_first(poses),
-        "are in centimetres": _scaled(poses, 0.01),
-        "are in millimetres": _scaled(poses, 0.001),
+        # Steps between poses that scale alike have places of another unit.
+        "are in centimetres": poses * [1, 1, 1, 0.01],
+        "are in millimetres": poses * [1, 1, 1, 0.001],
     }
     shares = dict.fromkeys(readings, 0.0)
     firsts = np.unique(np.linspace(0, len(poses) - 2, SAMPLED_PAIRS).astype(int))
@@ -199,9 +196,3 @@ def _better_reading(poses: Poses, read: ReadPoints) -> str | None:
     best = max(shares, key=lambda name: shares[name])
     is_better = shares[best] >= max(MIN_OVERLAP, shares[""] + MARGIN)
     return best if best and is_better else None
-
-
-def _scaled(poses: Poses, factor: float) -> Poses:
-    scaled = poses.copy()
-    scaled[:, :3, 3] *= factor
-    return scaled

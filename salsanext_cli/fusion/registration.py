@@ -31,7 +31,7 @@ OTHER_STEPS = tuple(
     for place in ((size, 0, 0), (0, size, 0))
 )
 """Steps that are compared where going on as before is not as good as before, as at the start."""
-LARGEST_DROP = 0.2
+MAX_DROP = 0.2
 """By which less of a scan may lie on the one before than of that on its own: along a row of houses,
 wrong places have some overlap, too."""
 PART_M = 1000.0
@@ -39,7 +39,7 @@ PART_M = 1000.0
 
 
 @dataclass(slots=True)
-class Part:
+class RegisteredPart:
     """Part of a drive that may go on: a map of its last scans, and the last of them."""
 
     number: int
@@ -60,13 +60,13 @@ def register(scans: Iterable[Float]) -> Drive:
     small_gicp = import_extra("small_gicp", "fuse")
     poses: list[Poses] = []
     numbers: list[int] = []
-    parts: list[Part] = []
+    parts: list[RegisteredPart] = []
     for index, points in enumerate(scans):
         far = points[np.linalg.norm(points, axis=1) > MIN_RANGE_M].astype(np.float64)
         upright = upright_points(far)
         start = np.eye(4)
         start[0, 3] = PART_M + max(each[0, 3] for each in poses) if poses else 0
-        part = Part(max(numbers, default=-1) + 1, None, index, start, np.eye(4), upright)
+        part = RegisteredPart(max(numbers, default=-1) + 1, None, index, start, np.eye(4), upright)
         # Where nothing stands upright, no motion is told.
         if len(upright) >= MIN_UPRIGHT:
             # With the covariances of the points' neighbourhoods.
@@ -75,11 +75,11 @@ def register(scans: Iterable[Float]) -> Drive:
             )
             for each in parts:
                 share, pose = _aligned(small_gicp, each, cloud, index, upright)
-                if share >= max(MIN_OVERLAP, min(each.share, SURE_OVERLAP) - LARGEST_DROP):
+                if share >= max(MIN_OVERLAP, min(each.share, SURE_OVERLAP) - MAX_DROP):
                     step = np.linalg.inv(each.pose) @ pose
                     # A step over scans that did not fit is none to go on with.
                     step = step if index == each.index + 1 else each.step
-                    part = Part(each.number, each.map, index, pose, step, upright, share)
+                    part = RegisteredPart(each.number, each.map, index, pose, step, upright, share)
                     break
             if part.map is None:
                 part.map = small_gicp.GaussianVoxelMap(MAP_VOXEL_M)
@@ -92,7 +92,7 @@ def register(scans: Iterable[Float]) -> Drive:
 
 
 def _aligned(
-    small_gicp: Any, part: Part, cloud: Any, index: int, upright: Points
+    small_gicp: Any, part: RegisteredPart, cloud: Any, index: int, upright: Points
 ) -> tuple[float, Poses]:
     """Return the share of a scan's points that lies on the last scan of a part, and its pose."""
     best = 0.0, part.pose

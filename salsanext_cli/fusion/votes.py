@@ -29,7 +29,7 @@ Votes = npt.NDArray[np.uint16]
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class VoxelVotes:
     """Votes of one scan in the voxels of one size that it sees, V of them."""
 
     keys: Keys  # (V,) ascending
@@ -46,12 +46,12 @@ class Tally:
     views: npt.NDArray[np.uint16]  # (N,): number of scans that see the place, 0 without a vote
 
 
-def view_of(
+def votes_of_scan(
     points: npt.NDArray[np.float64],
     probabilities: Float,
     voting: npt.NDArray[np.bool_],
     size: float,
-) -> View:
+) -> VoxelVotes:
     """Gather the votes of a scan.
 
     `points`: (N, 3) float64 metres in the frame of the drive; `probabilities`: (N, C) float32;
@@ -66,7 +66,7 @@ def view_of(
     voxel_of_point[rows] = np.repeat(np.arange(len(first)), np.diff(first, append=len(keys)))
     votes = np.empty((len(first), probabilities.shape[1]), np.uint16)
     _mean_of_voxels(argument(probabilities, np.float32), rows, np.append(first, len(keys)), votes)
-    return View(keys[first], votes, voxel_of_point, rows[first])
+    return VoxelVotes(keys[first], votes, voxel_of_point, rows[first])
 
 
 def keys_of(points: npt.NDArray[np.float64], size: float) -> Keys:
@@ -96,8 +96,8 @@ def _mean_of_voxels(probabilities: Float, rows: Keys, borders: Keys, votes: Vote
 
 
 def tally(
-    own: View,
-    others: Iterable[tuple[View, npt.NDArray[np.uint8]]],
+    own: VoxelVotes,
+    others: Iterable[tuple[VoxelVotes, npt.NDArray[np.uint8]]],
     stands: npt.NDArray[np.uint8],
 ) -> Tally:
     """Add up the votes of a scan and of others for the places of its points.
@@ -113,7 +113,9 @@ def tally(
     seen = np.ones(len(own.keys), np.uint16)
     for view, counted in others:
 
-        def add(part: slice, view: View = view, counted: npt.NDArray[np.uint8] = counted) -> None:
+        def add(
+            part: slice, view: VoxelVotes = view, counted: npt.NDArray[np.uint8] = counted
+        ) -> None:
             sums = stands[part], total[part], counts[part], seen[part]
             _add(own.keys[part], view.keys, view.votes, counted, *sums)
 

@@ -14,7 +14,15 @@ from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.pose_checks import MAX_MISFIT, Parts, fitting_parts
 from salsanext_cli.fusion.poses import Poses, is_rigid
 from salsanext_cli.fusion.visibility import nearest_ranges, seen_by
-from salsanext_cli.fusion.votes import MAX_CELLS, SCALE, VOXEL_SIZES_M, Tally, View, tally, view_of
+from salsanext_cli.fusion.votes import (
+    MAX_CELLS,
+    SCALE,
+    VOXEL_SIZES_M,
+    Tally,
+    VoxelVotes,
+    tally,
+    votes_of_scan,
+)
 from salsanext_cli.options import FusionReach
 from salsanext_cli.records import Float, Scan
 
@@ -102,11 +110,11 @@ class DriveWindow(Generic[Content]):
             return error
 
 
-class SeenScan(NamedTuple):
+class PlacedScan(NamedTuple):
     """A scan in the frame of the drive."""
 
     points: npt.NDArray[np.float64]  # (N, 3)
-    views: list[View]  # Of both sizes of voxels
+    views: list[VoxelVotes]  # Of both sizes of voxels
     ranges: Float  # Of the nearest points, by direction
 
 
@@ -139,7 +147,7 @@ class FusionWindow:
         return Tally(mean, tallies[-1].views)
 
     def _stands(
-        self, view: View, own: SeenScan, others: Mapping[int, SeenScan]
+        self, view: VoxelVotes, own: PlacedScan, others: Mapping[int, PlacedScan]
     ) -> npt.NDArray[np.uint8]:
         """Return in which voxels (V,), of what may move, more scans see something than through."""
         stands = np.zeros(len(view.keys), np.uint8)
@@ -150,13 +158,13 @@ class FusionWindow:
         stands[asked] = through < there
         return stands
 
-    def _seen(self, index: int) -> SeenScan:
+    def _seen(self, index: int) -> PlacedScan:
         place = self.places[index]
         require_near(place, VOXEL_SIZES_M[0], f"pose of scan {index}", "fuse shorter drives")
         points, softmax, voting = self.read(index)
         placed = in_drive(points, self.poses[index, :3, :3], place)
-        views = [view_of(placed, softmax, voting, size) for size in VOXEL_SIZES_M]
-        return SeenScan(placed, views, nearest_ranges(points))
+        views = [votes_of_scan(placed, softmax, voting, size) for size in VOXEL_SIZES_M]
+        return PlacedScan(placed, views, nearest_ranges(points))
 
 
 def fused_labels(tally: Tally, labels: TrainIds) -> TrainIds:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.errors import UsageError
-from salsanext_cli.geometry.projection import drawn, measured_ranges
+from salsanext_cli.geometry.projection import measured_ranges, sample_places
 from salsanext_cli.records import MAX_INTENSITY, Float
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
 
@@ -23,12 +23,12 @@ NO_INTENSITY = (0.0,) * INTENSITY_LEVELS
 MIN_PIXELS = 1000  # Fewest pixels of a scan whose quantiles count, unless all scans have fewer
 SAMPLE = 1024
 """Points of a scan that are looked at; few, so that neighbours in the sample are no neighbours."""
-MIN_POINTS = 100  # Fewest points with an intensity of which something is said
-LARGEST_UNUSABLE = 0.05
+MIN_INTENSITY_POINTS = 100  # Fewest points with an intensity of which something is said
+MAX_UNUSABLE = 0.05
 """Largest share of points without a usable intensity; real scans had none."""
-LARGEST_EQUAL = 0.95
+MAX_EQUAL = 0.95
 """Largest share of points of the same intensity; real scans had 0.16 or less."""
-LARGEST_DEPENDENCE = 0.9
+MAX_DEPENDENCE = 0.9
 """Largest `dependence` of an intensity on range, elevation, azimuth or order of the points: real
 ones had 0.51 or less, narrow sectors of a street 0.88; columns of ranges, rings and times had 0.95
 or more."""
@@ -73,9 +73,9 @@ def match_intensity(channels: Float, source: Sequence[float], target: Sequence[f
     """Return a range image (5, H, W) with the quantiles of its intensity mapped to others."""
     # Linearly between; a value at which several quantiles lie becomes the mean of theirs, so that
     # `NO_INTENSITY` makes everything the mean of the target. That is what becomes of an image
-    # `without_intensity`, whatever the source. Empty pixels stay 0.
+    # `why_no_intensity`, whatever the source. Empty pixels stay 0.
     occupied = np.flatnonzero(channels[0] > 0)
-    if without_intensity(*_pixels(channels, occupied[drawn(len(occupied), SAMPLE)])):
+    if why_no_intensity(*_pixels(channels, occupied[sample_places(len(occupied), SAMPLE)])):
         source = NO_INTENSITY
     elif source == target:
         return channels
@@ -101,7 +101,7 @@ def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
     seen = [_pixels(channels, np.flatnonzero(channels[0] > 0)) for channels in images]
     if not any(len(values) for _, values in seen):
         return ()
-    known = [v for points, v in seen if len(v) and not without_intensity(points, v)]
+    known = [v for points, v in seen if len(v) and not why_no_intensity(points, v)]
     if not known:
         return NO_INTENSITY
     enough = [values for values in known if len(values) >= MIN_PIXELS] or known
@@ -127,24 +127,22 @@ def bright_intensity(sensor: Sensor) -> float:
     return bright if bright > 0 else 1.0
 
 
-def without_intensity(points: Float, intensity: Float) -> str:
+def why_no_intensity(points: Float, intensity: Float) -> str:
     """Say why intensities (N,) of points (N, 3) in the order of a file are none, or nothing."""
-    places = drawn(len(points), SAMPLE)
+    places = sample_places(len(points), SAMPLE)
     points, intensity = points[places], intensity[places]
     ranges, measured = measured_ranges(points)
     usable = measured & (np.abs(intensity) <= MAX_INTENSITY)
     if not measured.any():
         return ""
     unusable = 1 - usable.sum() / measured.sum()
-    if unusable > LARGEST_UNUSABLE:
+    if unusable > MAX_UNUSABLE:
         return f"{unusable:.0%} of the points have no intensity: NaN or above {MAX_INTENSITY:g}"
     values, ranges = intensity[usable], ranges[usable]
     equal = np.unique(values, return_counts=True)[1].max() / len(values)
-    if equal == 1:
-        return "no intensity: all points have the same"
-    if equal > LARGEST_EQUAL:
+    if equal > MAX_EQUAL:
         return f"no intensity: {equal:.0%} of the points have the same"
-    if len(values) < MIN_POINTS:
+    if len(values) < MIN_INTENSITY_POINTS:
         return ""
     x, y, z = points[usable].T
     others = {
@@ -156,7 +154,7 @@ def without_intensity(points: Float, intensity: Float) -> str:
     ranks = _ranks(values)
     dependences = {name: dependence(ranks, other) for name, other in others.items()}
     most = max(dependences, key=lambda name: dependences[name])
-    if dependences[most] > LARGEST_DEPENDENCE:
+    if dependences[most] > MAX_DEPENDENCE:
         return f"no intensity: its values follow the {most} of the points"
     return ""
 

@@ -18,12 +18,12 @@ from salsanext_cli.records import Float, Int, Mask, RangeImage
 
 Objects = npt.NDArray[np.uint16]
 COLUMNS, ROWS = 6, 4  # Pixels to the right and below that may be neighbours
-LARGEST_COSINE = np.float32(np.cos(np.radians(8.0)))
+MAX_COSINE = np.float32(np.cos(np.radians(8.0)))
 """Of the angle between beam and line above which points are connected."""
 NEAR_M, FAR_M = np.float32(0.4), np.float32(1.5)
 """Distances below which points are connected at any angle, and above which at none."""
 MOST = np.iinfo(np.uint16).max  # Objects of a scan that have a number in 16 bits
-SAME_M, MIN_POINTS = np.float32(1.0), 10
+SAME_M, MIN_OBJECT_POINTS = np.float32(1.0), 10
 """Largest difference in range to the pixel whose object a point joins; fewest points of one."""
 ANGLES_RAD = np.radians(np.arange(0.0, 90.0, 1.5))
 """Directions of the sides of a box that are tried."""
@@ -44,7 +44,7 @@ def find_objects(image: RangeImage, labels: TrainIds, things: Mask) -> Objects:
     inside = np.flatnonzero(found >= 0)
     own = component[found[inside]]
     _, place, sizes = np.unique(own, return_inverse=True, return_counts=True)
-    large = sizes >= MIN_POINTS
+    large = sizes >= MIN_OBJECT_POINTS
     numbers = np.cumsum(large) * large
     objects = np.zeros(len(labels), np.uint16)
     objects[inside] = np.where(numbers <= MOST, numbers, 0)[place]
@@ -69,7 +69,7 @@ def connected(image: Float, v: int, u: int, row: int, column: int) -> bool:
     dx, dy, dz = x - image[1, v, u], y - image[2, v, u], z - image[3, v, u]
     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
     along = (x * dx + y * dy + z * dz) / image[0, row, column]
-    apart: bool = distance > NEAR_M and (distance > FAR_M or along >= LARGEST_COSINE * distance)
+    apart: bool = distance > NEAR_M and (distance > FAR_M or along >= MAX_COSINE * distance)
     return not apart
 
 

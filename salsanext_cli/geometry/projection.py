@@ -6,10 +6,9 @@
     u = ½ [1 − atan2(y, x)/π] W
     v = [1 − (asin(z/r) − f_down)/(f_up − f_down)] H
 
-Both are rounded down and clamped to the image. Where the sensor names its beams, the row is that of
-the point's beam instead (`rows_of`). The nearest point wins a pixel; of equally near ones the
-first in the scan. All arithmetic after the arctangents is float32, as in the published
-code, so that points on a pixel border fall to the same side.
+Both are rounded down and clamped to the image. The nearest point wins a pixel; of equally near ones
+the first in the scan. All arithmetic after the arctangents is float32, as in the published code, so
+that points on a pixel border fall to the same side.
 
 In the frame of the sensor, points are relative to its place, with z up, and without its vehicle.
 """
@@ -63,8 +62,7 @@ def project(scan: Scan, sensor: Sensor) -> RangeImage:
     up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
     height, width, count = sensor.height, sensor.width, len(scan)
     fov_down, fov = np.float32(down), np.float32(up - down)
-    drop, rows = sensor.out_of_view == "drop", rows_of(scan, sensor)
-    view = (fov_down, fov, np.float32(height), np.float32(width), drop)
+    view = (fov_down, fov, np.float32(height), np.float32(width), sensor.out_of_view == "drop")
     points = argument(scan.points, np.float32).reshape(-1)
     intensity = argument(scan.intensity, np.float32)
     pixel_of_point = np.empty(count, np.int32)
@@ -82,9 +80,6 @@ def project(scan: Scan, sensor: Sensor) -> RangeImage:
         )
 
     parallel_for_slices(find, count)
-    if rows is not None:
-        in_rows = rows * np.int32(width) + pixel_of_point % np.int32(width)
-        np.copyto(pixel_of_point, in_rows, where=pixel_of_point >= 0)
     keep_nearest(pixel_of_point, point_range, point_of_pixel)
     parallel_for_slices(fill, height * width)
     return RangeImage(
@@ -93,37 +88,6 @@ def project(scan: Scan, sensor: Sensor) -> RangeImage:
         point_of_pixel.reshape(height, width),
         point_range,
     )
-
-
-def rows_of(scan: Scan, sensor: Sensor) -> Int | None:
-    """Return the row of each point, that of its beam; None where the sensor knows no beams."""
-    # Of B beams, number b from the top has row ``floor((b + ½) H / B)``. Points of one ring are of
-    # the beam nearest to the median of their elevations; points without a ring are of the beam
-    # nearest to their own. Returns (N,) int32 from 0 at the top, of an upright scan; points without
-    # a measurement have any row.
-    if not sensor.beams:
-        return None
-    ranges, measured = measured_ranges(scan.points, float(MAX_RANGE_M))
-    slopes = np.zeros(len(scan))
-    np.divide(scan.points[:, 2], ranges, out=slopes, where=measured)
-    beams = np.radians(sensor.beams)
-    borders = -np.sin((beams[1:] + beams[:-1]) / 2)
-    beam = np.searchsorted(borders, -slopes)
-    if scan.ring is not None:
-        known = measured & (scan.ring >= 0)
-        medians = medians_of_rings(slopes[known], scan.ring[known])
-        beam[known] = np.searchsorted(borders, -medians)[scan.ring[known]]
-    return ((2 * beam + 1) * sensor.height // (2 * len(beams))).astype(np.int32)
-
-
-def medians_of_rings(values: Double, ring: Int) -> Double:
-    """Return the median of the values (N,) of each ring, by number; NaN where it has none."""
-    order = np.argsort(ring, kind="stable")
-    numbers, starts = np.unique(ring[order], return_index=True)
-    medians = np.full(ring.max(initial=-1) + 1, np.nan)
-    for number, part in zip(numbers, np.split(values[order], starts[1:]), strict=False):
-        medians[number] = np.median(part)
-    return medians
 
 
 @compiled
@@ -242,16 +206,16 @@ def measured_ranges(points: Float, farthest: float = sys.float_info.max) -> tupl
 
 
 def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
-    """Return some points of a scan in their order, drawn alike; all if there are no more."""
+    """Return some points of a scan in their order, sampled evenly; all if there are no more."""
     # Of points in the order of a grid, every n-th could be of few beams or in few directions.
     if len(scan) <= count:
         return scan
-    places = drawn(len(scan), count)
+    places = sample_places(len(scan), count)
     return Scan(scan.points[places], scan.intensity[places])
 
 
-def drawn(length: int, count: int) -> Indices:
-    """Return (count,) places in an array, rising, drawn alike; all if there are no more."""
+def sample_places(length: int, count: int) -> Indices:
+    """Return (count,) places in an array, rising, sampled evenly; all if there are no more."""
     return np.arange(length) if length <= count else (_uniform(count) * length).astype(np.intp)
 
 

@@ -115,7 +115,7 @@ class LabelRecords:
         more = imported and contradicted > earlier.get("contradicted", 0)
         if (lost or more) and present(path):
             return False
-        changed = self.owned.others([path], self._states)
+        changed = self.owned.foreign_files([path], self._states)
         return not changed or self.holds_guess(scan)
 
     def write(self, scan: ScanFile, content: bytes, about: Mapping[str, Any]) -> None:

@@ -3,7 +3,7 @@
 
 import hashlib
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
@@ -80,14 +80,6 @@ class PickRecord:
             raise OutputError(path, f"not what `{STAGE}` writes", remedy=remedy) from error
 
 
-def pose_lines(path: Path, scans: Sequence[str], picked: Sequence[str]) -> bytes:
-    """Return the lines of the picked ones of all scans of a sequence, sorted stems."""
-    with reading(path) as file:
-        lines = [line.strip() for line in file.read().splitlines() if line.strip()]
-    numbers = line_numbers(path, len(lines), scans, picked)
-    return b"".join(lines[number] + b"\n" for number in numbers)
-
-
 class ScanPaths(NamedTuple):
     """Files of a picked scan: `.bin`, `.label` and coloured `.ply`."""
 
@@ -145,9 +137,16 @@ class PickedDataSet(OwnedFolder):
             poses, calibration = source.with_name(POSES), source.with_name(CALIBRATION)
             try:
                 if present(poses):
-                    stems = [scan.stem for scan in find_scans(source)]
-                    lines = pose_lines(poses, stems, [scan.stem for scan in picked])
-                    self.write_missing(folder / POSES, lines)
+                    with reading(poses) as file:
+                        lines = [
+                            line for line in map(bytes.strip, file.read().splitlines()) if line
+                        ]
+                    stems, wanted = (
+                        [s.stem for s in each] for each in (find_scans(source), picked)
+                    )
+                    numbers = line_numbers(poses, len(lines), stems, wanted)
+                    chosen = b"".join(lines[number] + b"\n" for number in numbers)
+                    self.write_missing(folder / POSES, chosen)
             except (FormatError, OutputError) as error:
                 log.warning("%s; poses are left out", error)
             if present(calibration):

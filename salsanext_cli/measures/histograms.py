@@ -20,7 +20,7 @@ import numpy.typing as npt
 from salsanext_cli.measures.scores import Counts, Mask, Ratios
 from salsanext_cli.records import Float, Indices
 
-SMALLEST_PROBABILITY = 2.0**-24
+MIN_PROBABILITY = 2.0**-24
 """Least probability of the true class: the smallest float16 above 0.
 
 One point with a probability of 0 would make the mean infinite; so it costs 24 ln 2 = 16.6 nats.
@@ -56,7 +56,7 @@ def softmax_errors(probabilities: npt.NDArray[Any], truth: npt.NDArray[Any]) -> 
         predicted=predicted,
         wrong=predicted != truth,
         confidence=exact[every, predicted].astype(np.float16),
-        nll=-np.log(np.maximum(of_truth, SMALLEST_PROBABILITY)),
+        nll=-np.log(np.maximum(of_truth, MIN_PROBABILITY)),
         brier=np.einsum("nc,nc->n", exact, exact) - 2 * of_truth + 1,
     )
 
@@ -72,7 +72,7 @@ def softmax_entropy(probabilities: npt.NDArray[Any]) -> Float:
     """Return the entropy −Σ_c p_c ln p_c in nats: (N, C) to (N,) float32, 0 … ln C."""
     some = probabilities.astype(np.float32)
     # 0 ln 0 is 0, and no float16 above 0 is smaller.
-    logarithm = np.log(np.clip(some, SMALLEST_PROBABILITY, 1))
+    logarithm = np.log(np.clip(some, MIN_PROBABILITY, 1))
     entropy: Float = -np.einsum("nc,nc->n", some, logarithm)
     return np.maximum(entropy, 0)
 

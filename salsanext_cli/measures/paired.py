@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.measures.scan_counts import RING_NAMES
+from salsanext_cli.measures.scan_counts import BAND_NAMES
 from salsanext_cli.measures.scores import (
     Counts,
     Mask,
@@ -71,7 +71,7 @@ class ScanPair(NamedTuple):
 
     file: ScanFile
     turned: Counts  # (C, C): points by label of the first run and of the second
-    # (1 + rings, 2, 3, C): class sums of all points, and of each ring, by run; None without truth
+    # (1 + bands, 2, 3, C): class sums of all points, and of each band, by run; None without truth
     sums: Counts | None = None
     trained_on: bool = False  # Whether the weights of a run were trained on it
 
@@ -98,7 +98,7 @@ class RunComparison:
 
     @cached_property
     def sums(self) -> Counts:
-        """Class sums (S, 1 + rings, 2, 3, C) of the scans with truth that no run was trained on."""
+        """Class sums (S, 1 + bands, 2, 3, C) of the scans with truth that no run was trained on."""
         known = [p.sums for p in self.pairs if p.sums is not None and not p.trained_on]
         return np.array(known) if known else np.zeros((0, 1, 2, 3, self.space.class_count), int)
 
@@ -114,15 +114,13 @@ class RunComparison:
         return {"accuracy": accuracy, f"mean IoU, {held.sum()} classes": mean} | of_classes
 
     @cached_property
-    def rings(self) -> dict[str, tuple[Difference, Difference]]:
-        """Accuracy, and mean IoU of the classes that all rings with points hold, by ring."""
+    def bands(self) -> dict[str, tuple[Difference, Difference]]:
+        """Accuracy, and mean IoU of the classes that all bands with points hold, by band."""
         held = self.sums[:, 1:, 0, 1].sum(axis=0) > 0
         same = held[held.any(axis=1)].all(axis=0)
-        rings = zip(RING_NAMES, np.moveaxis(self.sums[:, 1:], 1, 0), held, strict=False)
-        differences = {
-            name: paired_differences(s, same)[:2] for name, s, any_ in rings if any_.any()
-        }
-        return {name: (accuracy, mean) for name, (accuracy, mean) in differences.items()}
+        bands = zip(BAND_NAMES, np.moveaxis(self.sums[:, 1:], 1, 0), held, strict=False)
+        differences = {name: paired_differences(s, same) for name, s, any_ in bands if any_.any()}
+        return {name: (accuracy, mean) for name, (accuracy, mean, *_) in differences.items()}
 
     @cached_property
     def turned(self) -> Counts:
@@ -158,7 +156,7 @@ class RunComparison:
                     "scores": {name: each._asdict() for name, each in self.scores.items()},
                     "by_distance": {
                         name: {"accuracy": accuracy._asdict(), "iou_mean_same": mean._asdict()}
-                        for name, (accuracy, mean) in self.rings.items()
+                        for name, (accuracy, mean) in self.bands.items()
                     },
                     "changed_most": [
                         {"scan": p.file.name, "changed": changed(p.turned), "gain": p.gain}

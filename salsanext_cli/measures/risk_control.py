@@ -17,13 +17,13 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few
-from salsanext_cli.measures.scores import Confusion, Ratios
+from salsanext_cli.measures.scores import Counts, Ratios, scored_rows
 
 PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
 """Classes whose points are of people."""
 KEEPS_NONE = -1.0
 """Threshold of a class of which no label is kept."""
-BROKEN = (
+RISK_BOUND_EXCEEDED = (
     "more is kept and wrong than was promised: by chance, if these scans are few, else because "
     "their place, sensor or weather is another than that of the scans that the threshold was "
     "chosen on; choose it with `salsanext tune risk` on labelled scans like these"
@@ -115,10 +115,10 @@ class KeptLabels:
 
     @classmethod
     def of_confusion(
-        cls, confusion: Confusion, space: LabelSpace, scans: Mapping[str, tuple[int, int, int]]
+        cls, confusion: Counts, space: LabelSpace, scans: Mapping[str, tuple[int, int, int]]
     ) -> Self:
         """Count the points whose predicted class is not 0; `scans`: as `worst`, by name."""
-        matrix = confusion.counted(space.scored)
+        matrix = scored_rows(confusion, space)
         kept, right = matrix[:, 1:].sum(axis=0), matrix.diagonal()[1:]
         of_classes = zip(space.names[1:], kept.tolist(), (kept - right).tolist(), strict=True)
         in_order = sorted(of_classes, key=lambda each: each[0] not in PEOPLE)
@@ -150,7 +150,7 @@ class KeptLabels:
 
 
 @dataclass(frozen=True, slots=True)
-class KeptPromise:
+class RiskBoundCheck:
     """Promise about scans or drives beside the losses found, shares of their scored points."""
 
     at_most: float
@@ -178,7 +178,7 @@ class KeptPromise:
         return cls(promised["at_most"], promised["confidence"], unit, *found)
 
     @property
-    def is_broken(self) -> bool:
+    def is_exceeded(self) -> bool:
         """Say whether more was found than promised."""
         if self.confidence is None:
             return self.mean > self.at_most

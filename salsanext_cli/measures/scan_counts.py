@@ -33,7 +33,14 @@ from salsanext_cli.measures.histograms import (
     uncertainty_histogram,
 )
 from salsanext_cli.measures.panoptic import SEGMENT_COUNTS, count_segments
-from salsanext_cli.measures.scores import Confusion, Mask, Ratios, scores
+from salsanext_cli.measures.scores import (
+    Counts,
+    Mask,
+    Ratios,
+    confusion_matrix,
+    scored_rows,
+    scores,
+)
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Indices, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
@@ -43,28 +50,28 @@ from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
 SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of its confidence
-OF_SOFTMAX = {"confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
-"""Uncertainties that come from the probabilities."""
-EVALUATED_KINDS = (*OF_SOFTMAX, *UNCERTAINTY)
+OF_SOFTMAX = {"least_confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
+"""Uncertainties that come from the probabilities, where no file has them."""
+EVALUATED_KINDS = (*dict.fromkeys((*OF_SOFTMAX, *UNCERTAINTY)),)
 """Every kind of uncertainty, in the order in which they are reported."""
 SCORES_OF_SCAN = ("points", "accuracy", "iou_mean_present")
-CLASS, RING = "class", "ring"
+CLASS, DISTANCE = "class", "distance"
 OF_ERROR = ("error", "calibration")  # Key of the histogram of the error as a probability
-LEAST_ACCURACY, MIN_JUDGED = 0.2, 10_000
+MIN_ACCURACY, MIN_JUDGED = 0.2, 10_000
 """Least accuracy, over so many points or more, of labels that mean the same as the predictions;
 that of other ids was 0.02, that of the default weights in streets 0.75 or more."""
-RING_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)
-"""Inner radius of each ring of distance, in metres; the last ring has no end."""
-RING_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
+BAND_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)
+"""Inner radius of each distance band, in metres; the last band has no end."""
+BAND_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
 
 
 @dataclass(slots=True)
 class ScanCounts:
     """Counts over scans."""
 
-    confusion: Confusion  # Counts of all points
+    confusion: Counts  # (C, C): of all points
     segments: Ratios  # As `count_segments` returns, where objects were predicted
-    rings: tuple[Confusion, ...] = ()  # One per name in `RING_NAMES`; empty if not requested
+    bands: tuple[Counts, ...] = ()  # One per name in `BAND_NAMES`; empty if not requested
     # Number of points by raw id that the label space does not know
     unknown_truth: Counter[int] = field(default_factory=Counter)
     unknown_predictions: Counter[int] = field(default_factory=Counter)
@@ -79,18 +86,18 @@ class ScanCounts:
     calibration_errors: list[float] = field(default_factory=list)  # Of each scan with a softmax
     # Of each scan with the error: its mean, and the share of these points that is wrong
     errors: list[tuple[float, float]] = field(default_factory=list)
-    # Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `RING`, or
+    # Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `DISTANCE`, or
     # `CLASS`, which is the most probable class for the confidence, else the true one
     histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)
-    by_sequence: dict[str, Confusion] = field(default_factory=dict)
+    by_sequence: dict[str, Counts] = field(default_factory=dict)
     by_scan: dict[str, dict[str, Any]] = field(default_factory=dict)  # Some scores, by name
 
     @classmethod
     def none(cls, space: LabelSpace, by_distance: bool) -> ScanCounts:
         """Return the counts of no scan at all."""
-        classes = space.class_count
-        rings = tuple(Confusion(classes) for _ in RING_NAMES) if by_distance else ()
-        return cls(Confusion(classes), np.zeros((classes, SEGMENT_COUNTS)), rings)
+        none = np.zeros((space.class_count, space.class_count), np.int64)
+        bands = tuple(none.copy() for _ in BAND_NAMES) if by_distance else ()
+        return cls(none, np.zeros((space.class_count, SEGMENT_COUNTS)), bands)
 
     def add(self, other: ScanCounts) -> None:
         """Add the counts of other scans, which are used up."""
@@ -124,9 +131,9 @@ class ScanCounts:
             if ids:
                 listed = first_few([f"{i} ({count:,}×)" for i, count in sorted(ids.items())])
                 yield f"{what}: unknown ids {listed} are taken as unlabelled"
-        matrix = self.confusion.counted(space.scored)
+        matrix = scored_rows(self.confusion, space)
         points, right = int(matrix.sum()), int(np.trace(matrix))
-        if points >= MIN_JUDGED and right < LEAST_ACCURACY * points:
+        if points >= MIN_JUDGED and right < MIN_ACCURACY * points:
             yield (
                 f"labels and predictions agree on {right / points:.1%} of the labelled points: "
                 "labels of another data set (--label-space), or a sensor set up otherwise?"
@@ -171,8 +178,8 @@ def count_scan(
     folder holds `probabilities/` and `uncertainty/` of the scan. Points that `predict --reject`
     left unlabelled are missed ones in the confusion, and have no uncertainty.
 
-    `space`: classes that are compared, and meaning of the raw ids; `by_distance`: count rings of
-    distance too, for which the scan is read; `labels`: meaning of the raw ids of the labels, if
+    `space`: classes that are compared, and meaning of the raw ids; `by_distance`: count distance
+    bands too, for which the scan is read; `labels`: meaning of the raw ids of the labels, if
     they have their own for these classes; `merging`: of the classes of the probabilities into those
     compared; `trained_on`: digests of scans that the weights were trained on; `objects`: whether
     the predictions have instances; `rejection`: that of the run.
@@ -192,8 +199,8 @@ def count_scan(
     counts.trained_on = int(is_among(trained_on, len(truth), read))
     counts.unknown_truth.update(of_truth.unknown_ids(raw_truth))
     counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
-    counts.confusion.update(truth, predicted)
-    counts.by_sequence[scan.sequence] = counts.confusion
+    counts.confusion = confusion_matrix(truth, predicted, space.class_count)
+    counts.by_sequence[scan.sequence] = counts.confusion.copy()
     own = scores(counts.confusion, space).to_dict()
     counts.by_scan[scan.name] = {key: own[key] for key in SCORES_OF_SCAN}
     if objects:
@@ -203,11 +210,13 @@ def count_scan(
     true_class, wrong = truth[scored], (predicted != truth)[scored]
     groups: dict[str, tuple[npt.NDArray[Any], int]] = {CLASS: (true_class, space.class_count)}
     if cloud is not None:
-        ring = ring_of_point((in_sensor_frame(cloud, sensor) if sensor else cloud).points)
-        for i, of_ring in enumerate(counts.rings):
-            of_ring.update(truth[ring == i], predicted[ring == i])
+        band = band_of_point((in_sensor_frame(cloud, sensor) if sensor else cloud).points)
+        counts.bands = tuple(
+            confusion_matrix(truth[band == i], predicted[band == i], space.class_count)
+            for i in range(len(BAND_NAMES))
+        )
         # Points without a measurement are a group of their own.
-        groups[RING] = ring[scored] % (len(RING_NAMES) + 1), len(RING_NAMES) + 1
+        groups[DISTANCE] = band[scored] % (len(BAND_NAMES) + 1), len(BAND_NAMES) + 1
     values: dict[str, Float] = {}
     if present(path := output_path(out, scan.sequence, SOFTMAX, scan.stem)):
         counts.files[SOFTMAX] = 1
@@ -271,7 +280,7 @@ def _labels(
     return read_labels(scan.label_path, len(cloud)), read_labels(predictions, len(cloud))
 
 
-def ring_of_point(points: Float) -> Indices:
-    """Return the index into `RING_NAMES` of points (N, 3) in metres; -1 without a measurement."""
+def band_of_point(points: Float) -> Indices:
+    """Return the index into `BAND_NAMES` of points (N, 3) in metres; -1 without a measurement."""
     ranges, measured = measured_ranges(points)
-    return np.where(measured, np.digitize(np.nan_to_num(ranges), RING_STARTS_M) - 1, -1)
+    return np.where(measured, np.digitize(np.nan_to_num(ranges), BAND_STARTS_M) - 1, -1)

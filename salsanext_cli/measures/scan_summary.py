@@ -19,7 +19,13 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.label_scan import LabelledScan
-from salsanext_cli.fitting.scan_checks import MIN_POINTS, UNCHECKED, Finding, ScanCheck, ScanTraits
+from salsanext_cli.fitting.scan_checks import (
+    MIN_CHECKED_POINTS,
+    UNCHECKED,
+    Finding,
+    ScanCheck,
+    ScanTraits,
+)
 from salsanext_cli.geometry.network_input import INTENSITY_FACTOR
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.results.layout import ScanFile
@@ -27,11 +33,11 @@ from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.results.owned_folder import Texts
 from salsanext_cli.sensors.sensor import Sensor
 
-LARGEST_CLASSES = 5  # Classes that a summary names
-LARGEST_SHARE = 0.75
+CLASSES_SHOWN = 5  # Classes that a summary names
+MAX_SHARE = 0.75
 """Largest share of a class in a scan that is believed; an empty crossroads had 0.6 of road."""
 FEW_CLASSES = 10
-LARGEST_SHARE_OF_FEW = 0.85
+MAX_SHARE_OF_FEW = 0.85
 """The same of so many classes or fewer, as `coarse` has; 0.67 or less with right settings."""
 FEWEST_CLASSES = 5
 """Of fewer, one may take nearly all of a scan. Both numbers include the class "unlabelled"."""
@@ -45,7 +51,7 @@ DENSITY_FACTOR = 1.5
 """Least factor between the numbers of points that two sensors have around an elevation; scans of
 one sensor had up to 1.27, the two most similar sensors 1.77."""
 POINTS_FACTOR = 4.0  # The same for all their points, of which the sky leaves more or less
-LEAST_SHARE = 0.02
+MIN_SHARE = 0.02
 """Points around an elevation, as a share of those of the largest scan, up to which they do not
 count."""
 APART = "put the scans of each sensor into a folder of their own"
@@ -94,8 +100,8 @@ def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Ite
     few = space.class_count <= FEW_CLASSES
     if space.class_count >= FEWEST_CLASSES:
         total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1
-        most = LARGEST_SHARE_OF_FEW if few else LARGEST_SHARE
-        if total >= MIN_POINTS and points[largest] > most * total:
+        most = MAX_SHARE_OF_FEW if few else MAX_SHARE
+        if total >= MIN_CHECKED_POINTS and points[largest] > most * total:
             found = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
             yield Finding("one-class", found, LOOK)
     if not few and confidence < MIN_CONFIDENCE:
@@ -215,7 +221,7 @@ class RunSummary:
 
 def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:
     """Return the share of points (C,) by train id, 0…1, of the largest classes, by name."""
-    largest = np.argsort(-points, kind="stable")[:LARGEST_CLASSES]
+    largest = np.argsort(-points, kind="stable")[:CLASSES_SHOWN]
     return {space.names[i]: float(points[i] / points.sum()) for i in largest if points[i]}
 
 
@@ -226,7 +232,7 @@ def mixed_sensors(traits: Mapping[ScanFile, ScanTraits]) -> dict[ScanFile, Findi
     files = sorted(traits)
     if len(files) < 2:
         return {}
-    least = LEAST_SHARE * max(traits[file].points for file in files)
+    least = MIN_SHARE * max(traits[file].points for file in files)
     below = np.maximum([traits[file].below for file in files], least)
     points = np.array([traits[file].points for file in files])
     bright = np.array([traits[file].bright for file in files])

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -34,28 +34,18 @@ FREQUENT_POINTS = 500
 """Points of a class from which on it is frequent; the IoU of fewer is mostly chance."""
 
 
-class Confusion:
-    """Counts of (truth, prediction) pairs over train ids, also ignored ones: (C, C) int64."""
+def confusion_matrix(
+    truth: npt.NDArray[Any], predicted: npt.NDArray[Any], class_count: int
+) -> Counts:
+    """Count pairs of train ids, ignored ones too, of arrays of the same shape: (C, C) int64."""
+    size = (class_count, class_count)
+    cell = np.ravel_multi_index((truth.ravel(), predicted.ravel()), size)
+    return np.bincount(cell, minlength=class_count**2).reshape(size)
 
-    __slots__ = ("matrix",)
 
-    def __init__(self, class_count: int, matrix: Counts | None = None) -> None:
-        self.matrix: Counts = np.zeros((class_count, class_count), np.int64)
-        if matrix is not None:
-            self.matrix += matrix
-
-    def update(self, truth: npt.NDArray[Any], predicted: npt.NDArray[Any]) -> Self:
-        """Count train ids of the points of a scan, or of the pixels of an image; same shape."""
-        cell = np.ravel_multi_index((truth.ravel(), predicted.ravel()), self.matrix.shape)
-        self.matrix += np.bincount(cell, minlength=self.matrix.size).reshape(self.matrix.shape)
-        return self
-
-    def counted(self, scored: Mask) -> Counts:
-        """Return the matrix (C, C), rows of ignored classes 0; their columns, misses, stay."""
-        return np.where(scored[:, None], self.matrix, 0)
-
-    def __add__(self, other: Confusion) -> Confusion:
-        return Confusion(len(self.matrix), self.matrix + other.matrix)
+def scored_rows(confusion: Counts, space: LabelSpace) -> Counts:
+    """Return the matrix (C, C), rows of ignored classes 0; their columns, misses, stay."""
+    return np.where(space.scored[:, None], confusion, 0)
 
 
 def ratio(part: Counts, whole: Counts) -> Ratios:
@@ -102,19 +92,19 @@ class Scores:
         return dict(plain(asdict(self)))
 
 
-def ring_rows(rings: Mapping[str, Scores]) -> list[tuple[str, Scores, float, list[str]]]:
-    """Return name, scores, mean IoU of the same classes, and absent classes of each ring."""
-    # The same ones are those that the truth holds in every ring with points; absent ones are in
-    # other rings only.
-    held = {name: {c.name for c in ring.classes if c.points} for name, ring in rings.items()}
+def band_rows(bands: Mapping[str, Scores]) -> list[tuple[str, Scores, float, list[str]]]:
+    """Return name, scores, mean IoU of the same classes, and absent classes of each band."""
+    # The same ones are those that the truth holds in every band with points; absent ones are in
+    # other bands only.
+    held = {name: {c.name for c in band.classes if c.points} for name, band in bands.items()}
     every = set[str]().union(*held.values())
     same = every.intersection(*filter(None, held.values()))
     means = (
-        _mean(np.array([c.iou for c in ring.classes if c.name in same & held[name]]))
-        for name, ring in rings.items()
+        _mean(np.array([c.iou for c in band.classes if c.name in same & held[name]]))
+        for name, band in bands.items()
     )
     absent = (sorted(every - names) for names in held.values())
-    return list(zip(rings, rings.values(), means, absent, strict=True))
+    return list(zip(bands, bands.values(), means, absent, strict=True))
 
 
 def largest_confusions(matrix: Counts, most: int) -> list[tuple[int, int, int]]:
@@ -136,10 +126,9 @@ def ious(sums: Counts) -> Ratios:
     return ratio(hits, truths + predictions - hits)
 
 
-def scores(confusion: Confusion, space: LabelSpace) -> Scores:
-    """Divide counts over the train ids of a label space."""
-    scored = space.scored
-    matrix = confusion.counted(scored)
+def scores(confusion: Counts, space: LabelSpace) -> Scores:
+    """Divide the counts (C, C) of a confusion matrix over the train ids of a label space."""
+    scored, matrix = space.scored, scored_rows(confusion, space)
     points = int(matrix.sum())
     hits, truths, predictions = sums = class_sums(matrix)
     iou, iou_official = ious(sums), hits / (truths + predictions - hits + EPSILON)

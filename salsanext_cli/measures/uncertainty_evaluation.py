@@ -26,11 +26,11 @@ from salsanext_cli.measures.risk_coverage import (
     spearman,
 )
 from salsanext_cli.measures.scan_counts import (
+    BAND_NAMES,
     CLASS,
+    DISTANCE,
     EVALUATED_KINDS,
     OF_ERROR,
-    RING,
-    RING_NAMES,
     SOFTMAX,
     ScanCounts,
 )
@@ -53,15 +53,15 @@ class GroupedScores(Generic[Scores]):
     scans: int  # Number of scans with points, and of points without a value
     left_out: int
     classes: dict[int, Scores]  # Scores by train id
-    by_distance: dict[str, Scores]  # Scores by name of the ring of distance; empty if not requested
+    by_distance: dict[str, Scores]  # Scores by name of the distance band; empty if not requested
 
     def to_dict(self, space: LabelSpace) -> dict[str, Any]:
         """Return plain data for JSON, the scores first; null stands for NaN."""
         data = {name: value for name, value in asdict(self).items() if value is not None}
-        scores, classes, rings = (data.pop(k) for k in ("scores", "classes", "by_distance"))
+        scores, classes, bands = (data.pop(k) for k in ("scores", "classes", "by_distance"))
         counts = {key: data.pop(key) for key in ("scans", "left_out")}
         named = [{"name": space.names[i], "train_id": i, **each} for i, each in classes.items()]
-        return dict(plain({**counts, **scores, **data, "classes": named, "by_distance": rings}))
+        return dict(plain({**counts, **scores, **data, "classes": named, "by_distance": bands}))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,7 +123,7 @@ def evaluate_uncertainty(counts: ScanCounts, space: LabelSpace) -> UncertaintyEv
     }
     has_softmax = (SOFTMAX, CLASS) in counts.histograms
     softmax = _calibration_result(counts, space) if has_softmax else None
-    error, confidence = kinds.get("error"), kinds.get("confidence") or kinds.get("least_confidence")
+    error, confidence = kinds.get("error"), kinds.get("least_confidence")
     if counts.kept:
         error = None  # Known of kept points only, the softmax of all
     if error and confidence and error.scores.aurc > confidence.scores.aurc:
@@ -174,13 +174,13 @@ def _grouped(
     divide: Callable[[Histogram], Scores], counts: ScanCounts, key: str, space: LabelSpace
 ) -> dict[str, Any]:
     """Return the fields of `GroupedScores`."""
-    by_class, by_ring = counts.histograms[key, CLASS], counts.histograms.get((key, RING))
+    by_class, by_band = counts.histograms[key, CLASS], counts.histograms.get((key, DISTANCE))
     return {
         "scores": divide(by_class),
         "scans": by_class.scans,
         "left_out": by_class.left_out,
         "classes": {i: divide(by_class.group(i)) for i in np.flatnonzero(space.scored).tolist()},
         "by_distance": {
-            name: divide(by_ring.group(i)) for i, name in enumerate(RING_NAMES) if by_ring
+            name: divide(by_band.group(i)) for i, name in enumerate(BAND_NAMES) if by_band
         },
     }

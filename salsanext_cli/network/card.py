@@ -17,8 +17,9 @@ import numpy as np
 import safetensors
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import UsageError, WeightsError, error_text, shortened
-from salsanext_cli.files.reading import is_folder, present
+from salsanext_cli.errors import FormatError, UsageError, WeightsError, error_text, shortened
+from salsanext_cli.files.optional_packages import import_openvino
+from salsanext_cli.files.reading import is_folder, present, reading, refusing_damage
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import Sensor
@@ -177,20 +178,35 @@ def _temperature(value: Any) -> float:
 
 def read_card(path: Path) -> WeightsCard:
     """Read only the metadata of a weights file, or of an ONNX file of `export-onnx`."""
+    metadata_of, kind = _of_safetensors, "a .safetensors file"
+    remedy = "convert a published checkpoint with `salsanext import-weights`"
     if path.suffix == ONNX_SUFFIX:
-        from salsanext_cli.network.onnx_metadata import onnx_metadata
-
-        return WeightsCard.from_metadata(onnx_metadata(path), path)
+        metadata_of, kind, remedy = (
+            _of_onnx,
+            "an ONNX file",
+            "write it with `salsanext export-onnx`",
+        )
     try:
-        with safetensors.safe_open(path, framework="np") as file:
-            metadata = file.metadata() or {}
-    except (OSError, safetensors.SafetensorError) as error:
-        found = f"cannot be read: {error_text(error)}" if present(path) else "no such file"
-        remedy = "convert a published checkpoint with `salsanext import-weights`"
+        with reading(path), refusing_damage(path, kind):
+            metadata = metadata_of(path)
+    except FormatError as error:
+        found = error.found if present(path) else "no such file"
         if is_folder(path):
             found, remedy = "a folder", "name the file in it"
-        raise WeightsError(path, found, "a .safetensors file", remedy) from error
+        raise WeightsError(path, found, kind, remedy) from error
     return WeightsCard.from_metadata(metadata, path)
+
+
+def _of_safetensors(path: Path) -> dict[str, str]:
+    with safetensors.safe_open(path, framework="np") as file:
+        return file.metadata() or {}
+
+
+def _of_onnx(path: Path) -> dict[str, str]:
+    # Of all frontends, that of ONNX alone says what is wrong, and nothing on the terminal.
+    frontend = import_openvino().frontend.FrontEndManager().load_by_framework("onnx")
+    model, place = frontend.convert(frontend.load(path)), ["framework", KEY]
+    return {KEY: model.get_rt_info(place).astype(str)} if model.has_rt_info(place) else {}
 
 
 def require_tensors(path: Path) -> None:

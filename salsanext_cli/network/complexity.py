@@ -2,8 +2,12 @@
 """Costs of the networks and receptive fields, and the figures that the papers print."""
 
 import copy
+import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import ROUND_DOWN, ROUND_HALF_UP, Decimal
+from functools import cache
+from importlib import resources
 
 import torch
 from torch import nn
@@ -12,31 +16,13 @@ from torch.utils.flop_counter import FlopCounterMode
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import CHANNELS
 
-RECEPTIVE_FIELDS = {
-    "salsanext": (425, 425),
-    "salsanext-v1": (543, 543),
-    "rangenet53": (71, 853),
-    "salsanet": (267, 267),
-    "salsanet-context": (285, 285),
-    "salsanet-dropout": (285, 285),
-    "salsanet-pooling": (285, 285),
-    "salsanet-dilated": (425, 425),
-    "salsanet-shuffle": (425, 425),
-    "salsanext-v1-layers": (539, 539),
-    "salsanext-v1-context": (543, 543),
-    "salsanext-v1-dropout": (543, 543),
-    "salsanext-v1-pooling": (543, 543),
-}
-"""Height and width of the window of the image that a pixel's logits depend on, by architecture; the
-largest, where it differs between the pixels of a cell of the coarsest level."""
-V2 = "arXiv 2003.03653v3, Table II"
-V1 = "arXiv 2003.03653v1, Table II"
-
 
 @dataclass(frozen=True, slots=True)
 class PaperFigures:
     """Figures of a paper, as text, so that every digit is its own; None if not known for sure."""
 
+    # Height and width of the window of the image that a pixel's logits depend on
+    receptive_field: Sequence[int]
     row: str  # Table and row
     parameters: str  # In millions
     # Of one image of 64×2048, in 10⁹, every multiplication and every addition
@@ -49,29 +35,11 @@ class PaperFigures:
     determined: bool = True  # The text says all that the network is made of
 
 
-PAPERS = {
-    "salsanext": PaperFigures(
-        f"{V2}: + Lovász-Softmax", "6.73", "125.68", "56.6", "59.5", miou_test="59.5"
-    ),
-    "salsanext-v1": PaperFigures(f"{V1}: + Lovász-Softmax", "23.26"),
-    "rangenet53": PaperFigures(
-        "arXiv 2003.03653v3, Tables I and III: RangeNet53++", "50", "720.96", miou_test="52.2"
-    ),
-    "salsanet": PaperFigures(f"{V2}: SalsaNet", "6.58", "51.60", "43.5", "44.8", miou_test="45.4"),
-    "salsanet-context": PaperFigures(f"{V2}: + context module", "6.64", "69.20", "44.7", "46.0"),
-    "salsanet-dropout": PaperFigures(f"{V2}: + central dropout", "6.64", "69.20", "44.6", "46.3"),
-    "salsanet-pooling": PaperFigures(f"{V2}: + average pooling", "5.85", "66.78", "47.7", "49.9"),
-    "salsanet-dilated": PaperFigures(
-        f"{V2}: + dilated convolution", "9.25", "161.60", "48.2", "50.4", determined=False
-    ),
-    "salsanet-shuffle": PaperFigures(f"{V2}: + pixel-shuffle", "6.73", "125.68", "50.4", "53.0"),
-    "salsanext-v1-layers": PaperFigures(f"{V1}: + extra layers", "26.38"),
-    "salsanext-v1-context": PaperFigures(f"{V1}: + context module", "26.40"),
-    "salsanext-v1-dropout": PaperFigures(f"{V1}: + new dropout", "26.40"),
-    "salsanext-v1-pooling": PaperFigures(f"{V1}: + average pooling", "23.26"),
-}
-"""Rows by the name of the architecture. The test figures are of Table I; SalsaNet's there is not
-that of its row in the table of ablations."""
+@cache
+def paper_figures() -> dict[str, PaperFigures]:
+    """Return the figures of every network, by the name of the architecture."""
+    text = resources.files("salsanext_cli").joinpath("presets/networks.toml").read_text("utf-8")
+    return {name: PaperFigures(**figures) for name, figures in tomllib.loads(text).items()}
 
 
 def parameter_count(module: nn.Module) -> int:

@@ -47,7 +47,7 @@ def require_dropout(module: nn.Module) -> float:
     return layers[0].rate
 
 
-def drawn(generators: Sequence[torch.Generator]) -> Draw:
+def random_masks(generators: Sequence[torch.Generator]) -> Draw:
     """Return a function that draws the masks of each Monte-Carlo pass by its own CPU generator."""
 
     def draw(channels: int, rate: float) -> Tensor:

@@ -4,6 +4,7 @@
 import re
 import struct
 import warnings
+from io import BytesIO
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, Self
@@ -90,7 +91,9 @@ def _read_torch_file(path: Path) -> Any:
         try:
             with warnings.catch_warnings(), torch.serialization.safe_globals(stand_ins):  # type: ignore[arg-type]
                 warnings.simplefilter("ignore")
-                return torch.load(path, map_location="cpu", weights_only=True)  # noqa: TID251
+                # From memory: of a file, torch reserves as many bytes as a damaged length says.
+                content = BytesIO(path.read_bytes())
+                return torch.load(content, map_location="cpu", weights_only=True)  # noqa: TID251
         except OSError as error:
             raise WeightsError(path, f"cannot be read: {reason(error)}") from error
         except UNREADABLE as error:

@@ -38,12 +38,9 @@ class SegmentationNetwork(nn.Module):
 
     def padded_trunk(self, image: Tensor) -> tuple[Tensor, ...]:
         """Compute what `trunk` does of an image (B, 5, H, W) of any size, padded."""
-        return self.trunk(self.pad(image))
-
-    def pad(self, image: Tensor) -> Tensor:
-        """Extend (B, 5, H, W) to what `stride` divides: around the circle, and by empty rows."""
+        # To what `stride` divides: around the circle, and by empty rows.
         height, width = image.shape[-2:]
         padded_width = -(-width // self.stride[1]) * self.stride[1]
         if padded_width != width:
             image = image[..., torch.arange(padded_width, device=image.device) % width]
-        return F.pad(image, (0, 0, 0, -height % self.stride[0]))
+        return self.trunk(F.pad(image, (0, 0, 0, -height % self.stride[0])))

@@ -28,7 +28,17 @@ RESULT_TIMEOUT_S = 3.0
 def dask_pool(options: RunOptions) -> Iterator[WorkerPool]:
     """Connect to the workers of a scheduler."""
     distributed = import_extra("distributed", "dask")
-    with _connected_to_dask(distributed, options.scheduler) as client:
+    with ExitStack() as held:
+        try:
+            made = distributed.Client(
+                options.scheduler, timeout=CONNECT_TIMEOUT_S, set_as_default=False
+            )
+            client = held.enter_context(made)
+            client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
+        except (OSError, ValueError) as error:
+            expected = "a Dask scheduler with workers, such as tcp://host:8786"
+            subject = f"--scheduler {options.scheduler}"
+            raise UsageError(subject, _first_line(error), expected) from error
         slots = sum(client.nthreads().values())
         limit = options.workers_of_cluster()
         workers = limit or slots
@@ -61,19 +71,6 @@ def _dask_backend(client: Any) -> Any:
             return future
 
     return DaskBackend(client=client)
-
-
-@contextmanager
-def _connected_to_dask(distributed: Any, address: str | None) -> Iterator[Any]:
-    with ExitStack() as held:
-        try:
-            made = distributed.Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
-            client = held.enter_context(made)
-            client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
-        except (OSError, ValueError) as error:
-            expected = "a Dask scheduler with workers, such as tcp://host:8786"
-            raise UsageError(f"--scheduler {address}", _first_line(error), expected) from error
-        yield client
 
 
 @contextmanager

@@ -51,7 +51,7 @@ def use_threads(count: int) -> None:
 
 def _if_loaded(name: str) -> Any:
     """Return a module that was imported before, complete; None for another."""
-    return import_module(name) if name in sys.modules else None
+    return import_module(name) if sys.modules.get(name) else None
 
 
 @contextmanager
@@ -162,24 +162,21 @@ class RunOptions:
     progress: Progress | None = None
 
     def __post_init__(self) -> None:
-        worker_count(1 if self.jobs is None else self.jobs)
+        self.workers_here()
         is_cluster = self.backend in CLUSTERS
         if self.scheduler is not None and not is_cluster:
             raise UsageError(
                 f"--scheduler {self.scheduler}", f"--backend {self.backend}", "dask or ray"
             )
-        if self.scheduler is None and is_cluster and not self._connected_to_ray():
+        # The program that calls us may have initialised Ray.
+        ray = _if_loaded("ray") if self.backend == "ray" else None
+        if self.scheduler is None and is_cluster and not (ray and ray.is_initialized()):
             raise UsageError(
                 f"--backend {self.backend}",
                 "no --scheduler",
                 "the address of a running cluster",
                 "use loky on one machine",
             )
-
-    def _connected_to_ray(self) -> bool:
-        """Return whether the program that calls us has initialised Ray."""
-        ray = _if_loaded("ray") if self.backend == "ray" else None
-        return bool(ray and ray.is_initialized())
 
     def workers_here(self) -> int:
         """Return how many workers are wanted on this machine."""

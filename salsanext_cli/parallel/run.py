@@ -115,8 +115,13 @@ def run_over_scans(
     *,
     is_done: Callable[[ScanFile], bool] = lambda scan: False,
     on_result: Callable[[Any], object] = lambda result: None,
+    summary: RunSummary | None = None,
 ) -> Outcome:
-    """Run a task over this shard's scans that are not done; results go to `on_result`, here."""
+    """Run a task over this shard's scans that are not done; results go to `on_result`, here.
+
+    `summary`: takes the results, which are numbers about each scan, in its place.
+    """
+    on_result = summary.add if summary else on_result
     start = time.monotonic()
     mine = options.shard.of(scans)
     todo = [scan for scan in mine if options.overwrite or not is_done(scan)]
@@ -148,7 +153,8 @@ def run_over_scans(
         raise WorkersLost(lost.subject, found, lost.expected, remedy) from lost
     failures.sort(key=lambda failure: failure.scan)
     skipped, done = len(mine) - len(todo), len(todo) - len(failures)
-    return Outcome(skipped, tuple(failures), done, seconds=time.monotonic() - start)
+    seconds = time.monotonic() - start
+    return Outcome(skipped, tuple(failures), done, seconds=seconds, summary=summary)
 
 
 def _pool(options: RunOptions, scans: int) -> AbstractContextManager[WorkerPool]:

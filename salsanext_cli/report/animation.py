@@ -21,8 +21,8 @@ from salsanext_cli.results.output_run import OutputRun
 
 if TYPE_CHECKING:
     from PIL.Image import Image
-LARGEST_PX = (1280, 1080)
-PALETTE, MOST_KEPT = 256, 192
+MAX_PX = (1280, 1080)
+PALETTE, MAX_KEPT = 256, 192
 """Colours of a GIF, and how many of them may be chosen beforehand."""
 
 log = logging.getLogger(__name__)
@@ -52,7 +52,7 @@ def encode_gif(pictures: Sequence[Path], frames_per_second: float, kept: Colours
     """Return pictures as the content of a GIF file that repeats; colours `kept` (N, 3) stay."""
     from PIL import Image
 
-    exact = list(dict.fromkeys(map(tuple, kept.tolist())))[:MOST_KEPT]
+    exact = list(dict.fromkeys(map(tuple, kept.tolist())))[:MAX_KEPT]
     rest = next(_frames(pictures)).quantize(PALETTE - len(exact)).getpalette() or []
     palette = Image.new("P", (1, 1))
     palette.putpalette([value for colour in exact for value in colour] + rest)
@@ -72,7 +72,7 @@ def _frames(pictures: Sequence[Path]) -> Iterator[Image]:
     for path in pictures:
         frame = Image.new("RGB", size, NIGHT)
         frame.paste(_read(path))
-        frame.thumbnail(LARGEST_PX)
+        frame.thumbnail(MAX_PX)
         yield frame
 
 

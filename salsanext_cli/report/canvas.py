@@ -99,11 +99,11 @@ def text_at(figure: Figure, left: int, top: int, text: str, size: int, colour: s
 
 
 def new_plot(
-    width: int, height: int, place: tuple[int, int, int, int], title: str = "", title_top: int = 25
+    width: int, height: int, place: tuple[int, int, int, int], title: str = ""
 ) -> tuple[Figure, Axes]:
     """Return a figure on `PAPER` and its axes: left, top, width and height, all in pixels."""
     figure = new_figure(width, height, PAPER)
-    text_at(figure, place[0], title_top, title, 17, DARK)
+    text_at(figure, place[0], 25, title, 17, DARK)
     return figure, axes_at(figure, *place)
 
 

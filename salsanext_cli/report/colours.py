@@ -33,9 +33,9 @@ EMPTY = (36, 38, 45)
 """Colour of a place without a measurement."""
 COLOUR_MAP = "viridis"
 """Name of matplotlib's colour map for values; it is perceptually uniform."""
-LEAST_CONTRAST = 2.5
+MIN_CONTRAST = 2.5
 """Least ratio of luminances of a colour and `EMPTY` in pictures, as WCAG 2 defines it."""
-LEAST_DIFFERENCE = 18.5
+MIN_DIFFERENCE = 18.5
 """Least difference of two classes in pictures, by `colour_difference`."""
 APART = np.frombuffer(
     bytes.fromhex(
@@ -46,7 +46,7 @@ APART = np.frombuffer(
     ),
     np.uint8,
 ).reshape(-1, 3)
-"""Colours that differ by `LEAST_DIFFERENCE` or more, near SemanticKITTI's if they can, (32, 3)."""
+"""Colours that differ by `MIN_DIFFERENCE` or more, near SemanticKITTI's if they can, (32, 3)."""
 XYZ = np.array(
     [
         [0.4124564, 0.3575761, 0.1804375],
@@ -113,10 +113,10 @@ def require_colouring(colours: Iterable[str], scale: tuple[float, float] | None)
 
 
 def on_dark(colours: npt.ArrayLike) -> Colours:
-    """Mix colours (N, 3) with white until their contrast to `EMPTY` is `LEAST_CONTRAST` or more."""
+    """Mix colours (N, 3) with white until their contrast to `EMPTY` is `MIN_CONTRAST` or more."""
     white = np.linspace(0, 1, 256)[:, None, None]
     mixed = np.rint((1 - white) * np.asarray(colours) + white * 255)
-    enough = _luminance(mixed) >= LEAST_CONTRAST * _luminance(np.array(EMPTY))
+    enough = _luminance(mixed) >= MIN_CONTRAST * _luminance(np.array(EMPTY))
     lightened: Colours = mixed[enough.argmax(axis=0), np.arange(mixed.shape[1])].astype(np.uint8)
     return lightened
 
@@ -131,36 +131,23 @@ def screen_colours(space: LabelSpace) -> Colours:
     """Return the colours of the classes in pictures, plots and pages, (C, 3).
 
     They are those of the label space, dark ones lightened. If two of these differ by less than
-    `LEAST_DIFFERENCE`, each class gets one of `APART`, those nearest to their own first. A class
-    keeps its own if that is far enough from all.
+    `MIN_DIFFERENCE`, each class gets one of `APART`, those nearest to their own first; of more
+    classes than these, the others keep their own. A class keeps its own too if that is far
+    enough from all.
     """
     own = on_dark(space.colours)
     first, second = np.triu_indices(len(own), 1)
-    if (colour_difference(own[first], own[second]) >= LEAST_DIFFERENCE).all():
+    if (colour_difference(own[first], own[second]) >= MIN_DIFFERENCE).all():
         return own
-    apart = _spread(len(own))
-    colours, differences = own.copy(), colour_difference(own[:, None], apart)
-    for _ in own:
+    colours, differences = own.copy(), colour_difference(own[:, None], APART)
+    for _ in own[: len(APART)]:
         i, closest = np.unravel_index(differences.argmin(), differences.shape)
-        colours[i] = apart[closest]
+        colours[i] = APART[closest]
         differences[i] = differences[:, closest] = np.inf
     for each, colour in enumerate(own):
-        if colour_difference(colour, np.delete(colours, each, axis=0)).min() >= LEAST_DIFFERENCE:
+        if colour_difference(colour, np.delete(colours, each, axis=0)).min() >= MIN_DIFFERENCE:
             colours[each] = colour
     return colours
-
-
-def _spread(count: int) -> Colours:
-    """Return `APART`, and up to a count those of a grid that differ most from all before."""
-    apart = APART
-    if count > len(apart):
-        grid = on_dark(36 * np.indices((8, 8, 8)).reshape(3, -1).T)
-        nearest = colour_difference(grid[:, None], apart).min(axis=1)
-        for _ in range(count - len(apart)):
-            most = grid[nearest.argmax()]
-            apart = np.concatenate([apart, most[None]])
-            nearest = np.minimum(nearest, colour_difference(grid, most))
-    return apart
 
 
 def _linear(colours: npt.NDArray[Any]) -> Values:

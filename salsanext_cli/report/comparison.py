@@ -54,8 +54,8 @@ def comparison_tables(compared: RunComparison) -> Group:
             "score of a class: its IoU"
         )
         tables.append(table_of(("score", *DIFFERENCE), rows, title=title, caption=caption))
-    if compared.rings:
-        rows = [(name, *_cells(mean)) for name, (_, mean) in compared.rings.items()]
+    if compared.bands:
+        rows = [(name, *_cells(mean)) for name, (_, mean) in compared.bands.items()]
         title = "Mean IoU of the same classes"
         tables.append(table_of(("distance", *DIFFERENCE), rows, title=title))
     turns = (

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.measures.calibration import Reliability
 from salsanext_cli.measures.risk_coverage import COVERAGE
-from salsanext_cli.measures.scores import Confusion, Ratios, Scores, ratio
+from salsanext_cli.measures.scores import Counts, Ratios, Scores, ratio, scored_rows
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
     RankingResult,
@@ -28,7 +27,6 @@ from salsanext_cli.results.uncertainty_kinds import RED, SKY, UNCERTAINTY
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.transforms import Bbox
 
 PICTURES = {
     "eval_iou.png": "IoU of every class",
@@ -42,31 +40,25 @@ PICTURES = {
 """All plots, by the name of the file, in words."""
 ROW_PX, CELL_PX = 28, 46
 NAMES_PX = 150
-SMALLEST_SHARE = 0.005
+MIN_SHARE = 0.005
 """Shares below this round to 0 % and are not written into their cell."""
 DASHED = (0, (5, 2))
 LINES = {
-    "confidence": (DARK, "-"),
     "softmax_entropy": (DARK, DASHED),
     **{name: (k.colour, DASHED if k.is_dashed else "-") for name, k in UNCERTAINTY.items()},
 }
 """Colour and dashes of each kind of uncertainty."""
 PLOT_PX = 720, 560
 """Width and height of every plot here, so that their text is of one size on a page."""
-LEFT, TOP, WIDTH, TITLE_TOP = 80, 60, 600, 30
+LEFT, TOP, WIDTH = 80, 60, 600
 HEIGHT, HEIGHT_ABOVE = 430, 330
 """Height of the main axes, and of those that have a legend or other axes below them."""
 BELOW_PX = 90
 """Height in pixels of the axes below them, which show the distribution of the points."""
-DISTANCES_PX = (9, 16, 26, 40, 56, 76, 100)
-DIRECTIONS_DEG = (0, 180, 90, 270, 30, 330, 150, 210, 60, 300, 120, 240)
-"""Distances and directions from a dot to its name, in the order of the attempts."""
-DOT_PX = 6
-"""Half the width in pixels of the square around a dot that no name may cover."""
 
 
 def evaluation_pictures(
-    scores: Scores, confusion: Confusion, uncertainty: UncertaintyEvaluation, space: LabelSpace
+    scores: Scores, confusion: Counts, uncertainty: UncertaintyEvaluation, space: LabelSpace
 ) -> dict[str, bytes]:
     """Draw what there is to an evaluation, PNG by name, in the order of `PICTURES`."""
     return {
@@ -126,11 +118,11 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
     return canvas.png_of(figure)
 
 
-def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
+def confusion_picture(confusion: Counts, space: LabelSpace) -> bytes:
     """Draw the confusion matrix, each row in percent of its true class, as a PNG."""
     import matplotlib
 
-    matrix = confusion.counted(space.scored)
+    matrix = scored_rows(confusion, space)
     scored, predicted = np.flatnonzero(space.scored), np.arange(space.class_count)
     shares = ratio(matrix, np.broadcast_to(matrix.sum(axis=1)[:, None], matrix.shape))[scored]
     width, height = CELL_PX * len(predicted), CELL_PX * len(scored)
@@ -139,7 +131,7 @@ def confusion_picture(confusion: Confusion, space: LabelSpace) -> bytes:
     blues = matplotlib.colormaps["Blues"].with_extremes(bad="#eceef1")
     axes.imshow(np.ma.masked_invalid(shares), cmap=blues, vmin=0, vmax=1, aspect="auto")
     for (row, column), share in np.ndenumerate(shares):
-        if share >= SMALLEST_SHARE:
+        if share >= MIN_SHARE:
             colour = "white" if share > 0.5 else DARK
             text = f"{100 * share:.0f}"
             axes.text(column, row, text, color=colour, ha="center", va="center", size=9)
@@ -285,7 +277,7 @@ def _best_orders(kinds: Mapping[str, RankingResult]) -> list[Ratios]:
 
 def _main_plot(title: str, height: int = HEIGHT) -> tuple[Figure, Axes]:
     """Return a figure and its main axes, of a height in pixels."""
-    return canvas.new_plot(*PLOT_PX, (LEFT, TOP, WIDTH, height), title, TITLE_TOP)
+    return canvas.new_plot(*PLOT_PX, (LEFT, TOP, WIDTH, height), title)
 
 
 def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
@@ -312,40 +304,7 @@ def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
 
 
 def _name_dots(axes: Axes, dots: Ratios, names: Sequence[str]) -> None:
-    """Write a name beside each dot (N, 2), or farther away with a line to it for want of room."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.lines import Line2D
-    from matplotlib.transforms import Bbox, IdentityTransform
-
-    dots = axes.transData.transform(dots)
-    occupied = [Bbox([dot - DOT_PX, dot + DOT_PX]) for dot in dots]
-    pixels = IdentityTransform()
+    """Write a name to the right of each dot (N, 2)."""
     style: dict[str, Any] = {"size": 9, "color": DARK, "va": "center", "parse_math": False}
-    renderer = FigureCanvasAgg(axes.get_figure(root=True)).get_renderer()  # type: ignore[no-untyped-call]
     for dot, name in zip(dots, names, strict=True):
-        text = axes.text(0, 0, name, transform=pixels, **style)
-        size = np.array(text.get_window_extent(renderer).size)
-        box = _free_place(dot, size, occupied, axes.bbox)
-        text.set_position((box.x0, (box.y0 + box.y1) / 2))
-        occupied.append(box)
-        nearest = np.clip(dot, box.min, box.max)
-        if np.linalg.norm(nearest - dot) > DISTANCES_PX[1]:
-            ends = np.stack([dot, nearest], axis=1)
-            axes.add_line(Line2D(*ends, transform=pixels, color=canvas.FAINT, linewidth=0.7))
-
-
-def _free_place(dot: Ratios, size: Ratios, occupied: Sequence[Bbox], inside: Bbox) -> Bbox:
-    """Return the nearest box of a size that overlaps none and lies inside; all in pixels."""
-    from matplotlib.transforms import Bbox
-
-    boxes = []
-    for distance, direction in product(DISTANCES_PX, np.radians(DIRECTIONS_DEG).tolist()):
-        across, up = distance * math.cos(direction), distance * math.sin(direction)
-        side = round(math.cos(direction))
-        left, bottom = dot + (across - size[0] * (1 - side) / 2, up - size[1] / 2)
-        box = Bbox.from_bounds(left, bottom, *size)
-        within = all(inside.contains(*corner) for corner in (box.min, box.max))
-        if within and not box.count_overlaps(occupied):
-            return box
-        boxes.append(box)
-    return boxes[0]
+        axes.annotate(name, dot, (7, 0), textcoords="offset points", **style)

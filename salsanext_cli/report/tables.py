@@ -15,7 +15,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few, printable
 from salsanext_cli.labelling.label_records import LabelImport
 from salsanext_cli.measures.risk_control import promise
-from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores, ring_rows
+from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores, band_rows
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
@@ -82,11 +82,11 @@ def score_table(result: Scores, title: str = "") -> Table:
     return table_of(headings, rows, totals=totals, title=title)
 
 
-def ring_table(rings: Mapping[str, Scores]) -> Table:
-    """Return a table with a row per ring of distance: mean IoU of the same classes, accuracy."""
+def band_table(bands: Mapping[str, Scores]) -> Table:
+    """Return a table with a row per distance band: mean IoU of the same classes, accuracy."""
     rows = (
-        (name, percent(mean), percent(ring.accuracy), f"{ring.points:,}", ", ".join(absent))
-        for name, ring, mean, absent in ring_rows(rings)
+        (name, percent(mean), percent(band.accuracy), f"{band.points:,}", ", ".join(absent))
+        for name, band, mean, absent in band_rows(bands)
     )
     absent = "absent classes"
     headings = ("distance", "mean IoU % of\nthe same classes", "accuracy %", "points", absent)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Plots of what `tune` chose: a dropout rate, a threshold of risk."""
+"""Plot of the threshold that `tune risk` chose."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,22 +14,6 @@ from salsanext_cli.report.canvas import DARK
 CHOSEN = "#b3472f"
 DASHES = (0, (4, 3))
 SIZE, PLACE = (760, 460), (90, 50, 640, 340)
-
-
-def rate_curve(path: Path, report: Mapping[str, Any]) -> None:
-    """Draw the objective over the dropout rate, logarithmic, the best rate marked, as a PNG."""
-    rates, objectives, best = (report[name] for name in ("rates", "objectives", "best"))
-    title = f"least at a dropout rate of {best:.3g}"
-    figure, axes = canvas.new_plot(*SIZE, PLACE, title)
-    axes.plot(rates, objectives, color=DARK, marker="o", markersize=5, linewidth=1.2)
-    axes.axvline(best, color=CHOSEN, linewidth=1, linestyle=DASHES)
-    axes.set_xscale("log")
-    axes.set_xticks(rates, [f"{rate:.2g}" for rate in rates])
-    axes.minorticks_off()
-    axes.set_xlabel("dropout rate")
-    axes.set_ylabel("objective per point")
-    canvas.plain_frame(axes)
-    write_bytes(path, canvas.png_of(figure))
 
 
 def risk_curve(path: Path, report: Mapping[str, Any]) -> None:

@@ -60,17 +60,13 @@ class OutputRun(OwnedFolder):
         for path in self.kept.intersection(self.paths(file)):
             raise not_own(path)
 
-    def write_result(self, file: ScanFile, folder: str, content: bytes) -> None:
-        """Write a result of a scan whole or not at all, and list it."""
-        self.write(self.path(file, folder), content)
-
     def write_array(self, file: ScanFile, folder: str, array: npt.NDArray[Any]) -> None:
         """Write a result of a scan as a `.npy` file."""
-        self.write_result(file, folder, encode_array(array))
+        self.write(self.path(file, folder), encode_array(array))
 
     def write_labels(self, file: ScanFile, raw: RawIds) -> None:
         """Write the predicted raw ids of a scan's points, (N,) integer."""
-        self.write_result(file, "predictions", encode_labels(raw))
+        self.write(self.path(file, "predictions"), encode_labels(raw))
 
     def claim(self, wanted: StageRecord) -> StageRecord:
         """Bring the records, which are locked, and the results to what the run wants, or refuse."""
@@ -195,9 +191,9 @@ def output_run(
             recorded = run.claim(wanted)
             stack.enter_context(run.open(shared=True))
         # First those of other settings: they are no results of this run.
-        run = replace(run, kept=frozenset(run.others(out / name for name in recorded.kept)))
+        run = replace(run, kept=frozenset(run.foreign_files(out / name for name in recorded.kept)))
         todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
-        yield replace(run, kept=frozenset(run.others(todo)))
+        yield replace(run, kept=frozenset(run.foreign_files(todo)))
         record = StageRecords(out).record(stage)
         if record is None or record.settings != wanted.settings:
             found = "was removed or replaced while results were written into it"

@@ -149,7 +149,7 @@ class OwnedFolder:
         """List a file of the folder as it is now."""
         self._list(path, path.lstat())
 
-    def others(self, paths: Iterable[Path], states: States | None = None) -> list[Path]:
+    def foreign_files(self, paths: Iterable[Path], states: States | None = None) -> list[Path]:
         """Return those of some files that are there and changed, not listed, or behind a link.
 
         An empty file, as a power cut leaves it, is one of ours. `states`: for a caller who asks
@@ -167,13 +167,13 @@ class OwnedFolder:
 
     def require_own(self, paths: Iterable[Path]) -> None:
         """Refuse to replace files that salsanext did not write, or that were changed since."""
-        if others := self.others(paths):
+        if others := self.foreign_files(paths):
             raise not_own(others[0])
 
     def remove_own(self, paths: Iterable[Path]) -> list[Path]:
         """Remove some files if they are as salsanext wrote them; name and return the others."""
         paths = list(paths)
-        kept = self.others(paths)
+        kept = self.foreign_files(paths)
         for path in {*paths} - {*kept}:
             # A folder of that name is not ours; who wants to write there will name it.
             if path.is_dir():

@@ -9,6 +9,8 @@ from salsanext_cli.options import ScanSelection, option_group, selection_option
 if TYPE_CHECKING:
     from salsanext_cli.classes.label_space import LabelSpace
 
+DATASET_VARIABLE = "SALSANEXT_DATASET"
+
 
 def named_label_space(name: str | None) -> "LabelSpace | None":
     """Look up a label space, None where none was named."""

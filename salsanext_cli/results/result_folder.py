@@ -23,9 +23,9 @@ from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import (
-    FUSED_STAGES,
-    LABELLING_STAGES,
+    PREDICTION_STAGES,
     SCAN_FOLDER,
+    SINGLE_SCAN_STAGES,
     SUFFIX_OF_FOLDER,
     ScanFile,
     find_outputs,
@@ -34,7 +34,7 @@ from salsanext_cli.results.layout import (
     output_path,
     with_outputs,
 )
-from salsanext_cli.results.query import ResultQuery
+from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery
 from salsanext_cli.results.selection import (
     MissingResults,
     choose,
@@ -55,7 +55,6 @@ FOLDERS = ("predictions", *(f"uncertainty/{k}" for k in UNCERTAINTY if k != "lea
 """Folders of which one makes a scan one with results; `predict` writes the confidence too."""
 UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
 """Settings of `uncertainty` that an evaluation records."""
-DATASET_VARIABLE = "SALSANEXT_DATASET"
 
 log = logging.getLogger(__name__)
 
@@ -92,11 +91,6 @@ class ScanResults:
         if self.rejected is not None:
             counts = counts & ~self.rejected
         return np.where(counts, wrong, np.float32(np.nan))
-
-    @property
-    def rejected_points(self) -> int:
-        """Number of points whose label was taken away."""
-        return 0 if self.rejected is None else int(self.rejected.sum())
 
     def rejecting(self, max_error: float, space: LabelSpace) -> "ScanResults":
         """Return the same with the points unlabelled whose error is above a threshold."""
@@ -155,7 +149,7 @@ class ResultFolder(StageRecords):
         if fused is None or "fused_of" not in fused:
             return
         single = StageRecords(self.root / fused["fused_of"])
-        origins = single.origins(FUSED_STAGES)
+        origins = single.origins(SINGLE_SCAN_STAGES)
         if origins and origins != fused["origins"]:
             out = os.path.normpath(single.root)
             found = f"fused of labels in {out} that were made anew since"
@@ -194,7 +188,7 @@ class ResultFolder(StageRecords):
     def missing_results(self, scans: Iterable[ScanFile]) -> MissingResults:
         """Divide scans without labels and uncertainty by whether any stage was asked for them."""
         records = self.records()
-        return _missing(scans, [records[s].scans for s in LABELLING_STAGES if s in records])
+        return _missing(scans, [records[s].scans for s in PREDICTION_STAGES if s in records])
 
     def predicted(
         self,

@@ -5,6 +5,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import LabelError, OutputError, first_few, shortened
+from salsanext_cli.files.identity import identity
 from salsanext_cli.files.json_files import RecordedSettings, read_json, write_json
 from salsanext_cli.network.card import parted
 from salsanext_cli.results.layout import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
@@ -75,6 +77,26 @@ class StageRecord:
         write_json(out / f"{self.stage}.json", self.to_dict())
 
 
+@lru_cache(4 * len(RESULT_STAGES))  # Of some folders
+def _read_record(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord | None:
+    content = read_json(path)
+    if content is None:
+        return None
+    try:
+        settings, folders = content["settings"], tuple(content["writes"])
+        if not isinstance(settings, dict) or not all(f in SUFFIX_OF_FOLDER for f in folders):
+            raise TypeError
+        sources = content.get("scans", {}).items()
+        scans = {name: ScanSource.from_dict(source) for name, source in sources}
+        kept = frozenset(content.get("kept", ()))
+        if not all(isinstance(path, str) for path in kept):
+            raise TypeError
+        return StageRecord(stage, settings, folders, scans, kept)
+    except (TypeError, KeyError, AttributeError) as error:
+        remedy = "delete it or use another folder"
+        raise OutputError(path, f"not what `{stage}` writes", remedy=remedy) from error
+
+
 class Rejection(NamedTuple):
     """Rule by which a run left points unlabelled."""
 
@@ -97,24 +119,9 @@ class StageRecords:
     root: Path
 
     def record(self, stage: str) -> StageRecord | None:
-        """Read the record of a stage, None if it did not run here."""
+        """Return the record of a stage, None if it did not run here; read anew if it changed."""
         path = self.root / f"{stage}.json"
-        content = read_json(path)
-        if content is None:
-            return None
-        try:
-            settings, folders = content["settings"], tuple(content["writes"])
-            if not isinstance(settings, dict) or not all(f in SUFFIX_OF_FOLDER for f in folders):
-                raise TypeError
-            sources = content.get("scans", {}).items()
-            scans = {name: ScanSource.from_dict(source) for name, source in sources}
-            kept = frozenset(content.get("kept", ()))
-            if not all(isinstance(path, str) for path in kept):
-                raise TypeError
-            return StageRecord(stage, settings, folders, scans, kept)
-        except (TypeError, KeyError, AttributeError) as error:
-            remedy = "delete it or use another folder"
-            raise OutputError(path, f"not what `{stage}` writes", remedy=remedy) from error
+        return _read_record(path, stage, identity(path))
 
     def records(self) -> dict[str, StageRecord]:
         """Read the records of all stages that ran here, by stage."""
@@ -136,11 +143,6 @@ class StageRecords:
         """Return the settings behind the first of some folders of results that a stage recorded."""
         stages = map(self.owner, folders)
         return next((self.settings(stage) for stage in stages if stage), None)
-
-    def settings_with(self, weights: str | None) -> RecordedSettings | None:
-        """Return the settings of labels or uncertainties made with these weights, if any."""
-        made = map(self.settings, ("predict", "uncertainty"))
-        return next((s for s in made if s is not None and s.get("weights") == weights), None)
 
     def origins(self, stages: Iterable[str]) -> dict[str, str]:
         """Return a digest of the settings of each of the stages that ran, for later records."""
@@ -202,9 +204,7 @@ class StageRecords:
     def known_sensor(self) -> Sensor | None:
         """Return the sensor that results were made through, if one is recorded."""
         folders = ("pixel_labels", "predictions", "uncertainty/epistemic", "range")
-        if (settings := self.settings_of(*folders)) is None:
-            return None
-        return Sensor.from_dict(settings.table("sensor"), settings.path)
+        return recorded_sensor(self.settings_of(*folders))
 
     def sensor(self) -> Sensor:
         """Return the sensor that labels were made through; else the HDL-64."""
@@ -259,6 +259,11 @@ class StageRecords:
         lowest = min([above, *promised.get("classes", {}).values()])
         kind = settings.get("reject_by", "error")
         return Rejection(kind, above, lowest, self._digests(promised, "digests"))
+
+
+def recorded_sensor(settings: RecordedSettings | None) -> Sensor | None:
+    """Return the sensor in the settings of a stage, None without any."""
+    return None if settings is None else Sensor.from_dict(settings.table("sensor"), settings.path)
 
 
 def as_json(settings: Any) -> Any:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import cache, partial
 from importlib import resources
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +27,6 @@ MIN_LENGTH = 1e-3  # Least length of a vector that tells a direction
 INTENSITY_LEVELS = 65
 """Quantiles of intensity, evenly spaced from the smallest to the largest value."""
 BOX_EXPECTED = "six numbers in metres, the least x, y, z and then the largest, or none"
-MAX_BEAMS = 256
-BEAMS_EXPECTED = f"2 to {MAX_BEAMS} elevations in degrees that fall from 90 to -90"
 MAX_COLUMNS = 64
 COLUMNS_EXPECTED = (
     f"up to {MAX_COLUMNS} different names in lower case, with x, y and z, "
@@ -48,10 +45,7 @@ OF_DEVICE = ("name", "intensity_scale", *NOISE)
 UP = (0.0, 0.0, 1.0)  # Direction of the z axis, away from the ground
 ORIGIN = (0.0, 0.0, 0.0)
 FITTED_NAME = "fitted"  # Name of a sensor whose view or mounting was found from scans
-OPTIONAL = (
-    *("columns", "up", "origin", "intensity_quantiles", "beams"),
-    *("row_gaps", "min_range", "ego_box"),
-)
+OPTIONAL = ("columns", "up", "origin", "intensity_quantiles", "row_gaps", "min_range", "ego_box")
 """Fields that are written only where a sensor has another value than their default."""
 
 
@@ -89,9 +83,6 @@ class Sensor:
     intensity_quantiles : tuple of float
         Quantiles of the intensity in its range images, after the division, at `INTENSITY_LEVELS`
         evenly spaced levels; empty if unknown. A network maps them to those of its training.
-    beams : tuple of float
-        Elevations of its beams in degrees from top to bottom, which then are spread over the rows
-        of the range image; empty for rows by elevation.
     row_gaps : float, optional
         Share of gaps in its range images (`geometry.row_gaps`); those of scans that have more than
         training had are filled.
@@ -119,7 +110,6 @@ class Sensor:
     up: tuple[float, ...] = UP
     origin: tuple[float, ...] = ORIGIN
     intensity_quantiles: tuple[float, ...] = ()
-    beams: tuple[float, ...] = ()
     row_gaps: float | None = None
     min_range: float | None = None
     ego_box: tuple[float, ...] | None = None
@@ -181,14 +171,6 @@ class Sensor:
         )
 
 
-def are_beams(elevations: tuple[float, ...]) -> bool:
-    """Say whether numbers can be the elevations of beams in degrees, top first."""
-    if not isinstance(elevations, tuple) or not are_numbers(elevations):
-        return False
-    fall = all(upper > lower for upper, lower in pairwise((90.1, *elevations, -90.1)))
-    return not elevations or (fall and 2 <= len(elevations) <= MAX_BEAMS)
-
-
 def are_columns(names: tuple[str, ...]) -> bool:
     """Say whether names can be those of the columns of a table of points."""
     if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
@@ -243,7 +225,6 @@ POSSIBLE: dict[str, tuple[Callable[[Any], bool], str]] = {
     "up": (_is_direction, "a direction, three numbers"),
     "origin": (partial(_are_in, count=3), "a place, three numbers in metres"),
     "intensity_quantiles": (_are_quantiles, f"{INTENSITY_LEVELS} numbers that rise"),
-    "beams": (are_beams, BEAMS_EXPECTED),
     "row_gaps": (partial(_is_in, least=0, most=1), "a share"),
     "min_range": (partial(_is_in, least=0), "a range in metres"),
     "ego_box": (is_box, BOX_EXPECTED),
@@ -264,8 +245,7 @@ def presets() -> dict[str, Sensor]:
 def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
     """Return the sensor of a preset's name or of a TOML file with one sensor's keys.
 
-    Size and normalisation that the file does not tell are those of `base`, else of the HDL-64; then
-    beams count only where those of `base` do.
+    Size and normalisation that the file does not tell are those of `base`, else of the HDL-64.
 
     Raises
     ------
@@ -278,6 +258,4 @@ def sensor(name_or_file: str | Path, base: Sensor | None = None) -> Sensor:
     data = read_toml(path, "sensor", presets() if base is None else ("auto", *presets()))
     known = (base or presets()["hdl64"]).to_dict()
     images = {key: known[key] for key in OF_IMAGES}
-    found = Sensor.from_dict({"name": path.stem, **images, **data}, path)
-    by_beams = base is None or base.beams or not data.keys().isdisjoint(("height", "width"))
-    return found if by_beams else replace(found, beams=())
+    return Sensor.from_dict({"name": path.stem, **images, **data}, path)

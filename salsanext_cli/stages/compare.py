@@ -25,7 +25,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.measures.paired import RunComparison, ScanPair
 from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
-from salsanext_cli.measures.scores import Confusion, class_sums
+from salsanext_cli.measures.scores import class_sums, confusion_matrix, scored_rows
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.comparison import change_picture, comparison_page
 from salsanext_cli.results.layout import ScanFile, output_path, with_outputs
@@ -56,7 +56,7 @@ def compare_scan(
     if len(before) != len(after):
         found, remedy = counted(len(after), "label"), "compare runs on the same scans"
         raise LabelError(paths[1], found, f"{len(before):,}, as {paths[0]}", remedy)
-    pair = ScanPair(file, Confusion(space.class_count).update(before, after).matrix)
+    pair = ScanPair(file, confusion_matrix(before, after, space.class_count))
     if not present(file.label_path):
         return pair, []
     counts = [
@@ -68,8 +68,8 @@ def compare_scan(
     ]
     for each in counts:
         each.histograms.clear()
-    parts = zip(*((each.confusion, *each.rings) for each in counts), strict=True)
-    sums = [[class_sums(each.counted(space.scored)) for each in part] for part in parts]
+    parts = zip(*((each.confusion, *each.bands) for each in counts), strict=True)
+    sums = [[class_sums(scored_rows(each, space)) for each in part] for part in parts]
     return pair._replace(sums=np.array(sums), trained_on=bool(counts[0].trained_on)), counts
 
 

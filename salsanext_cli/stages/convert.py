@@ -45,8 +45,8 @@ def convert(
     owned, place = OwnedFolder(folder, "convert", str(sequence)), folder / sequence / SCAN_FOLDER
     require_none_hidden(folder)
     with owned.open():
-        there = sorted(place.iterdir()) if place.is_dir() else []
-        scans = [path for path in there if not path.name.startswith(".")]
+        before = sorted(place.iterdir()) if place.is_dir() else []
+        scans = [path for path in before if not path.name.startswith(".")]
         owned.require_own([*scans, place.parent / TIMES])
         owned.begin(_source_of(listed[0], owned))
         empty: set[str] = set()
@@ -56,7 +56,9 @@ def convert(
             return filled(_target(place, scan))
 
         outcome = run_over_scans(task, chosen, options, is_done=is_done, on_result=empty.update)
-        times = [_time(scan) for scan in listed if filled(_target(place, scan))]
+        # The name of a scan says its time, in nanoseconds.
+        there = [scan.stem for scan in listed if filled(_target(place, scan))]
+        times = [int(stem.partition("_")[0]) for stem in there]
         lines = [f"{(time - times[0]) / 1e9:.9f}\n" for time in times]
         owned.write(folder / sequence / TIMES, "".join(lines).encode())
     if empty:
@@ -68,11 +70,6 @@ def convert(
 
 def _target(place: Path, scan: ScanFile) -> Path:
     return place / f"{scan.stem}.bin"
-
-
-def _time(scan: ScanFile) -> int:
-    """Return the time of a scan, which its name says, in nanoseconds."""
-    return int(scan.stem.partition("_")[0])
 
 
 def _convert_scan(scan: ScanFile, owned: OwnedFolder, place: Path) -> tuple[str, ...]:

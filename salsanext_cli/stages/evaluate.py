@@ -18,14 +18,14 @@ from salsanext_cli.files.reading import present
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.panoptic import panoptic_quality
-from salsanext_cli.measures.risk_control import BROKEN, KeptLabels, KeptPromise
+from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED, KeptLabels, RiskBoundCheck
 from salsanext_cli.measures.scan_counts import (
-    RING_NAMES,
+    BAND_NAMES,
     CountsApart,
     ScanCounts,
     count_scan,
 )
-from salsanext_cli.measures.scores import Scores, plain, ring_rows, scores
+from salsanext_cli.measures.scores import Scores, band_rows, plain, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
@@ -56,14 +56,14 @@ class Evaluation:
     space: LabelSpace  # Classes of the comparison
     counts: ScanCounts  # Of the scans compared: all if the weights were trained on every one
     scores: Scores  # Scores over all points
-    by_distance: dict[str, Scores]  # Scores by name of the ring; empty if not requested
+    by_distance: dict[str, Scores]  # Scores by name of the band; empty if not requested
     missing: MissingResults  # Scans without predictions, left out
     failures: tuple[Failure, ...]  # Scans that could not be compared, left out
     settings: dict[str, Any]  # Settings of the evaluation and of the predictions
     # Results for the probabilities and uncertainties, if there are any
     uncertainty: UncertaintyEvaluation
     kept: KeptLabels | None  # Coverage and risk of the labels of a run that rejected some
-    promise: KeptPromise | None  # What its threshold promised, if that came with the weights
+    promise: RiskBoundCheck | None  # What its threshold promised, if that came with the weights
     folder: Path  # Where it is written
     by_sequence: dict[str, Scores]
     # Panoptic quality, if objects were predicted and the labels have instances
@@ -93,14 +93,14 @@ class Evaluation:
             "unknown_ids": {name: dict(sorted(ids.items())) for name, ids in unknown_ids.items()},
             "scores": self.scores.to_dict(),
             "by_distance": {
-                name: ring.to_dict() | {"iou_mean_same": plain(mean), "absent": absent}
-                for name, ring, mean, absent in ring_rows(self.by_distance)
+                name: band.to_dict() | {"iou_mean_same": plain(mean), "absent": absent}
+                for name, band, mean, absent in band_rows(self.by_distance)
             },
             "by_sequence": {name: each.to_dict() for name, each in self.by_sequence.items()},
             "by_scan": dict(sorted(counts.by_scan.items())),
             **({"panoptic": self.panoptic} if self.panoptic else {}),
             "classes": list(self.space.names),
-            "confusion": counts.confusion.matrix.tolist(),
+            "confusion": counts.confusion.tolist(),
             **self.uncertainty.to_dict(self.space),
             "rejection": self.kept
             and asdict(self.kept) | {"promise": self.promise and asdict(self.promise)},
@@ -123,7 +123,7 @@ def evaluate(
     Writes `FILES`, in the place of earlier ones, into the folder or, of a part of the scans, into
     ``eval/PART``; probabilities and uncertainties are evaluated too. Scans that the weights were
     trained on are left out, unless all were. `space`: classes to compare; `by_distance`: also in
-    rings; `settings`: for the record; `labels`: as `space_of_labels` takes it.
+    distance bands; `settings`: for the record; `labels`: as `space_of_labels` takes it.
     """
     folder = out / "eval" / part if part else out
     results = ResultFolder(out)
@@ -147,16 +147,20 @@ def evaluate(
     outcome = run_over_scans(count, scans, options, on_result=apart.add)
     counts = apart.scored()
     if not counts.scans:
-        raise _no_input(counts, out, outcome.failures)
+        found = f"no predictions for any of {counted(len(counts.missing), 'scan')}"
+        if outcome.failures:
+            found = f"no scan could be compared, as {outcome.failures[0].reason}"
+        remedy = "run `salsanext predict` first, or say where they are: salsanext eval OUT"
+        raise NoInputError(out, found, remedy=remedy)
     panoptic = None
     if counts.segments[:, -1].any():
         panoptic = panoptic_quality(counts.segments, space, movable_classes(space))
-    rings = zip(RING_NAMES, counts.rings, strict=by_distance)
+    bands = zip(BAND_NAMES, counts.bands, strict=by_distance)
     evaluation = Evaluation(
         space=space,
         counts=counts,
         scores=scores(counts.confusion, space),
-        by_distance={name: scores(ring, space) for name, ring in rings},
+        by_distance={name: scores(band, space) for name, band in bands},
         missing=results.missing_predictions(counts.missing),
         failures=outcome.failures,
         settings=settings,
@@ -165,12 +169,12 @@ def evaluate(
         by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
         panoptic=panoptic,
         kept=KeptLabels.of_confusion(counts.confusion, space, counts.kept) if counts.kept else None,
-        promise=KeptPromise.of_scans(promised, counts.kept) if promised else None,
+        promise=RiskBoundCheck.of_scans(promised, counts.kept) if promised else None,
     )
     for text in counts.label_warnings(space):
         log.warning("%s", text)
-    if evaluation.promise and evaluation.promise.is_broken:
-        log.warning("%s", BROKEN)
+    if evaluation.promise and evaluation.promise.is_exceeded:
+        log.warning("%s", RISK_BOUND_EXCEEDED)
     compared = counts.scans + len(evaluation.failures) + len(counts.missing)
     evaluation.missing.log_error(compared, "predictions")
     heading = f"# {ON_TRAINING_SCANS}\n" if counts.trained_on else ""
@@ -210,14 +214,3 @@ def _require_labels(scans: Sequence[ScanFile]) -> None:
                 f"files like {paths[0].name}",
                 "label them, or leave them out with --split or --sequences",
             )
-
-
-def _no_input(counts: ScanCounts, out: Path, failures: Sequence[Failure]) -> NoInputError:
-    if failures:
-        return NoInputError(out, f"no scan could be compared, as {failures[0].reason}")
-    return NoInputError(
-        out,
-        f"no predictions for any of {counted(len(counts.missing), 'scan')}",
-        "files like sequences/08/predictions/000000.label",
-        "run `salsanext predict` first, or say where they are: salsanext eval OUT",
-    )

@@ -10,7 +10,7 @@ from typing import Any
 from salsanext_cli.engines.device import openvino_core
 from salsanext_cli.engines.loading import network_of_module, read_onnx
 from salsanext_cli.engines.network import Graph, Network
-from salsanext_cli.engines.onnx_export import difference, exported, quantised
+from salsanext_cli.engines.onnx_export import OPSET, difference, exported, quantised
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.files.atomic import require_target, write_bytes
@@ -19,7 +19,6 @@ from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.network.card import ONNX_SUFFIX, WeightsCard
-from salsanext_cli.network.onnx_metadata import OPSET
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float

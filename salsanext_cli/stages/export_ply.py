@@ -28,7 +28,7 @@ from salsanext_cli.fusion.window import require_near
 from salsanext_cli.options import FusionReach
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
-from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile, drive_order
+from salsanext_cli.results.layout import PREDICTION_STAGES, ScanFile, drive_order
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
@@ -64,8 +64,8 @@ def export_scan(
     (folder,), points = output.folders, dict(zip("xyz", results.scan.points.T, strict=True))
     more = [] if max_error is None else [f"unlabelled where error is above {max_error:g}"]
     cloud = encode_cloud(output.path(file, folder), points, columns, colours, more)
-    output.write_result(file, folder, cloud)
-    return results.rejected_points
+    output.write(output.path(file, folder), cloud)
+    return 0 if results.rejected is None else int(results.rejected.sum())
 
 
 def encode_cloud(
@@ -124,7 +124,7 @@ def export_ply(
     results.require_column(colour, scans)
     sensor = results.sensor()
     stage, folder = _place(out, colour, form)
-    made_of, earlier = results.origins(LABELLING_STAGES), results.settings(stage)
+    made_of, earlier = results.origins(PREDICTION_STAGES), results.settings(stage)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
     if scale is None and voxel is None and earlier is not None and not overwrite:
         # A run that goes on colours alike.

@@ -27,7 +27,7 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Mask
 from salsanext_cli.results.layout import (
     ERROR,
-    LABELLING_STAGES,
+    PREDICTION_STAGES,
     SCAN_FOLDER,
     ScanFile,
     output_path,
@@ -176,7 +176,7 @@ def filter_scans(
         "split": split,
         "indices": indices,
         "label_space": space.to_dict(),
-        "origins": results.origins(LABELLING_STAGES),
+        "origins": results.origins(PREDICTION_STAGES),
     }
     task = PointFilter(results, owned, space, stays, max_error, split, indices, results.sensor())
     counts = list[Count]()
@@ -185,7 +185,7 @@ def filter_scans(
             _begin(owned, as_json(settings), options.overwrite)
             stack.enter_context(owned.open(shared=True))
         parts = [task.path(file, part) for file in scans for part in task.folders]
-        task = replace(task, kept=frozenset(owned.others(parts)))
+        task = replace(task, kept=frozenset(owned.foreign_files(parts)))
         if recording:
             outcome = _filter_bags(task, scans, options, counts)
         else:
@@ -232,7 +232,7 @@ def _filter_bag(
     bag = Bag(recording, files_of(recording))
     target = task.owned.root / (first.sequence + ".bag" * (not bag.reader.is2))
     before = _files_in(target)
-    if task.owned.others(before):
+    if task.owned.foreign_files(before):
         raise not_own(target)
     if any(map(filled, before)) and not overwrite:
         return []

@@ -48,8 +48,8 @@ from salsanext_cli.parallel.worker import Attempt, AttemptFunction
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import (
     DISAGREEMENT,
-    FUSED_STAGES,
     SCAN_FOLDER,
+    SINGLE_SCAN_STAGES,
     ScanFile,
     drive_order,
     find_outputs,
@@ -76,18 +76,11 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class DriveScans:
-    """Scans of a drive in order, all with a softmax, and their poses."""
-
-    files: tuple[ScanFile, ...]
-    drive: Drive
-
-
-@dataclass(frozen=True, slots=True)
 class FuseTask:
     """Fusion of the scans of drives, one after the other."""
 
-    drives: Mapping[str, DriveScans | SalsanextError]  # By name of the sequence
+    members: Mapping[str, Sequence[ScanFile]]  # In order, all with a softmax, by sequence
+    drives: Mapping[str, Drive | SalsanextError]  # By sequence
     space: LabelSpace
     sensor: Sensor
     reach: FusionReach
@@ -100,27 +93,27 @@ class FuseTask:
         """Return the function that works on scans; the window moves from one to the next."""
         return self._attempts
 
-    def _attempts(self, files: Iterable[ScanFile]) -> Iterator[Attempt]:
-        for sequence, group in groupby(files, lambda file: file.sequence):
-            scans = self.drives[sequence]
-            if isinstance(scans, SalsanextError):
-                yield from ((file, None, scans) for file in group)
+    def _attempts(self, scans: Iterable[ScanFile]) -> Iterator[Attempt]:
+        for sequence, group in groupby(scans, lambda file: file.sequence):
+            drive, files = self.drives[sequence], self.members[sequence]
+            if isinstance(drive, SalsanextError):
+                yield from ((file, None, drive) for file in group)
                 continue
-            window, numbers = self._window(scans), {f: n for n, f in enumerate(scans.files)}
+            window, numbers = self._window(files, drive), {f: n for n, f in enumerate(files)}
             for file in group:
                 try:
                     yield file, self._fuse(file, numbers[file], window), None
                 except SalsanextError as error:
                     yield file, None, error
 
-    def _window(self, scans: DriveScans) -> FusionWindow:
+    def _window(self, files: Sequence[ScanFile], drive: Drive) -> FusionWindow:
         def read(index: int) -> tuple[Float, Float, Any]:
-            file = scans.files[index]
+            file = files[index]
             points = read_scan(file.path, self.sensor).points
             softmax = kept_softmax(self.single.root, file, len(points), self.space)
             return points, softmax, voting(softmax)
 
-        return FusionWindow(scans.drive, read, self.reach, movable_classes(self.space))
+        return FusionWindow(drive, read, self.reach, movable_classes(self.space))
 
     def _fuse(self, file: ScanFile, number: int, window: FusionWindow) -> ScanSummary:
         self.single.require_replaceable(file)
@@ -207,7 +200,7 @@ def fuse_results(
         return _checked(path, _read_given(path, files), files, sensor) if path else None
 
     given = _of_each(chosen, given_of, options)
-    made_with = {"reach": asdict(reach), "origins": results.origins(FUSED_STAGES)}
+    made_with = {"reach": asdict(reach), "origins": results.origins(SINGLE_SCAN_STAGES)}
     network: Mapping[str, Any] = results.settings("predict") or {}
     of_labels = {
         **{key: network[key] for key in ABOUT_THE_NETWORK if key in network},
@@ -223,25 +216,25 @@ def fuse_results(
     with single as of_single, fused as of_fused, summary.kept_in(of_fused, scans):
         drives = _of_each(
             chosen,
-            lambda name: _drive_scans(members[name], given[name], of_single, of_fused, sensor),
+            lambda name: _drive_of(members[name], given[name], of_single, of_fused, sensor),
             options,
         )
         for name, of_drive in drives.items():
-            if isinstance(of_drive, DriveScans):
-                summary.add_sequence(name, _findings(of_drive))
-        task = FuseTask(drives, space, sensor, reach, of_single, of_fused)
+            if isinstance(of_drive, Drive):
+                summary.add_sequence(name, _findings(members[name], of_drive))
+        task = FuseTask(members, drives, space, sensor, reach, of_single, of_fused)
         outcome = run_over_scans(
             task,
             scans,
             options,
             is_done=lambda file: (
-                isinstance(drives[file.sequence], DriveScans)
+                isinstance(drives[file.sequence], Drive)
                 and of_single.is_done(file)
                 and of_fused.is_done(file)
             ),
-            on_result=summary.add,
+            summary=summary,
         )
-    return replace(outcome, summary=summary, missing=missing)
+    return replace(outcome, missing=missing)
 
 
 def _of_each(
@@ -314,20 +307,20 @@ def _points(file: ScanFile, sensor: Sensor) -> Float:
     return points[np.isfinite(points).all(axis=1)]
 
 
-def _drive_scans(
+def _drive_of(
     files: Sequence[ScanFile],
     given: Drive | SalsanextError | None,
     single: OutputRun,
     fused: OutputRun,
     sensor: Sensor,
-) -> DriveScans:
-    """Return a sequence with poses, computed if not given, and record both."""
+) -> Drive:
+    """Return the poses of a sequence, computed if not given; record them and its scans."""
     if isinstance(given, SalsanextError):
         raise given
     name, stems = files[0].sequence, [file.stem for file in files]
     folder = fused.root / "sequences" / name
     used, record = folder / POSES, folder / DRIVE
-    before, edited = read_json(record), bool(fused.others([used]))
+    before, edited = read_json(record), bool(fused.foreign_files([used]))
     known = before is not None and before.get("scans") == stems
     if before is not None and not known and not fused.overwrite:
         raise _other_drive(record, single)
@@ -354,7 +347,7 @@ def _drive_scans(
                 fused.write(used, encode_poses(drive.poses))
             # It comes last: without it, a run that was killed before begins anew.
             fused.write(record, encode_json(recorded))
-    return DriveScans(tuple(files), drive)
+    return drive
 
 
 def _results_of(run: OutputRun, sequence: str) -> list[Path]:
@@ -371,13 +364,13 @@ def _other_drive(record: Path, single: OutputRun) -> OutputError:
     return OutputError(record, found, "the same scans and poses for all of it", remedy)
 
 
-def _findings(scans: DriveScans) -> list[Finding]:
+def _findings(files: Sequence[ScanFile], drive: Drive) -> list[Finding]:
     """Return what is doubtful about a drive that is cut into parts."""
-    parts = np.bincount(scans.drive.parts)
+    parts = np.bincount(drive.parts)
     if (parts == 1).all():
         return [Finding("apart", "no two of its scans see common places", "labels stay")]
     if len(parts) == 1:
         return []
-    second = scans.files[int(np.argmax(scans.drive.parts == 1))].stem
+    second = files[int(np.argmax(drive.parts == 1))].stem
     found = f"poses fit in {len(parts)} parts only, the second from {second} on"
     return [Finding("apart", found, "parts have no votes for each other; look at its poses")]

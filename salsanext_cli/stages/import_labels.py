@@ -73,7 +73,15 @@ def import_labels(
     space = space or own
     meanings = LabelIds.of_space(space, ids)
     imported = LabelImport(space, class_points=np.zeros(space.class_count, np.int64))
-    of_scan = _matched(_elsewhere(edited, scans), edited, scans, imported)
+    files = find_edited(edited)
+    if is_folder(edited):
+        # The scans and the label files of the data set itself are in use.
+        in_place = {path for scan in scans for path in (scan.path, scan.label_path)}
+        files = [path for path in files if path not in in_place]
+        if not files:
+            text = "holds no labels but those of the data set itself, which are in use"
+            raise NoInputError(edited, text, "what a tool wrote elsewhere")
+    of_scan = _matched(files, edited, scans, imported)
     records = {root: LabelRecords(root) for root in sorted({*map(labels_root, of_scan)})}
     task = partial(_import_scan, imported=imported, meanings=meanings, scalar=scalar)
     task = partial(task, sensor=sensor, overwrite=overwrite, is_named=not is_folder(edited))
@@ -94,19 +102,6 @@ def import_labels(
     imported.kept = len(scans) - len(of_scan)
     imported.first_guesses = [scan.name for scan in first_guesses(scans)]
     return imported
-
-
-def _elsewhere(edited: Path, scans: Sequence[ScanFile]) -> list[Path]:
-    """Find edited files; of a folder leave out the scans and the label files of the data set."""
-    files = find_edited(edited)
-    if not is_folder(edited):
-        return files
-    in_place = {path for scan in scans for path in (scan.path, scan.label_path)}
-    left = [path for path in files if path not in in_place]
-    if not left:
-        text = "holds no labels but those of the data set itself, which are in use"
-        raise NoInputError(edited, text, "what a tool wrote elsewhere")
-    return left
 
 
 def _matched(

@@ -10,7 +10,6 @@ from salsanext_cli.files.atomic import WEIGHTS_SUFFIX, require_target
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.registry import build
-from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import load_tensors, read_weights, save_weights
 from salsanext_cli.sensors.sensor import Sensor, sensor
 
@@ -42,25 +41,17 @@ def import_weights(
         described = description or card.description
         card = replace(card, description=described, sensor=view or card.sensor)
     else:
+        space, tensors = space or label_space(), read_published(source)
+        outputs = tensors["logits.bias"].numel() if "logits.bias" in tensors else 0
+        if outputs != space.class_count:
+            found = f"{outputs} outputs"
+            expected = f"{space.class_count}, one per class of {space.name}"
+            raise WeightsError(source, found, expected, "give its label space with --label-space")
         rate = DROPOUT if dropout is None else dropout
-        module, card = _read_checkpoint(
-            source, space or label_space(), view or sensor("hdl64"), rate, description
-        )
+        architecture = {"name": "salsanext", "class_count": outputs, "dropout": rate}
+        module = build(architecture, source)
+        load_tensors(module, tensors, source)
+        described = description or f"Imported from the published checkpoint {source.name}."
+        card = WeightsCard(architecture, space, view or sensor("hdl64"), description=described)
     save_weights(target, module, card, half=half)
     return card
-
-
-def _read_checkpoint(
-    source: Path, space: LabelSpace, view: Sensor, dropout: float, description: str
-) -> tuple[SegmentationNetwork, WeightsCard]:
-    tensors = read_published(source)
-    outputs = tensors["logits.bias"].numel() if "logits.bias" in tensors else 0
-    if outputs != space.class_count:
-        found = f"{outputs} outputs"
-        expected = f"{space.class_count}, one per class of {space.name}"
-        raise WeightsError(source, found, expected, "give its label space with --label-space")
-    architecture = {"name": "salsanext", "class_count": outputs, "dropout": dropout}
-    module = build(architecture, source)
-    load_tensors(module, tensors, source)
-    described = description or f"Imported from the published checkpoint {source.name}."
-    return module, WeightsCard(architecture, space, view, description=described)

@@ -12,7 +12,7 @@ from salsanext_cli.files.atomic import require_absent, write_bytes
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.scan_fit import EGO, ScanSample
-from salsanext_cli.fitting.view_fit import fit_beams, fit_view
+from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import project, without_ego
@@ -87,7 +87,6 @@ def inspect(
         seen = fit_view(some, seen)
         of_seen = {name: getattr(seen, name) for name in ("up", "origin", *EGO)}
         sensor = replace(sensor, **of_seen)
-        sensor = replace(sensor, beams=fit_beams(some, sensor) or sensor.beams)
         # Only the view of this pass counts, so its checks would be against a wrong one.
         first = _inspect(scans, sensor, space, options, checked=False)
         if first.total.pixels:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Stage `knn-refine`: pixel labels, or any point labels, to point labels by neighbours."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -37,7 +37,10 @@ def refine_scan(
     image = project(read_scan(file.path, sensor), sensor)
     if labels is None:
         path = output.path(file, "pixel_labels")
-        pixel_labels = _read_pixel_labels(path, space, sensor)
+        pixel_labels: TrainIds = read_array(path, "uint8", (sensor.height, sensor.width))
+        if (highest := pixel_labels.max()) >= space.class_count:
+            expected = f"0 … {space.class_count - 1}, the classes of {space.name}"
+            raise LabelError(path, f"train ids up to {highest}", expected)
     else:
         path = given_labels(labels, file)
         raw = read_labels(path, len(image.pixel_of_point))
@@ -45,14 +48,6 @@ def refine_scan(
     refined = knn_refine(image, pixel_labels, space.class_count, knn)
     output.write_labels(file, space.to_raw(refined))
     return ScanSummary.of_labels(file, refined, space)
-
-
-def _read_pixel_labels(path: Path, space: LabelSpace, sensor: Sensor) -> TrainIds:
-    labels: TrainIds = read_array(path, "uint8", (sensor.height, sensor.width))
-    if labels.max() >= space.class_count:
-        expected = f"0 … {space.class_count - 1}, the classes of {space.name}"
-        raise LabelError(path, f"train ids up to {labels.max()}", expected)
-    return labels
 
 
 def given_labels(folder: Path, file: ScanFile) -> Path:
@@ -136,7 +131,4 @@ def knn_refine_scans(
         task = partial(
             refine_scan, labels=labels, space=space, sensor=sensor, knn=knn, output=output
         )
-        outcome = run_over_scans(
-            task, scans, options, is_done=output.is_done, on_result=summary.add
-        )
-    return replace(outcome, summary=summary)
+        return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)

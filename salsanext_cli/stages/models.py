@@ -11,10 +11,9 @@ import torch
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.complexity import (
-    PAPERS,
-    RECEPTIVE_FIELDS,
     agrees,
     multiply_accumulates,
+    paper_figures,
     parameter_count,
 )
 from salsanext_cli.network.registry import ARCHITECTURES, build
@@ -28,15 +27,15 @@ def models() -> list[dict[str, Any]]:
     for name in ARCHITECTURES:
         with torch.device("meta"):
             module = build({"name": name}).eval()
-        parameters, paper = parameter_count(module), PAPERS[name]
+        parameters, paper = parameter_count(module), asdict(paper_figures()[name])
         costs.append(
             {
                 "name": name,
                 "parameters": parameters,
                 "multiply_accumulates": multiply_accumulates(module, HEIGHT, WIDTH),
-                "receptive_field": RECEPTIVE_FIELDS[name],
-                "paper": asdict(paper),
-                "agrees": agrees(parameters, paper.parameters),
+                "receptive_field": paper.pop("receptive_field"),
+                "paper": paper,
+                "agrees": agrees(parameters, paper["parameters"]),
             }
         )
     return costs

@@ -132,8 +132,15 @@ def pick(
             describe = partial(_describe, samples=SAMPLES, seed=seed, disagreement=disagreement)
             task = NetworkTask(describe, resolved, network)
             summary = RunSummary.of_scans(scans, network.sensor)
-            described, failures = _described(task, scans, options, summary)
-            warnings = summary.warnings()
+            of_scan: dict[ScanFile, ScanDescription] = {}
+
+            def keep(scan: ScanDescription) -> None:
+                of_scan[scan.file] = scan
+                summary.add(ScanSummary(scan.file, scan.check))
+
+            failures = run_over_scans(task, scans, options, on_result=keep).failures
+            described = [of_scan[scan] for scan in scans if scan in of_scan]
+            warnings = summary.finished().warnings()
             if all(scan.file in done for scan in described):
                 return Picking((), len(scans), Outcome(0, failures, 0), warnings)
             picked = _chosen(described, count, strategy, seed, done)
@@ -166,21 +173,6 @@ def _digest(scans: Sequence[ScanFile]) -> str:
     names = "\n".join(f"{scan.name} {scan.path}" for scan in scans)
     digest = hashlib.sha256(names.encode("utf-8", "surrogateescape")).hexdigest()
     return f"{len(scans)}, {digest[:16]}"
-
-
-def _described(
-    task: NetworkTask, scans: Sequence[ScanFile], options: RunOptions, summary: RunSummary
-) -> tuple[list[ScanDescription], tuple[Failure, ...]]:
-    """Describe all scans that can be read, in their order."""
-    described: dict[ScanFile, ScanDescription] = {}
-
-    def keep(scan: ScanDescription) -> None:
-        described[scan.file] = scan
-        summary.add(ScanSummary(scan.file, scan.check))
-
-    failures = run_over_scans(task, scans, options, on_result=keep).failures
-    summary.finished()
-    return [described[scan] for scan in scans if scan in described], failures
 
 
 def _chosen(

@@ -17,7 +17,7 @@ from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, r
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.results.layout import (
     COLOURINGS,
-    LABELLING_STAGES,
+    PREDICTION_STAGES,
     SUFFIX_OF_FOLDER,
     ScanFile,
     find_outputs,
@@ -27,6 +27,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import FOLDERS, ChosenResults, ResultFolder, scalar_columns
 from salsanext_cli.results.selection import MissingResults, choose, scans_of, space_of_labels
+from salsanext_cli.results.stage_records import recorded_sensor
 from salsanext_cli.sensors.sensor import Sensor, sensor
 
 STAGE, FOLDER = "picture", "pictures"
@@ -56,7 +57,7 @@ def picture_scan(
     views = colours or known_views(columns)
     strips = colours or [colour for colour in COLOURINGS if colour in columns]
     png = picture_of_results(file.name, results, space, sensor, scales, views, strips)
-    output.write_result(file, FOLDER, png)
+    output.write(output.path(file, FOLDER), png)
 
 
 def picture(
@@ -83,15 +84,20 @@ def picture(
     colours = list(dict.fromkeys(meant.get(colour, colour) for colour in colours))
     for colour in colours:
         results.require_column(colour, scans)
-    made_of, earlier = results.origins(LABELLING_STAGES), results.settings(STAGE)
+    made_of, earlier = results.origins(PREDICTION_STAGES), results.settings(STAGE)
     overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
     going_on = None if overwrite else earlier
-    seen = results.known_sensor()
-    if seen is None and going_on is not None:
-        seen = Sensor.from_dict(going_on.table("sensor"), going_on.path)
+    seen = results.known_sensor() or recorded_sensor(going_on)
     seen = seen or fitted_view(scans, sensor("hdl64"))
     values = [c for c in colours or COLOURINGS if c not in CLASS_COLOURS]
-    scales = _scales(out, scans, values, space, seen, scale, going_on)
+    values = [colour for colour in values if results.with_column(colour, scans)]
+    scales: Scales = dict.fromkeys(values, scale) if scale else {}
+    if not scale:
+        # A run that goes on colours alike.
+        recorded = going_on.table("scales") if going_on is not None else RecordedSettings({}, out)
+        scales = {colour: recorded.numbers(colour) for colour in recorded}
+        unknown = [colour for colour in values if colour not in scales]
+        scales |= common_scales(out, scans, unknown, space, seen)
     settings = {
         "colours": colours,
         "scales": {colour: list(ends) for colour, ends in scales.items()},
@@ -148,22 +154,3 @@ def _scans_alone(out: Path, query: ResultQuery) -> ChosenResults:
     scans = choose(found_scans, query.selection, space, dataset or out)
     labels = space_of_labels(found_scans, space, own)
     return ChosenResults(scans, space, labels, MissingResults())
-
-
-def _scales(
-    out: Path,
-    scans: Sequence[ScanFile],
-    colours: Sequence[str],
-    space: LabelSpace,
-    sensor: Sensor,
-    given: tuple[float, float] | None,
-    earlier: RecordedSettings | None,
-) -> Scales:
-    """Return the scale of every colour that is a value and known; a run that goes on keeps them."""
-    known = [colour for colour in colours if ResultFolder(out).with_column(colour, scans)]
-    if given:
-        return dict.fromkeys(known, given)
-    recorded = earlier.table("scales") if earlier is not None else RecordedSettings({}, out)
-    kept = {colour: recorded.numbers(colour) for colour in recorded}
-    unknown = [colour for colour in known if colour not in kept]
-    return kept | common_scales(out, scans, unknown, space, sensor)

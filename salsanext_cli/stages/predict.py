@@ -56,7 +56,7 @@ from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.stages.fuse import FUSED, fuse_results, require_fusable
-from salsanext_cli.uncertainty.error_features import error_model, knows_error, label_error
+from salsanext_cli.uncertainty.error_features import error_model, error_probability, knows_error
 
 IN_MEMORY = ScanFile("scan", "points", Path("points"))
 """Name of the points in warnings and errors."""
@@ -83,9 +83,9 @@ class LabelWriter:
         """Write the results of a scan; return numbers about it."""
         file, image, softmax, labels = scan.file, scan.image, scan.softmax, scan.labels
         space, output = network.space, self.output
-        doubt = points_from_pixels(1 - softmax.max(axis=0), image.pixel_of_point, np.nan)
-        output.write_array(file, LEAST_CONFIDENCE, doubt)
-        values = {"least_confidence": doubt}
+        least_confidence = points_from_pixels(1 - softmax.max(axis=0), image.pixel_of_point, np.nan)
+        output.write_array(file, LEAST_CONFIDENCE, least_confidence)
+        values = {"least_confidence": least_confidence}
         if "pixel_labels" in output.folders:
             output.write_array(file, "pixel_labels", softmax.argmax(axis=0).astype(np.uint8))
         if {"probabilities", "votes"} & {*output.folders}:
@@ -96,7 +96,7 @@ class LabelWriter:
         if "votes" in output.folders:
             output.write_array(file, "votes", top_classes(of_points))
         if ERROR in output.folders:
-            values["error"] = label_error(network, image, softmax, labels)
+            values["error"] = error_probability(network, image, softmax, labels)
             output.write_array(file, ERROR, values["error"])
         rejected = np.zeros(len(labels), bool)
         if self.reject is not None:
@@ -105,11 +105,11 @@ class LabelWriter:
         raw = space.to_raw(labels)
         if "objects" in output.folders:
             objects = find_objects(image, labels, movable_classes(space))
-            output.write_result(file, "objects", object_table(scan, objects, space))
+            output.write(output.path(file, "objects"), object_table(scan, objects, space))
             raw |= objects.astype(np.uint32) << 16
         output.write_labels(file, raw)
         summary = ScanSummary.of_scan(scan, space, int(rejected.sum()))
-        of_points = doubt[~np.isnan(doubt)]
+        of_points = least_confidence[~np.isnan(least_confidence)]
         mean = 1 - float(of_points.mean()) if of_points.size else np.nan
         return replace(summary, confidence=mean)
 
@@ -191,11 +191,9 @@ def predict_scans(
         task = NetworkTask(
             function, settings.resolved(network), network, takes_softmax=True, batch=batch
         )
-        outcome = run_over_scans(
-            task, scans, options, is_done=output.is_done, on_result=summary.add
-        )
+        outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
     rejected = None if reject is None else summary.rejected_points
-    return replace(outcome, summary=summary, rejected_points=rejected)
+    return replace(outcome, rejected_points=rejected)
 
 
 def _chosen_threshold(
@@ -259,10 +257,7 @@ def predict_range_images(
     with run as output, summary.kept_in(output, scans):
         steps = partial(predict_image, folder=folder, output=output)
         task = NetworkTask(steps, settings.resolved(network), network)
-        outcome = run_over_scans(
-            task, scans, options, is_done=output.is_done, on_result=summary.add
-        )
-    return replace(outcome, summary=summary)
+        return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
 
 
 class PointLabels(NamedTuple):
@@ -317,7 +312,7 @@ def label(
     none = np.eye(1, network.space.class_count)
     of_points = points_from_pixels(softmax, done.image.pixel_of_point, none)
     known = knows_error(network)
-    error = label_error(network, done.image, softmax, done.labels) if known else None
+    error = error_probability(network, done.image, softmax, done.labels) if known else None
     return PointLabels(done.labels, of_points, error)
 
 

@@ -2,7 +2,6 @@
 """Stage `project`: scans to range images on disk."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.results.stage_records import StageRecords, recorded_sensor
 from salsanext_cli.sensors.sensor import Sensor
 
 FOLDERS = ("range", "pixels")
@@ -42,14 +41,10 @@ def project_scans(
     listed = scans_of(source)
     scans = choose(listed, selection, space_of(listed), source)
     recorded = None if options.overwrite else StageRecords(out).settings("project")
-    earlier = Sensor.from_dict(recorded.table("sensor"), recorded.path) if recorded else None
-    sensor = fitted_view(listed, sensor, earlier, view=fit)
+    sensor = fitted_view(listed, sensor, recorded_sensor(recorded), view=fit)
     settings, summary = {"sensor": sensor.to_dict()}, RunSummary.of_scans(scans, sensor)
     overwrite = options.overwrite
     run = output_run(out, "project", settings, FOLDERS, scans, overwrite=overwrite)
     with run as output, summary.kept_in(output, scans):
         task = partial(write_projected, sensor=sensor, output=output)
-        outcome = run_over_scans(
-            task, scans, options, is_done=output.is_done, on_result=summary.add
-        )
-    return replace(outcome, summary=summary)
+        return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)

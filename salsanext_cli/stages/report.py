@@ -31,7 +31,7 @@ from salsanext_cli.report.page.run_results import (
 )
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.report.scan_pictures import NARROW_PX, REACH_M, TITLES, scan_picture
-from salsanext_cli.results.layout import LABELLING_STAGES, ScanFile, drive_order
+from salsanext_cli.results.layout import PREDICTION_STAGES, ScanFile, drive_order
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
@@ -138,7 +138,7 @@ def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[
     return maps, reasons
 
 
-class View(PageServer):
+class RunServer(PageServer):
     """Server of a run's page; `scans` can be looked at, others are `missing` or `failures`."""
 
     def __init__(self, port: int) -> None:
@@ -189,9 +189,9 @@ class View(PageServer):
         return plain_cloud
 
 
-def view(out: Path, *, port: int = 0, **choice: Unpack[RunChoice]) -> View:
+def view(out: Path, *, port: int = 0, **choice: Unpack[RunChoice]) -> RunServer:
     """Read the results of a run, and open a loopback port, any free one if 0, for a browser."""
-    server = View(port)
+    server = RunServer(port)
     try:
         server.take(*read_run(out, **choice))
     except BaseException:
@@ -262,6 +262,6 @@ def _readable(
 
 def _state_of(out: Path) -> list[tuple[int, int] | None]:
     """Return size and time of the records of the stages whose results are shown."""
-    paths = [out / f"{stage}.json" for stage in LABELLING_STAGES]
+    paths = [out / f"{stage}.json" for stage in PREDICTION_STAGES]
     states = [path.stat() if path.exists() else None for path in paths]
     return [state and (state.st_size, state.st_mtime_ns) for state in states]

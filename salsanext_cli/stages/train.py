@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
-from salsanext_cli.errors import NOTICE, UsageError, counted
+from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.network.card import default_weights
@@ -120,8 +120,10 @@ def train(
             kept, sources = run / CLASS_COUNTS, [first, *others]
             validated = evenly_spaced(scored.files, recipe.validation_scans)
             counts = class_counts(kept, sources, scored, validated, jobs, recipe.also)
-            if strict:
-                counts.require_no_warnings(dataset)
+            if strict and (doubts := counts.warnings):
+                codes = [f"{d['code']} in {counted(len(d['scans']), 'scan')}" for d in doubts]
+                remedy = "mend the scans or leave them out, or train without --strict"
+                raise TrainingError(dataset, f"doubtful scans: {', '.join(codes)}", "none", remedy)
             begin(run, settings, overwrite=overwrite)
             random = "random weights (--weights default: those of the package)"
             if not (run / CHECKPOINT).exists():

@@ -11,7 +11,7 @@ from salsanext_cli.network.card import require_tensors
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Progress
-from salsanext_cli.report.tuning_plots import rate_curve, risk_curve
+from salsanext_cli.report.tuning_plots import risk_curve
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout
 from salsanext_cli.training.tuning.error import fit_error_model
 from salsanext_cli.training.tuning.risk import fit_risk
@@ -25,8 +25,6 @@ FITS: dict[str, Callable[..., Tuned]] = {
     "risk": fit_risk,
 }
 """Functions that fit a part of the weights: take `TuningScans`, and numbers of their own."""
-CURVES = {"dropout": rate_curve, "risk": risk_curve}
-"""Functions that draw what a fit reports, into a file beside the weights."""
 
 
 def tune(
@@ -50,18 +48,13 @@ def tune(
     network = settings.load()
     files, space = labelled_scans(source, selection or VALIDATION, network.card)
     require_target(target, overwrite)
-    curve = curve_of(target, part) if part in CURVES else None
-    if curve:
+    curve = target.with_name(f"{target.stem}_risk.png")
+    if part == "risk":
         require_absent(curve, overwrite)
-    tuned = fit(TuningScans(source, files, space, settings, network, progress), **numbers)
-    report = {"stage": f"tune {part}", **tuned.report}
-    if curve:
-        CURVES[part](curve, report)
+    card, found = fit(TuningScans(source, files, space, settings, network, progress), **numbers)
+    report = {"stage": f"tune {part}", **found}
+    if part == "risk":
+        risk_curve(curve, report)
         report["curve"] = str(curve)
-    save_with_card(settings.path, target, tuned.card)
+    save_with_card(settings.path, target, card)
     return report
-
-
-def curve_of(target: Path, part: str) -> Path:
-    """Return the path of the curve of a part that goes with a weights file."""
-    return target.with_name(f"{target.stem}_{part}.png")

@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.results.stage_records import StageRecords, as_json
 from salsanext_cli.sensors.sensor import Sensor
-from salsanext_cli.uncertainty.error_features import knows_error, label_error
+from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 log = logging.getLogger(__name__)
@@ -57,7 +57,7 @@ def uncertainty_scan(
         return
     labels, space = labelled(projected, estimate.probabilities, network, knn).labels, network.space
     if single is not None:
-        output.write_array(file, ERROR, label_error(network, image, single, labels))
+        output.write_array(file, ERROR, error_probability(network, image, single, labels))
     output.write_labels(file, space.to_raw(labels))
     yield ScanSummary.of_labels(file, labels, space, check)
 
@@ -97,10 +97,7 @@ def uncertainty(
     with run as output, summary.kept_in(output, scans):
         function = partial(uncertainty_scan, knn=knn, method=method, output=output)
         task = NetworkTask(function, settings.resolved(network), network)
-        outcome = run_over_scans(
-            task, scans, options, is_done=output.is_done, on_result=summary.add
-        )
-    return replace(outcome, summary=summary)
+        return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
 
 
 def _require_network_of_labels(out: Path, settings: dict[str, Any]) -> None:

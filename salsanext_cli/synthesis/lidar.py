@@ -19,18 +19,18 @@ USUAL_ECHO = 0.35  # Brightness that `gamma` leaves as it is
 EDGE_SHARE = 0.45  # Share of the pulses at an edge that hit both surfaces
 PULSE_M = 1.2  # Distance between two surfaces up to which their echoes are one
 LOST_AT_EDGE_SHARE = 0.3  # Share of the pulses on two surfaces farther apart that are lost
-LEAST_REFLECTED = 0.01
+MIN_REFLECTED = 0.01
 """Brightness that even a black surface has where it is decided whether a pulse returns."""
 DETECTION_STEEPNESS = 2.2
 """Exponent with which the share of detected pulses rises around the threshold."""
-DIFFUSE_BRIGHTNESS, DIFFUSE_SHARE, MOST_DIFFUSE = 0.3, 0.75, 0.9
+DIFFUSE_BRIGHTNESS, DIFFUSE_SHARE, MAX_DIFFUSE = 0.3, 0.75, 0.9
 """A glossy surface so bright reflects that share diffusely, others in proportion up to the most."""
 STRAIGHT_ON_SHARE, STRAIGHT_ON_EXPONENT = 0.6, 16
 """Share of what a mirror hit straight on sends back, and exponent of the cosine of incidence."""
 POWER_EXPONENT = 3  # Exponent with which strong lasers lose fewer pulses on glossy surfaces
 INTENSITY_NOISE = 0.02
 """Standard deviation of the reported brightness, which is as much too low."""
-MOST_INTENSITY = 0.99
+MAX_INTENSITY = 0.99
 LOGISTIC_SLOPE = 1.702
 """Slope at which the logistic function stands in for the normal distribution's integral."""
 DISTANCES_M = (0.0, 4.0, 8.0, 13.0, 20.0, 28.0, 40.0, 80.0)
@@ -89,7 +89,7 @@ def measure(
     reach = np.where(np.isfinite(distance), distance, response.farthest + 1)
     noise = rng.standard_normal((3, count))
     reflected = brightness * shades * np.exp(texture * noise[0] - texture**2 / 2)
-    signal = lasers.power * (reflected + LEAST_REFLECTED) * cosine / reach**2
+    signal = lasers.power * (reflected + MIN_REFLECTED) * cosine / reach**2
     weakness = response.threshold / np.maximum(signal, 1e-12)
     detected = 1 / (1 + weakness**DETECTION_STEEPNESS)
     returned = rng.random(count) < detected * (1 - response.lost_pulses)
@@ -101,7 +101,7 @@ def measure(
     echo = reflected * np.interp(reach, DISTANCES_M, RELATIVE_RESPONSE) * grazing
     amplified = response.gain * USUAL_ECHO * (echo / USUAL_ECHO) ** response.gamma * lasers.gain
     reported = amplified - lasers.offset + INTENSITY_NOISE * noise[2] - INTENSITY_NOISE
-    intensity = np.round(np.clip(reported, 0, MOST_INTENSITY) * response.steps) / response.steps
+    intensity = np.round(np.clip(reported, 0, MAX_INTENSITY) * response.steps) / response.steps
     return np.where(returned, measured, np.nan), intensity, labels
 
 
@@ -117,7 +117,7 @@ def _edges(rng: Rng, reach: Array) -> tuple[Array, Mask]:
 def _lost_to_gloss(reflected: Array, cosine: Array, gloss: Array, power: Array) -> Array:
     """Return the chance (R,) that a mirror, not hit straight on, sends a pulse elsewhere."""
     # Strong lasers still see its dirt, so glass and dark paint come back in some rows only.
-    diffuse = np.minimum(MOST_DIFFUSE, DIFFUSE_SHARE * reflected / DIFFUSE_BRIGHTNESS)
+    diffuse = np.minimum(MAX_DIFFUSE, DIFFUSE_SHARE * reflected / DIFFUSE_BRIGHTNESS)
     straight_on = STRAIGHT_ON_SHARE * cosine**STRAIGHT_ON_EXPONENT
     mirrored = gloss * (1 - straight_on) * (1 - diffuse)
     odds = mirrored / np.maximum(1 - mirrored, 1e-6) / power**POWER_EXPONENT

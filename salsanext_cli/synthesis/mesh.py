@@ -28,7 +28,7 @@ class Skin(NamedTuple):
     shade: float = 1.0
 
     @classmethod
-    def drawn(cls, rng: Rng, label: int, material: Material, low: float, high: float) -> Skin:
+    def random(cls, rng: Rng, label: int, material: Material, low: float, high: float) -> Skin:
         """Draw the brightness between two bounds."""
         return cls(label, material, float(rng.uniform(low, high)))
 

@@ -19,7 +19,7 @@ from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, TrainingError
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.measures.scores import Confusion, scores
+from salsanext_cli.measures.scores import confusion_matrix, scores
 from salsanext_cli.network.card import TEMPERATURES, WeightsCard
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
@@ -46,7 +46,6 @@ class StepReport:
     epochs: int
     step: int
     steps: int
-    loss: float
     row: Row | None = None  # Finished line of the log, after the last step of an epoch
     fold: int = 0  # Number of the fold of a cross-validation, from 1; 0 for the training itself
 
@@ -101,7 +100,7 @@ class Training:
             if now - saved > SAVE_INTERVAL_S and self.learner.group.is_main:
                 save_checkpoint(self.run / CHECKPOINT, self.learner, state)
                 saved = now
-            self._report(state, step, state.losses[-1])
+            self._report(state, step)
 
     def _end_epoch(self, state: TrainingState, write_epoch: EpochWriter) -> None:
         """Validate, write and report an epoch whose steps are done."""
@@ -122,7 +121,7 @@ class Training:
             row |= validate(self._network(), self.validation, group)
         if group.is_main:
             self._write(state, row, write_epoch)
-        self._report(state, step, losses[-1], row)
+        self._report(state, step, row)
 
     def _step(self, batch: Batch, step: int) -> float:
         images, truth, indices = batch
@@ -174,16 +173,16 @@ class Training:
         module = self.learner.average.eval()
         return network_of_module(module, self.card, str(self.learner.device))
 
-    def _report(self, state: TrainingState, step: int, loss: float, row: Row | None = None) -> None:
+    def _report(self, state: TrainingState, step: int, row: Row | None = None) -> None:
         if self.learner.group.is_main:
             epoch, epochs = state.epoch + (row is None), self.learner.recipe.epochs
-            self.report(StepReport(epoch, epochs, step + 1, self.samples.plan.steps, loss, row))
+            self.report(StepReport(epoch, epochs, step + 1, self.samples.plan.steps, row))
 
 
 def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS) -> Row:
     """Score scans labelled as `predict` does, shared by workers; also fit a temperature."""
     space = network.card.space
-    confusion = Confusion(space.class_count)
+    confusion = np.zeros((space.class_count, space.class_count), np.int64)
     # (C, M) float32, (M,) int64: some points of the classes that count, evenly spaced in every scan
     logits, truth = [torch.empty(space.class_count, 0)], [torch.empty(0, dtype=torch.int64)]
     for file in source.files[group.rank :: group.size]:
@@ -191,18 +190,18 @@ def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROC
         scan, labels = read_labelled(file, source.space, own.sensor)
         image = project(scan, own.sensor)
         of_pixels = own.logits(image)
-        confusion.update(labels, own.labels(image, of_pixels))
+        confusion += confusion_matrix(labels, own.labels(image, of_pixels), space.class_count)
         usable = np.flatnonzero(space.scored[labels] & (image.pixel_of_point >= 0))
         chosen = usable[:: max(1, len(usable) * len(source.files) // MAX_VALIDATED_POINTS)]
         pixels = image.pixel_of_point[chosen]
         logits.append(torch.from_numpy(of_pixels.reshape(space.class_count, -1)[:, pixels]))
         truth.append(torch.from_numpy(labels[chosen].astype(np.int64)))
-    counts = group.sum(torch.from_numpy(confusion.matrix).to(network.device)).cpu().numpy()
+    counts = group.sum(torch.from_numpy(confusion).to(network.device)).cpu().numpy()
     all_logits, all_truth = (
         torch.cat(group.gather(torch.cat(own, dim=-1).to(network.device)), dim=-1).cpu()
         for own in (logits, truth)
     )
-    result, (lowest, highest) = scores(Confusion(space.class_count, counts), space), TEMPERATURES
+    result, (lowest, highest) = scores(counts, space), TEMPERATURES
     best = best_temperature(all_logits.T.contiguous(), all_truth) if len(all_truth) else 1.0
     return {
         "accuracy": result.accuracy,

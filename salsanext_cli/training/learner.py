@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from salsanext_cli.engines.device import PRECISIONS, has_bfloat16
+from salsanext_cli.engines.device import PRECISIONS, bfloat16_instructions
 from salsanext_cli.engines.torch_engine import keep_ends_in_float32
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.data.targets import ClassSets
@@ -28,7 +28,7 @@ ONE_CYCLE_START, ONE_CYCLE_END = 1 / 25, 1 / 250_000
 def fastest_precision(device: torch.device) -> str:
     """Return the number type that a device computes fastest in."""
     if device.type != "cuda":
-        return "bfloat16" if has_bfloat16() else "float32"
+        return "bfloat16" if bfloat16_instructions() else "float32"
     major, _ = torch.cuda.get_device_capability(device)
     return "bfloat16" if major >= BFLOAT16_CAPABILITY else "float16"
 

@@ -3,7 +3,6 @@
 
 import csv
 import io
-import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -19,8 +18,6 @@ Row = dict[str, float]
 """One epoch: epoch, learning_rate, loss, seconds; where validated, also what `validate` returns."""
 EpochWriter = Callable[[Row, npt.NDArray[np.uint8]], None]
 """Writes a finished epoch and its picture, (H, W, 3)."""
-
-log = logging.getLogger(__name__)
 
 
 def write_log(path: Path, rows: Sequence[Row]) -> None:
@@ -65,8 +62,6 @@ def draw_curve(path: Path, rows: Sequence[Row]) -> None:
 def tensorboard_in(run: Path, *, wanted: bool = True) -> Iterator[EpochWriter]:
     """Yield the writer of epochs for TensorBoard; without TensorBoard it writes nothing."""
     if not wanted or find_spec("tensorboard") is None:
-        if wanted:
-            log.info("TensorBoard is not installed, so nothing is written for it")
         yield lambda row, picture: None
         return
     from torch.utils.tensorboard import SummaryWriter  # an optional dependency

@@ -5,6 +5,8 @@ Both look only at pixels whose truth is a class that counts; a batch without any
 loss 0 and gradient 0.
 """
 
+import math
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -90,7 +92,8 @@ class SegmentationLoss(nn.Module):
         self, weights: Tensor, lovasz: float = 1.0, smoothing: float = 0.0, sets: ClassSets = ()
     ) -> None:
         super().__init__()
-        of_sets = [_least_positive(weights[list(several)]) for several in sets]
+        positive = weights.masked_fill(weights <= 0, math.inf)
+        of_sets = [positive[list(several)].min().nan_to_num(posinf=0.0) for several in sets]
         self.register_buffer("weights", torch.cat([weights, *(w[None] for w in of_sets)]))
         self.class_count = len(weights)
         self.lovasz = lovasz
@@ -129,9 +132,3 @@ class SegmentationLoss(nn.Module):
             lovasz = lovasz_softmax(log_probabilities.exp(), truth, group)
             loss = loss + self.lovasz / parts * lovasz
         return loss
-
-
-def _least_positive(weights: Tensor) -> Tensor:
-    """Return the least weight above 0, or 0."""
-    positive = weights[weights > 0]
-    return positive.min() if len(positive) else weights.new_zeros(())

@@ -28,7 +28,7 @@ MAX_DEVIATIONS = 12.0
 farther out are numbers so small that computing with them takes many times as long."""
 Groups = Sequence[Sequence[int]]
 """Classes that are merged into each of fewer; none into some of them."""
-SMALLEST_DIVISOR = 1e-30  # Least divisor: what it divides is 0 where it acts
+MIN_DIVISOR = 1e-30  # Least divisor: what it divides is 0 where it acts
 DAMPING = 0.15
 """Damping of a shift of second order, so that for large v it grows like √v, as the largest of
 several Gaussians does."""
@@ -48,7 +48,7 @@ def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Te
     dtype, wide = mean.dtype, torch.promote_types(mean.dtype, torch.float32)
     m, v = mean.to(wide), variance.to(wide)
     deviation = v.sqrt()
-    far = m.abs().div_(deviation.clamp(min=SMALLEST_DIVISOR)).clamp_(max=MAX_DEVIATIONS)
+    far = m.abs().div_(deviation.clamp(min=MIN_DIVISOR)).clamp_(max=MAX_DEVIATIONS)
     beyond = torch.special.erfc(far * math.sqrt(0.5)).mul_(0.5)
     density = far.square().mul_(-0.5).exp_().mul_(1 / math.sqrt(2 * math.pi))
     excess = density.addcmul_(far, beyond, value=-1).clamp_(min=0)
@@ -134,7 +134,7 @@ def _softmax(m: Tensor, v: Tensor) -> tuple[Tensor, Tensor]:
     probability, complement, variance = logistic_moments(margin, margin_variance)
     total = probability.sum(dim=0)
     others = _sum_of_others(probability, probability.masked_fill(is_best, 0), is_best)
-    share = variance / complement.clamp(min=SMALLEST_DIVISOR)
+    share = variance / complement.clamp(min=MIN_DIVISOR)
     mean, rest = probability / total, others / total
     return mean, _consistent(mean, share * rest / total).minimum(mean * rest)
 

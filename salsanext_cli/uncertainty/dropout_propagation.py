@@ -22,7 +22,7 @@ from salsanext_cli.records import RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian
 from salsanext_cli.uncertainty.estimate import Estimate, entropy
 
-SMALLEST_MEAN = 1e-12  # Least divisor, of a probability
+MIN_MEAN = 1e-12  # Least divisor, of a probability
 
 
 class ChannelCorrelatedGaussian(Gaussian):
@@ -130,7 +130,7 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
         logits = ChannelCorrelatedGaussian(*moments)[..., : image.height, : image.width]
         softmax = logits.softmax(dim=1, groups=network.groups)
     mean, variance = (t[0].double().cpu().numpy() for t in (softmax.mean, softmax.variance))
-    information = (variance / np.maximum(2 * mean, SMALLEST_MEAN)).sum(axis=0)
+    information = (variance / np.maximum(2 * mean, MIN_MEAN)).sum(axis=0)
     return Estimate.of(mean, variance, np.minimum(information, entropy(mean)))
 
 

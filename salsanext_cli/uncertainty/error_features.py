@@ -177,7 +177,7 @@ def error_model(network: Network) -> ErrorModel:
     return model
 
 
-def label_error(
+def error_probability(
     network: Network, image: RangeImage, probabilities: Float, labels: TrainIds
 ) -> Float:
     """Return the probability that a point's label is wrong, (N,) float32, NaN without a pixel."""

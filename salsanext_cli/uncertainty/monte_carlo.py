@@ -14,7 +14,7 @@ from salsanext_cli.engines.device import MAX_BATCH_PIXELS
 from salsanext_cli.engines.network import Engine, Network
 from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.errors import UsageError
-from salsanext_cli.network.dropout import drawn, require_dropout, sampling
+from salsanext_cli.network.dropout import random_masks, require_dropout, sampling
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Double, Float, RangeImage
 from salsanext_cli.uncertainty.estimate import Estimate, entropy
@@ -118,7 +118,7 @@ def openvino_passes(
     for start in range(0, len(seeds), size):
         calls = []
         for seed in seeds[start : start + size]:
-            draw = drawn([torch.Generator().manual_seed(seed)])
+            draw = random_masks([torch.Generator().manual_seed(seed)])
             factors = [draw(shape[1], rate).numpy() for shape in rest.shapes[len(features) :]]
             calls.append([*features, *factors])
         for softmax, nats in rest.each(calls):
@@ -168,7 +168,7 @@ def torch_batch(
     module: SegmentationNetwork, features: Sequence[Tensor], seeds: Sequence[int]
 ) -> Iterator[tuple[Float, Float]]:
     """Yield softmax (C, H, W) and entropy (H, W) of passes computed together."""
-    with sampling(drawn([torch.Generator().manual_seed(seed) for seed in seeds])):
+    with sampling(random_masks([torch.Generator().manual_seed(seed) for seed in seeds])):
         logits = module.rest(*(f.expand(len(seeds), -1, -1, -1) for f in features))
     softmax, nats = _softmax_and_entropy(logits.float())
     return zip(softmax.cpu().numpy(), nats.cpu().numpy(), strict=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The scripts of benchmarks/ run and print what they say; no test says how fast anything is."""
+"""The scripts of benchmarks/ compute and print what they say; no test says how fast anything is."""
 
 import json
 import re
@@ -9,19 +9,35 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import baseline as plain
 import numpy as np
 import pytest
 import speed
-from scans import IN_BYTES, make_scan, write_sequence
+import speed_product as product
+import torch
+from corruption_models import LEVELS
+from scans import IN_BYTES, SMALL, make_scan, write_bin, write_sequence
 from speed_turn import take_turn
 from typer.testing import CliRunner
 
-from salsanext_cli import read_scan
+from salsanext_cli import (
+    RangeImage,
+    Scan,
+    knn_refine,
+    label_space,
+    load_network,
+    project,
+    read_labels,
+    read_scan,
+)
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError
-from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.results.selection import data_set_label_space
+from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
+from salsanext_cli.training.data.sources import labelled_split
+from salsanext_cli.uncertainty.aleatoric import aleatoric
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
@@ -160,3 +176,198 @@ def test_holes_are_counted_as_by_a_plain_loop():
             goes_on = hole and ranges[row, right] == 0 and cells[row, right] >= 0
             wanted[:, cell // kinds, cell % kinds] += [1, hole, goes_on]
     np.testing.assert_array_equal(script["count_holes"](ranges), wanted)
+
+
+def names(root: Path, split: str) -> list[str]:
+    _, files = labelled_split(root, None, split)
+    assert all(file.label_path.is_file() for file in files)
+    return [f"{file.sequence}/{file.stem}" for file in files]
+
+
+def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_path):
+    script = runpy.run_path(str(BENCHMARKS / "default_weights.py"))
+    source, real, streets = (tmp_path / name for name in ("source", "pandaset", "streets"))
+    for sequence, count in (("001", 2), ("002", 12)):
+        write_sequence(source / f"sequences/{sequence}", [f"{i:02}" for i in range(count)], count=9)
+    for _ in range(2):
+        script["link_pandaset"](source, real)
+    assert names(real, "train") == ["001/001-00", "001/001-01", "002/002-00", "002/002-01"]
+    held_out = [f"002-{i:02}" for i in range(2, 12)]
+    assert names(real, "valid") == [f"held-out/{stem}" for stem in held_out]
+
+    for sequence, stems in (("00", "ab"), ("08", "abcdefgh")):
+        write_sequence(streets / "sequences" / sequence, stems, count=9)
+    script["link_streets"](streets, real, tmp_path / "validated")
+    assert names(tmp_path / "validated", "train") == ["00/00-a", "00/00-b"]
+    assert names(tmp_path / "validated", "valid") == [
+        *(f"valid-pandaset/held-out-{stem}" for stem in held_out),
+        *("valid-streets/08-a", "valid-streets/08-e"),
+    ]
+    # What the held-out scans are labelled with means the same as in PandaSet's label space.
+    both, own = map(data_set_label_space, (tmp_path / "validated", real))
+    ids = np.array(list(own.learning_map), np.uint32)
+    np.testing.assert_array_equal(both.to_train(ids), own.to_train(ids))
+
+
+@pytest.mark.parametrize("name", ["pandaset", "aachen"])
+def test_the_label_spaces_have_the_classes_of_semantickitti(name):
+    space = label_space(BENCHMARKS / f"{name}.yaml")
+    assert space.fits(label_space())
+    for i, several in space.alternatives.items():
+        assert space.learning_map[i] in several
+
+
+ROAD, BUILDING = 40, 50
+
+
+def corrupted(kind: str, severity: int, scan: Scan, labels: np.ndarray):
+    model, levels = LEVELS[kind]
+    return model(scan, labels, levels[severity], np.random.default_rng(1))
+
+
+@pytest.mark.parametrize("kind", LEVELS)
+def test_points_of_the_scene_keep_order_label_and_place(kind):
+    """Their intensity only falls; nothing changes at severity 0, nor what is given."""
+    scan = make_scan(2**16 - 1)
+    raw = np.where(scan.points[:, 2] < -1.69, ROAD, BUILDING)
+    labels = (raw | np.arange(len(scan)) << 16).astype(np.uint32)
+    before = scan.points.copy(), scan.intensity.copy(), labels.copy()
+    for severity in range(4):
+        found, kept = corrupted(kind, severity, scan, labels)
+        assert len(found) == len(kept) > 1000
+        of_scene = kept != 0
+        number = (kept >> 16)[of_scene]
+        assert (np.diff(number.astype(int)) > 0).all()
+        np.testing.assert_array_equal(kept[of_scene], labels[number])
+        assert (found.intensity[of_scene] <= scan.intensity[number]).all()
+        if kind != "motion blur" or severity == 0:
+            np.testing.assert_array_equal(found.points[of_scene], scan.points[number])
+        if severity == 0:
+            np.testing.assert_array_equal(kept, labels)
+            np.testing.assert_array_equal(found.intensity, scan.intensity)
+        for old, given in zip(before, (scan.points, scan.intensity, labels), strict=True):
+            np.testing.assert_array_equal(old, given)
+
+
+@pytest.mark.parametrize("reflectivity", [0.02, 0.2])
+def test_share_of_fog_echoes(reflectivity):
+    """One cell of fog before the surface: the integral of exp(-needed / mean) over it."""
+    visibility, ranges, count = 50.0, 5.0, 40_000
+    points = np.tile(np.array([ranges, 0, 0], np.float32), (count, 1))
+    scan = Scan(points, np.full(count, reflectivity, np.float32))
+    labels = np.full(count, BUILDING, np.uint32)
+    _, kept = LEVELS["fog"][0](scan, labels, 1000 / visibility, np.random.default_rng(0))
+    depth = np.linspace(2, 5, 3001)
+    extinction = np.log(20) / visibility
+    needed = reflectivity * np.exp(-2 * extinction * ranges) / ranges**2
+    mean = np.pi * 0.046 / visibility * 3 * np.exp(-2 * extinction * depth) / depth**2
+    share = np.exp(-needed / mean).mean()
+    assert 0.001 < share < 0.9
+    assert (kept == 0).mean() == pytest.approx(share, abs=4 * (share / count) ** 0.5)
+
+
+def test_wet_ground():
+    """Straight down F = ((n − 1) / (n + 1))²; walls stay dry; far ground is lost."""
+    down, far, wall = [0, 0, -1.7], [30, 0, -1.7], [30, 1, 0]
+    scan = Scan(np.array([down, far, wall], np.float32), np.full(3, 0.2, np.float32))
+    labels = np.array([ROAD, ROAD, BUILDING], np.uint32)
+    found, kept = corrupted("wet ground", 3, scan, labels)
+    assert kept.tolist() == [ROAD, BUILDING]
+    reflected = (0.33 / 2.33) ** 2
+    expected = 0.2 * (1 - reflected) ** 2 / 1.33**2 / (1 - 0.48 * 0.2)
+    np.testing.assert_allclose(found.intensity, [expected, 0.2], rtol=1e-6)
+    half, _ = corrupted("wet ground", 2, scan, labels)
+    assert half.intensity[0] == pytest.approx((0.2 + expected) / 2)
+
+
+ODD = replace(SMALL, height=17, width=120)
+"""A size that the network has to pad."""
+
+
+def table_of(scan: Scan) -> np.ndarray:
+    return np.column_stack((scan.points, scan.intensity))
+
+
+def with_holes(image: RangeImage) -> np.ndarray:
+    """Return the channels as the baseline has them: -1 where a pixel is empty."""
+    return np.where(image.channels[0] > 0, image.channels, np.float32(-1))
+
+
+def is_inner(image: RangeImage) -> np.ndarray:
+    """Return which points have a window that lies in the image."""
+    v, u = np.divmod(image.pixel_of_point, image.width)
+    return (v >= 2) & (v < image.height - 2) & (u >= 2) & (u < image.width - 2)
+
+
+@pytest.mark.parametrize("out_of_view", ["clamp", "drop"])
+@pytest.mark.parametrize("fov_up", [3.0, -2.0])
+def test_same_pixels_but_for_rounding(out_of_view, fov_up):
+    sensor = replace(SMALL, width=1024, height=64, fov_up=fov_up, out_of_view=out_of_view)
+    scan = make_scan(50_000)
+    scan.points[:3] = ([0, 0, 0], [np.nan, 1, 1], [np.inf, 1, 1])
+    ours = project(scan, sensor)
+    seen = plain.seen(table_of(scan), sensor.to_dict())
+    assert np.mean(seen != (ours.pixel_of_point >= 0)) <= 1e-3
+    assert not seen[:3].any()
+    image, pixel, depth = plain.project(table_of(scan)[seen], sensor.to_dict())
+    same = pixel == ours.pixel_of_point[seen]
+    assert np.mean(~same) <= 1e-3
+    np.testing.assert_allclose(depth[same], ours.point_range[seen][same], rtol=1e-6)
+    assert np.mean(~np.isclose(image, with_holes(ours), rtol=1e-6).all(0)) <= 1e-3
+
+
+def test_same_neighbours_but_for_the_published_rules():
+    """The published image has an end, padding that votes, and a class 1 for nobody's vote."""
+    image = project(make_scan(20_000), SMALL)
+    labels = np.random.default_rng(0).integers(0, 20, (SMALL.height, SMALL.width))
+    labels[3:10, 20:60] = 0
+    ours = knn_refine(image, labels)
+    ranges, points = with_holes(image)[0], (image.pixel_of_point, image.point_range)
+    theirs = plain.vote(ranges, labels, *points, 20, torch.device("cpu"))
+    inner, voted = is_inner(image), ours > 0
+    assert inner.mean() > 0.6
+    np.testing.assert_array_equal(theirs[inner & voted], ours[inner & voted])
+    assert (inner & ~voted).any()
+    assert set(theirs[inner & ~voted]) == {1}
+
+
+def test_script_and_benchmark_label_a_scan_as_predict_does(tmp_path, weights, monkeypatch):
+    """No window of the points compared reaches an edge of the image, and all have a label."""
+    scan, file = make_scan(), tmp_path / "000000.bin"
+    write_bin(file, scan)
+    words = ("baseline.py", file, tmp_path / "plain.label", "--weights", weights)
+    monkeypatch.setattr(sys, "argv", [*map(str, words)])
+    plain.main()
+    product.predict(file, tmp_path / "product.label", load_network(weights, "cpu"))
+    predict_scans(file, tmp_path / "out", settings=NetworkSettings(weights, device="cpu"))
+    (stage,) = (tmp_path / "out").rglob("*.label")
+    assert (tmp_path / "product.label").read_bytes() == stage.read_bytes()
+    theirs, labels = (read_labels(path, 1500) for path in (tmp_path / "plain.label", stage))
+    compared = is_inner(project(scan, SMALL)) & (labels > 0)
+    assert compared.mean() > 0.5
+    assert np.mean(theirs[compared] != labels[compared]) <= 2e-3
+
+
+@pytest.mark.slow
+def test_both_sides_of_a_benchmark_do_the_same(tmp_path, weights):
+    scan, sensor = tmp_path / "0.bin", ODD.to_dict()
+    write_bin(scan, make_scan())
+    image = project(make_scan(), ODD)
+    _, variance = plain.Baseline(weights, sensor=sensor).aleatoric(with_holes(image))
+    of_input = aleatoric(load_network(weights, "cpu", ODD), image)
+    np.testing.assert_allclose(variance.numpy(), of_input, rtol=1e-3, atol=1e-12)
+    task = {"weights": weights, "device": "cpu", "precision": "float32", "engine": "auto"}
+    task |= {"sensor": sensor, "passes": 3, "samples": 3}
+    for part in ("network", "knn", "confusion", "uncertainty"):
+        theirs, ours = (side.prepare(part, scan, task)() for side in (plain, product))
+        if part == "network":
+            np.testing.assert_allclose(theirs, ours, atol=1e-4)
+        elif part == "knn":
+            assert np.mean(theirs == ours) > 0.8
+        elif part == "confusion":
+            assert theirs.sum() == ours.sum() == 1500
+        else:
+            # Three passes with other masks: alike on average.
+            found = ours.uncertainty
+            assert theirs[1].mean() == pytest.approx(found.epistemic.mean(), rel=0.5)
+            assert theirs[2].mean() == pytest.approx(found.aleatoric.mean(), rel=0.5)

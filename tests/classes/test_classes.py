@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: MIT
+"""Label spaces, and classes merged into fewer: derived from raw ids, nonsense refused."""
+
 import json
 
 import numpy as np
@@ -8,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
+from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import LabelError, UsageError
 
 NAMES = (
@@ -59,7 +62,7 @@ def test_instance_bits_are_dropped_and_shapes_kept(raw, instance):
     np.testing.assert_array_equal(train, np.full((2, 3), space.learning_map[raw], np.uint8))
 
 
-def test_unknown_ids() -> None:
+def test_unknown_ids_and_train_ids_in_place_of_raw_ids_are_told() -> None:
     raw = np.uint32([10, 7, 7 + (3 << 16), 65535, *[40] * 26, 0])
     space = label_space()
     with pytest.raises(LabelError, match=r"a\.label · unknown label ids 7 \(2×\), 65535 \(1×\)"):
@@ -72,10 +75,6 @@ def test_unknown_ids() -> None:
     assert space.to_train(np.uint32([7] * 300 + [40] * 2500), strict=False).sum() == 9 * 2500
     assert space.unknown_ids(raw) == {7: 2, 65535: 1}
     assert space.unknown_ids(np.uint32([10])) == {}
-
-
-def test_train_ids_in_place_of_raw_ids_are_told() -> None:
-    space = label_space()
     train = space.to_train(np.uint32(sorted(space.learning_map)))
     for strict in (True, False):
         with pytest.raises(LabelError, match=r"no id above 19: train ids.* write raw ids"):
@@ -178,3 +177,150 @@ def test_differences_are_named_the_classes_first():
         "train id 0: unlabeled ≠ nothing",
         "train id 3: motorcycle ≠ none",
     ]
+
+
+FULL, COARSE = label_space(), label_space("coarse")
+MERGED = {
+    "unlabeled": "unlabeled",
+    "vehicle": "car truck other-vehicle",
+    "person-or-cycle": "bicycle motorcycle person bicyclist motorcyclist",
+    "ground": "road parking sidewalk other-ground terrain",
+    "structure": "building fence",
+    "vegetation": "vegetation",
+    "trunk": "trunk",
+    "pole-or-sign": "pole traffic-sign",
+}
+
+
+def space_of(targets, count=None, **changes):
+    """Return SemanticKITTI's label space with its train ids mapped to others."""
+    train = {raw: targets[i] for raw, i in FULL.learning_map.items()}
+    count = count or max(targets) + 1
+    first = {k: next((r for r, t in train.items() if t == k), 0) for k in range(count)}
+    made = {"name": "made", "labels": FULL.labels, "learning_map": train}
+    return LabelSpace.from_dict({**made, "learning_map_inv": first, **changes})
+
+
+def test_coarse_has_seven_classes_of_all_raw_ids_of_semantic_kitti():
+    assert COARSE.names == tuple(MERGED)
+    assert COARSE.ignored == (True, *[False] * 7)
+    assert COARSE.learning_map.keys() == FULL.learning_map.keys()
+    assert COARSE.splits == {}
+    assert list(COARSE.learning_map_inv.values()) == [0, 10, 30, 40, 50, 70, 71, 80]
+    raw = COARSE.to_raw(np.arange(8))
+    assert COARSE.to_train(raw).tolist() == list(range(8))
+    # The colours are those of the benchmark's class of that raw id.
+    np.testing.assert_array_equal(COARSE.colours, FULL.colours[FULL.to_train(raw)])
+    # Things that move, or that have no class of their own in the benchmark.
+    assert COARSE.to_train(np.uint32([252, 254, 259, 13, 16, 52, 60, 1, 99])).tolist() == [
+        *(1, 2, 1, 1, 1, 4, 3, 0, 0)
+    ]
+
+
+def test_classes_go_where_their_raw_ids_do():
+    merging = ClassMerging.between(FULL, COARSE)
+    groups = [" ".join(FULL.names[i] for i in group) for group in merging.groups]
+    assert dict(zip(COARSE.names, groups, strict=True)) == MERGED
+    assert merging.space.fits(COARSE)
+
+
+@given(st.lists(st.integers(0, 6), min_size=19, max_size=19), st.integers(0, 2**32 - 1))
+def test_sums_are_those_of_a_slow_loop_and_keep_the_total(targets, seed):
+    targets = [0, *targets]
+    merged = space_of(targets, 7)
+    if len({*targets[1:]} - {0}) < 2:
+        assert "become" in contradiction(FULL, merged)
+        return
+    merging = ClassMerging.between(FULL, merged)
+    assert list(merging.targets) == targets
+    softmax = np.random.default_rng(seed).dirichlet(np.ones(20), (3, 4)).astype(np.float32)
+    found = merging.add(np.moveaxis(softmax, -1, 0))
+    assert (found.shape, found.dtype) == ((7, 3, 4), np.float32)
+    for row in range(3):
+        for column in range(4):
+            for k in range(7):
+                pixel = [softmax[row, column, i] for i in range(20) if targets[i] == k]
+                assert found[k, row, column] == pytest.approx(sum(pixel), abs=1e-6)
+    np.testing.assert_allclose(found.sum(axis=0), 1, atol=1e-6)
+
+
+ONE_CLASS = {
+    "name": "one",
+    "labels": {0: "unlabeled", 10: "car", 252: "moving-car"},
+    "learning_map": {0: 0, 10: 1},
+    "learning_map_inv": {0: 0, 1: 10},
+}
+NO_MERGING = [
+    ONE_CLASS,
+    # The raw id that stands for a class is none that labels have.
+    ONE_CLASS | {"learning_map": {0: 0, 252: 1}},
+    FULL.to_dict() | {"learning_ignore": {i: i != 1 for i in range(20)}},
+]
+
+
+@pytest.mark.parametrize("data", NO_MERGING)
+def test_classes_that_cannot_be_merged_are_not_merged_into_themselves(data):
+    space = LabelSpace.from_dict(data)
+    assert ClassMerging.needed(space, LabelSpace.from_dict(space.to_dict())) is None
+
+
+@given(
+    st.lists(st.integers(0, 3), min_size=18, max_size=18),
+    st.dictionaries(
+        st.sampled_from(sorted(FULL.learning_map)),
+        st.lists(st.integers(0, 19), max_size=3),
+        max_size=5,
+    ),
+)
+def test_alternatives_are_those_of_the_merged_classes(targets, others):
+    several = {raw: sorted({FULL.learning_map[raw], *more}) for raw, more in others.items()}
+    own = LabelSpace.from_dict(FULL.to_dict() | {"learning_alternatives": several})
+    targets = [0, 1, *targets[:-1], 2]
+    merging = ClassMerging.between(own, space_of(targets, 4))
+    expected = {}
+    for raw, of_raw in several.items():
+        classes = sorted({targets[i] for i in of_raw})
+        if len(classes) > 1:
+            expected[raw] = tuple(classes)
+    assert merging.space.alternatives == expected
+    told = {70: [targets[FULL.learning_map[70]]]}
+    merged = space_of(targets, 4, learning_alternatives=told)
+    assert ClassMerging.between(own, merged).space.alternatives[70] == tuple(told[70])
+
+
+def test_splits_are_those_of_the_other_where_there_are_none():
+    targets = [0, *[1] * 8, *[2] * 11]
+    assert ClassMerging.between(FULL, space_of(targets)).space.splits == FULL.splits
+    own = {"valid": [3]}
+    assert ClassMerging.between(FULL, space_of(targets, split=own)).space.splits == {
+        "valid": ("03",)
+    }
+
+
+TWO = [0, *[1] * 8, *[2] * 11]
+
+
+def test_what_is_no_merging_is_refused_in_one_line():
+    for merged, found in (
+        (space_of([0, *[1] * 19]), "all 20 classes become car"),
+        (space_of([0] * 20), "all 20 classes become unlabeled"),
+        (space_of(TWO, learning_ignore={0: True, 2: True}), "become car, road"),
+        (
+            space_of(TWO, learning_map=space_of(TWO).learning_map | {252: 2}),
+            "car is split into car and road",
+        ),
+        (
+            space_of(TWO, learning_map={0: 0, 10: 1, 40: 2}),
+            r"no raw id 1 \(outlier\), 11 \(bicycle\), 13 \(bus\) and 28 more",
+        ),
+        (
+            space_of(TWO, labels={i: f"thing {i}" for i in FULL.labels}),
+            r"thing 13 for raw id 13 \(bus\)",
+        ),
+    ):
+        with pytest.raises(UsageError, match=found) as caught:
+            ClassMerging.between(FULL, merged)
+        assert "expected the classes of semantic-kitti, merged" in str(caught.value)
+        assert "\n" not in str(caught.value)
+        with pytest.raises(UsageError, match=found):
+            ClassMerging.needed(FULL, merged)

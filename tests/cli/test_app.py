@@ -1,14 +1,22 @@
 # SPDX-License-Identifier: MIT
-"""Commands and their help."""
+"""Commands and their help; what they print, and how they end."""
 
+import json
+import logging
+import os
 import re
+import signal
+import time
 
-import pytest
+import typer
 from command_line import every_command, only_json, parsed, python
 from scans import files_below, write_sequence
+from typer.testing import CliRunner
 
 from salsanext_cli import __version__
+from salsanext_cli.cli import console
 from salsanext_cli.cli.app import COMMANDS
+from salsanext_cli.errors import FormatError, UsageError
 
 HEAVY = (
     "torch",
@@ -37,7 +45,7 @@ def test_help_lists_the_commands_by_section_in_order(run):
     assert listed[listed.index("Pipeline") :] == expected
 
 
-def test_no_command_gives_help(run):
+def test_no_command_gives_help_and_the_version_is_a_line(run):
     result = run()
     assert "Pipeline" in result.stderr
     assert result.exit_code == 2
@@ -45,9 +53,6 @@ def test_no_command_gives_help(run):
     names = ["temperature", "dropout"]
     assert re.findall(rf"│ ({'|'.join(names)}) ", result.output) == names
     assert result.exit_code == 2
-
-
-def test_version(run):
     result = run("-V")
     assert result.stdout == f"salsanext {__version__}\n"
     assert result.exit_code == 0
@@ -91,26 +96,23 @@ def test_what_the_encoding_of_stdout_lacks_is_replaced():
     assert (ended.returncode, ended.stdout) == (0, "1 ? 2\n"), ended.stderr
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
+def test_a_wrong_command_line_is_status_two_and_one_object_of_json(run):
+    for arguments, says in (
         ("predikt", "No such command 'predikt'"),
         ("predict --overwrit", "No such option: --overwrit"),
         ("knn-refine a b", "Got unexpected extra argument"),
         ("predict --backend spark", "Invalid value for '--backend'"),
         ("tune temperature only-one", "Missing argument"),
         ("tune dropout data w.safetensors --steps few", "Invalid value for '--steps'"),
-    ],
-)
-def test_a_wrong_command_line_is_status_two_and_one_object_of_json(run, arguments, says):
-    result = run(*arguments.split())
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert "Traceback" not in result.stderr
-    result = run(*arguments.split(), "--json")
-    found = only_json(result)
-    assert (result.exit_code, found["schema"], found["code"]) == (2, 1, "usage")
-    assert found["error"].startswith(says)
-    assert says in result.stderr
+    ):
+        result = run(*arguments.split())
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert "Traceback" not in result.stderr
+        result = run(*arguments.split(), "--json")
+        found = only_json(result)
+        assert (result.exit_code, found["schema"], found["code"]) == (2, 1, "usage")
+        assert found["error"].startswith(says)
+        assert says in result.stderr
 
 
 def test_every_command_prints_json_and_can_be_silent():
@@ -118,3 +120,126 @@ def test_every_command_prints_json_and_can_be_silent():
         flags = {flag for parameter in parsed(name).params for flag in parameter.opts}
         assert flags >= {"--json", "-v", "--verbose", "-q", "--quiet"}, name
         assert not any(flag.startswith("--no-") for flag in flags), name
+
+
+def invoke(body, *arguments):
+    """Run a command of one line."""
+    app = typer.Typer(pretty_exceptions_enable=False)
+
+    @app.command()
+    @console.guarded
+    def command(json: bool = False, verbose: bool = False, quiet: bool = False) -> None:
+        body(console.Output(json, verbose, quiet))
+
+    return CliRunner().invoke(app, list(arguments))
+
+
+def raising(error):
+    def body(_):
+        raise error
+
+    return body
+
+
+def test_an_error_is_one_line_and_a_status():
+    for error, flags, status, stdout, stderr in (
+        (
+            *(FormatError("a.bin", "17 bytes", "a multiple of 16", "copy it again"), [], 1, ""),
+            "error: a.bin · 17 bytes · expected a multiple of 16 · copy it again\n",
+        ),
+        (
+            *(FormatError("a.bin", "17 bytes"), ["--json"], 1),
+            *(
+                '{"schema": 1, "error": "a.bin \\u00b7 17 bytes", "code": "format"}\n',
+                "error: a.bin · 17 bytes\n",
+            ),
+        ),
+        (UsageError("--limit", "0"), [], 2, "", "error: --limit · 0\n"),
+        (
+            *(KeyboardInterrupt(), ["--json"], 130),
+            '{"schema": 1, "error": "interrupted", "code": "interrupted"}\n',
+            "interrupted: everything finished so far is intact\n",
+        ),
+    ):
+        result = invoke(raising(error), *flags)
+        assert (result.exit_code, result.stdout, result.stderr) == (status, stdout, stderr)
+
+
+def test_sigterm_is_status_143_and_unwinds(tmp_path):
+    lock = tmp_path / "lock"
+    # Not that of a library which another test has used.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+    def body(output):
+        lock.touch()
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(10)
+        finally:
+            lock.unlink()
+
+    result = invoke(body)
+    assert result.exit_code == 143
+    assert result.stderr == "terminated: everything finished so far is intact\n"
+    assert not lock.exists()
+    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_a_program_that_handles_sigterm_goes_on_doing_so():
+    seen = []
+    before = signal.signal(signal.SIGTERM, lambda *_: seen.append(1))
+    try:
+        result = invoke(lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert (result.exit_code, seen) == (0, [1])
+
+
+def test_a_bug_keeps_its_traceback():
+    result = invoke(raising(ZeroDivisionError("of ours")))
+    assert isinstance(result.exception, ZeroDivisionError)
+    assert result.exit_code not in (0, 2, 130)
+    assert "error:" not in result.stderr
+
+
+def test_how_much_is_said():
+    for flag, expected in (
+        ([], ["warning: three", "error: four", "said"]),
+        (["--quiet"], ["error: four"]),
+        (["--verbose"], ["two", "warning: three", "error: four", "said"]),
+    ):
+
+        def body(output):
+            log = logging.getLogger("salsanext_cli.somewhere")
+            log.info("two")
+            log.warning("%s", "three")
+            log.error("four")
+            output.say("said")
+
+        result = invoke(body, *flag)
+        assert result.stderr.splitlines() == expected
+        assert invoke(body, "--verbose", "--quiet").exit_code == 2
+
+
+def test_a_result_is_shown_or_json():
+    def body(output):
+        output.result({"name": "Größe \udcff", "value": 1.5}, "a table")
+
+    assert invoke(body).stdout == "a table\n"
+    found = json.loads(invoke(body, "--json").stdout)
+    assert 0 <= found.pop("seconds") < 10
+    assert found == {"schema": 1, "name": "Größe \\xff", "value": 1.5}
+
+
+def test_a_log_file_gets_a_line_now_and_then(monkeypatch, capsys):
+    """A training that goes on counts its own steps only."""
+    now = 0.0
+    monkeypatch.setattr(console.time, "monotonic", lambda: now)
+    lines = console.Lines("predict", "scans")
+    for done in range(901, 1001):
+        now += 3.0
+        lines(done, 1000)
+    err = capsys.readouterr().err.splitlines()
+    assert err[0] == "predict: 910/1000 scans, 3.0 s/scan, 4 min left"
+    assert len(err) == 9
+    assert not any("1000/1000" in said for said in err)

@@ -13,6 +13,7 @@ import pytest
 from command_line import only_json
 from scans import SMALL, labels_below, write_array, write_sequence
 
+from salsanext_cli.network.card import read_card
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.stages import models as stages
 
@@ -211,9 +212,12 @@ def test_scans_left_out_on_purpose_are_no_failure_but_those_that_lack_results_ar
 ON_DATA = "{data} other --weights {weights}"
 
 
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
+def test_wrong_settings_are_status_two(run, predicted, weights, monkeypatch):
+    monkeypatch.chdir(predicted.out.parent)
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.setenv("SALSANEXT_OUT", str(predicted.out))
+    names = {"data": predicted.data.name, "weights": weights}
+    for line, says in (
         ("export-ply --colour rainbow", "--colour · rainbow"),
         ("export-ply --max-error 1.5", "--max-error · 1.5"),
         ("export-ply --format obj", "--format · obj"),
@@ -239,42 +243,34 @@ ON_DATA = "{data} other --weights {weights}"
         ("train {data} other --set epoch=3", "--set epoch=3 · unknown key epoch"),
         ("import-weights {weights} other.safetensors --dropout 0.2", "leave --dropout out"),
         (f"predict {ON_DATA} --fuse --reject 0.5", "--fuse · with"),
-    ],
-)
-def test_wrong_settings_are_status_two(run, predicted, weights, monkeypatch, line, says):
-    monkeypatch.chdir(predicted.out.parent)
-    monkeypatch.setenv("PATH", "")
-    monkeypatch.setenv("SALSANEXT_OUT", str(predicted.out))
-    result = run(*(word.format(data=predicted.data.name, weights=weights) for word in line.split()))
-    assert result.exit_code == 2, result.output
-    assert result.stderr.startswith("error: ")
-    assert result.stderr.count("\n") == 1
-    assert says.format(weights=weights) in result.stderr
-    assert not list(Path().glob("other*"))
+    ):
+        result = run(*(word.format(**names) for word in line.split()))
+        assert result.exit_code == 2, result.output
+        assert result.stderr.startswith("error: ")
+        assert result.stderr.count("\n") == 1
+        assert says in result.stderr, line
+        assert not list(Path().glob("other*"))
 
 
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
+def test_nothing_to_work_on_is_status_one(run, weights, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "rubbish.safetensors").write_bytes(b"rubbish")
+    monkeypatch.setattr(stages, "ARCHITECTURES", {})  # counting takes seconds
+    for line, says in (
         ("predict nowhere --weights {weights}", "nowhere · no such file"),
         ("eval --out empty", "empty · holds no results"),
         ("picture nowhere", "nowhere · no such folder"),
         ("models nowhere.safetensors", "nowhere.safetensors · no such file"),
         ("import-weights nowhere w.safetensors", "nowhere · cannot be read"),
         ("predict empty --weights rubbish.safetensors", "rubbish.safetensors"),
-    ],
-)
-def test_nothing_to_work_on_is_status_one(run, weights, tmp_path, monkeypatch, line, says):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "rubbish.safetensors").write_bytes(b"rubbish")
-    monkeypatch.setattr(stages, "ARCHITECTURES", {})  # counting takes seconds
-    result = run(*(word.format(weights=weights) for word in line.split()))
-    assert result.exit_code == 1, result.output
-    assert result.stdout == ""
-    assert result.stderr.startswith("error: ")
-    assert result.stderr.count("\n") == 1
-    assert says in result.stderr
+    ):
+        result = run(*(word.format(weights=weights) for word in line.split()))
+        assert result.exit_code == 1, result.output
+        assert result.stdout == ""
+        assert result.stderr.startswith("error: ")
+        assert result.stderr.count("\n") == 1
+        assert says in result.stderr
 
 
 def test_folders_from_the_environment(run, data, weights, tmp_path, monkeypatch):
@@ -346,3 +342,23 @@ def test_several_scans_and_globs(run, data, weights, tmp_path):
     assert "holds scans" in hidden.stderr
     both = run("predict", scans[0], tmp_path / "out", "--fuse", "--objects", *options)
     assert (both.exit_code, "--fuse · with" in both.stderr) == (2, True)
+
+
+def test_a_temperature_is_printed_and_stored(run, data, weights, tmp_path, monkeypatch):
+    monkeypatch.setattr(stages, "ARCHITECTURES", {})  # counting takes seconds
+    target = tmp_path / "tuned.safetensors"
+    arguments = ("tune", "temperature", data, target, "--weights", weights, "--device", "cpu")
+    result = run(*arguments)
+    assert result.exit_code == 0, result.output
+    lines = (line.split("│")[1:-1] for line in result.stdout.splitlines() if "│" in line)
+    (_, *before), (_, *after) = ([cell.strip() for cell in line] for line in lines)
+    assert before[0] == "1.0000"
+    assert after[0] == f"{read_card(target).temperature:.4f}"
+    assert float(after[1]) < float(before[1])
+    assert result.stderr.endswith(f" points of 2 scans → {target}\n")
+    assert "exists" in run(*arguments).stderr
+    found = only_json(run(*arguments, "--overwrite", "--json", "--limit", 1))
+    expected = {"stage": "tune temperature", "scans": 1, "weights": str(target)}
+    assert found.items() >= expected.items()
+    assert found["after"]["temperature"] == read_card(target).temperature
+    assert f"{read_card(target).temperature:.4g}" in run("models", target).stdout

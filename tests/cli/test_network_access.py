@@ -76,8 +76,7 @@ def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, full_weights):
     write_sequence(data / "sequences/00", ["0", "1"])
     write_sequence(data / "sequences/08", ["0", "1"])
     sensor = tmp_path / "small.toml"
-    view = ("fov_up", "fov_down", "height", "width")
-    sensor.write_text("".join(f"{name} = {getattr(SMALL, name)}\n" for name in view))
+    sensor.write_text(SMALL.to_toml())
     few = ("--epochs", 1, "--set", "samples_per_epoch=2", "--set", "crop_width=64")
     network = ("--weights", full_weights, "--device", "cpu", "--engine", "openvino")
     lines = [

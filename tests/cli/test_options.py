@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import pytest
 import typer
 from command_line import only_json
 from scans import SMALL, labels_below, write_weights
@@ -49,22 +48,12 @@ def test_the_default_weights_have_a_name():
     assert weights_file(Path("a/default")) == Path("a/default")
 
 
-@pytest.fixture
-def task(monkeypatch):
-    """Return a function that makes this process a task of a Slurm array of two, from 4."""
-
-    def become(number):
-        for name, value in {"ID": number, "MIN": 4, "COUNT": 2}.items():
-            monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", str(value))
-
-    return become
-
-
-def test_tasks_of_an_array_share_the_scans(run, data, tmp_path, weights, task):
+def test_tasks_of_an_array_share_the_scans(run, data, tmp_path, weights, monkeypatch):
     out = tmp_path / "out"
     call = ["predict", data, out, "--weights", weights, "--device", "cpu"]
     for number in (5, 4):
-        task(number)
+        for name, value in {"ID": number, "MIN": 4, "COUNT": 2}.items():
+            monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", str(value))
         result = run(*call, "--json")
         assert result.exit_code == 0
         assert f"shard {number - 3}/2 of the scans" in result.stderr
@@ -78,50 +67,32 @@ def test_tasks_of_an_array_share_the_scans(run, data, tmp_path, weights, task):
     assert only_json(result)["skipped"] == 2
 
 
-KNOWING = {"intensity_quantiles": (0.0,) * 64 + (1.0,), "row_gaps": 0.3}
-
-
-@pytest.fixture
-def network(tmp_path):
-    """Return a function that builds settings of weights that know the scans of their training."""
-    weights = write_weights(tmp_path / "knowing.safetensors", sensor=replace(SMALL, **KNOWING))
-    return lambda **changed: NetworkSettings(weights, **changed)
-
-
-def test_a_built_in_sensor_tells_noise_and_scale_of_intensity(network):
-    settings = network(sensor="hdl32")
+def test_a_sensor_that_is_named_tells_what_it_knows_and_nothing_of_training(tmp_path):
+    """Else scans whose columns are named would not be matched to what training measured."""
+    knowing = {"intensity_quantiles": (0.0,) * 64 + (1.0,), "row_gaps": 0.3}
+    weights = write_weights(tmp_path / "knowing.safetensors", sensor=replace(SMALL, **knowing))
+    preset = NetworkSettings(weights, sensor="hdl32")
     own = {"name": "hdl32", "intensity_scale": 255.0}
     seen = replace(SMALL, **own, range_noise=0.02, intensity_noise=0.02)
-    assert settings.named_sensor() == seen
-    assert settings.fits_view
-
-
-def test_a_file_tells_view_and_size(network, tmp_path):
+    assert (preset.named_sensor(), preset.fits_view) == (seen, True)
     (tmp_path / "own.toml").write_text("fov_up = 10\nfov_down = -10\nheight = 8\nwidth = 32\n")
-    settings = network(sensor=str(tmp_path / "own.toml"))
-    seen = settings.named_sensor()
+    of_file = NetworkSettings(weights, sensor=str(tmp_path / "own.toml"))
+    seen = of_file.named_sensor()
     assert (seen.fov_up, seen.height, seen.means) == (10, 8, SMALL.means)
-    assert not settings.fits_view
-
-
-def test_what_training_measured_is_not_taken_for_the_scans(network):
-    """Else scans whose columns are named would not be matched to it."""
-    named = network(columns="x,y,z,i").named_sensor()
+    assert not of_file.fits_view
+    named = NetworkSettings(weights, columns="x,y,z,i").named_sensor()
     assert named == replace(SMALL, columns=("x", "y", "z", "i"))
-    assert network().named_sensor() is None
+    assert NetworkSettings(weights).named_sensor() is None
 
 
-@pytest.mark.parametrize(
-    ("command", "option", "begun", "completed"),
-    [
+def test_values_are_completed():
+    for command, option, begun, completed in (
         ("predict", "sensor", "os1", ["os1-64", "os1-128"]),
         ("train", "recipe", "pa", ["paper", "paper-v1"]),
         ("eval", "label_space", "s", ["semantic-kitti"]),
-    ],
-)
-def test_values_are_completed(command, option, begun, completed):
-    group = typer.main.get_command(app)
-    context = group.make_context("salsanext", [command], resilient_parsing=True)
-    (parameter,) = (p for p in group.commands[command].params if p.name == option)
-    found = [item.value for item in parameter.shell_complete(context, begun)]
-    assert found == completed
+    ):
+        group = typer.main.get_command(app)
+        context = group.make_context("salsanext", [command], resilient_parsing=True)
+        (parameter,) = (p for p in group.commands[command].params if p.name == option)
+        found = [item.value for item in parameter.shell_complete(context, begun)]
+        assert found == completed

@@ -130,14 +130,3 @@ def test_problems_are_one_list_and_status_one(run, out, tmp_path):
     assert [p["sequence"] for p in only_json(result)["problems"]] == ["12", "20"]
     assert result.exit_code == 1
     assert not (tmp_path / "a.zip").exists()
-
-
-def test_pick_names_what_it_could_not_read(run, data, tmp_path, weights):
-    (data / "sequences/08/velodyne/000002.bin").write_bytes(b"x")
-    found = run("pick", data, tmp_path / "out", "--weights", weights, "--json")
-    assert found.exit_code == 1
-    result = only_json(found)
-    assert (result["stage"], result["scans"], len(result["picked"])) == ("pick", 3, 2)
-    assert result["picked"][0]["distance"] is None
-    assert [failure["code"] for failure in result["failures"]] == ["format"]
-    assert "000002.bin" in found.stderr

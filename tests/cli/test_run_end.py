@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""End of a run: what comes next, and what is said of scans left out."""
+"""End of a run: what comes next, what is said of scans left out, where a page is."""
 
 import shlex
+import sys
 from dataclasses import replace
 
 import pytest
 import yaml
 from command_line import only_json
+from evaluated import CAR, ROAD, World
 from scans import SMALL, write_sequence
 
 from salsanext_cli import label_space
@@ -66,3 +68,33 @@ def test_next_commands(stage, split, done, expected, tmp_path):
     assert next_command("export-ply", Outcome(0, (), done), "a b", ()) is None
     assert next_command("convert", Outcome(1, (), 0), "a b", ()) == "salsanext predict 'a b'"
     assert next_command("convert", Outcome(0, (), 0), "a b", ()) is None
+
+
+@pytest.fixture
+def world(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    world = World(tmp_path)
+    world.add("000000", [CAR, ROAD], [CAR, CAR])
+    world.add("000001", [CAR, ROAD], [CAR, ROAD])
+    return world
+
+
+def test_the_command_says_where_the_page_is(run, world):
+    given = ("report", str(world.out), "--dataset", str(world.dataset))
+    result = run(*given, "--json")
+    assert result.exit_code == 0, result.output
+    found = only_json(result)
+    assert found["page"] == str(world.out / "report.html")
+    assert found["accuracy"] == 3 / 4
+    assert "report: 2 scans" in result.stderr
+    assert run(*given, "--scans", "9").exit_code == 2
+    assert run("report", "nowhere").exit_code == 1
+    result = run(*given, "--scans", "08/000001", "--quiet")
+    assert (result.exit_code, result.output) == (0, "")
+
+
+def test_without_rerun_the_extra_is_named(run, world, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    result = run("export-rrd", world.out, "--dataset", world.dataset)
+    assert result.exit_code == 1
+    assert result.stderr == "error: rerun · not installed · pip install 'salsanext[rerun]'\n"

@@ -71,6 +71,7 @@ def require_one_line(result, out: Path, before: dict[str, bytes]) -> None:
     assert files_below(out).items() >= before.items()
 
 
+@pytest.mark.drawn
 @pytest.mark.parametrize(
     ("stage", "room"),
     [

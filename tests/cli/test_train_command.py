@@ -6,7 +6,7 @@ from command_line import only_json
 from scans import SMALL, write_sequence
 
 from salsanext_cli.cli import options
-from salsanext_cli.engines.device import has_bfloat16
+from salsanext_cli.engines.device import bfloat16_instructions
 from salsanext_cli.network.card import read_card
 from salsanext_cli.training.recipe import recipe
 
@@ -23,7 +23,7 @@ def test_set_changes_the_recipe_that_the_run_folder_and_the_weights_record(run, 
     given = ("train", data, folder, "--recipe", "quick", "--sensor", "small", "--json")
     result = run(*given, *changes)
     assert result.exit_code == 0, result.output
-    precision = "bfloat16" if has_bfloat16() else "float32"
+    precision = "bfloat16" if bfloat16_instructions() else "float32"
     wanted = recipe("quick").with_changes(precision=precision, batch=1, schedule="decay", epochs=1)
     assert recipe(folder / "recipe.toml") == wanted
     assert read_card(Path(only_json(result)["best"])).recipe == wanted.to_dict()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Graphs for OpenVINO compute what the torch modules do that they were made from."""
+"""Devices and engines; graphs compute what the torch modules do that they were made from."""
 
 import os
 import subprocess
@@ -15,11 +15,99 @@ import pytest
 import torch
 from torch import nn
 
-from salsanext_cli.engines.device import has_bfloat16
+from salsanext_cli.engines import device
+from salsanext_cli.engines.device import (
+    bfloat16_instructions,
+    choose_device,
+    choose_engine,
+    choose_precision,
+)
 from salsanext_cli.engines.graphs import compiled_graph, converted
 from salsanext_cli.engines.network import Graph
 from salsanext_cli.engines.torch_engine import in_precision
+from salsanext_cli.errors import MissingDependency, UsageError, warn_once
 from salsanext_cli.network.registry import ARCHITECTURES, build
+
+
+@pytest.fixture
+def fresh():
+    """Forget what was found out about this machine, before and after."""
+    caches = (device.flags, device._openvino_fails, warn_once)
+    for cache in caches:
+        cache.cache_clear()
+    yield
+    for cache in caches:
+        cache.cache_clear()
+
+
+def test_devices_that_are():
+    assert choose_device("cpu") == choose_device("cpu:0") == "cpu"
+    assert choose_device("auto") == ("cuda" if torch.cuda.is_available() else "cpu")
+
+
+@pytest.mark.parametrize(
+    ("flags", "limit", "expected"),
+    [
+        ("fpu avx2 avx512f avx512_bf16", None, "avx512_bf16"),
+        ("fpu avx512_bf16 amx_bf16 amx_tile", None, "amx_bf16 avx512_bf16"),
+        ("fpu avx512_bf16 amx_bf16 amx_tile", "AVX512_CORE_BF16", "avx512_bf16"),
+        ("fp asimd bf16", None, "bf16"),
+        ("fpu avx2 avx512f", None, ""),
+        ("fpu avx2 avx512_bf16", "AVX2", ""),
+        ("fpu avx2 avx512_bf16", "avx512_core_vnni", ""),
+        ("fpu avx2 avx512_bf16", "DNNL_MAX_CPU_ISA=AVX2", ""),
+        ("", None, ""),
+    ],
+)
+def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flags, limit, expected):
+    cpuinfo = tmp_path / "cpuinfo"
+    cpuinfo.write_text(f"processor : 0\nflags\t\t: {flags}\n" if flags else "Hardware : none\n")
+    monkeypatch.setattr(device, "CPUINFO", cpuinfo)
+    for variable in device.ISA_VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
+    if limit:
+        name, value = limit.split("=") if "=" in limit else (device.ISA_VARIABLES[0], limit)
+        monkeypatch.setenv(name, value)
+    assert " ".join(device.bfloat16_instructions()) == expected
+    assert choose_precision("auto", "cpu") == ("bfloat16" if expected else "float32")
+    assert choose_precision("float32", "cpu") == "float32"
+    if expected:
+        assert choose_precision("bfloat16", "cpu") == "bfloat16"
+    else:
+        with pytest.raises(UsageError, match=r"bfloat16 on this CPU · expected float32$"):
+            choose_precision("bfloat16", "cpu")
+
+
+@pytest.mark.parametrize("capability", [(6, 1), (7, 0), (9, 0)])
+def test_a_gpu_with_tensor_cores_takes_float16(monkeypatch, capability):
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
+    expected = "float16" if capability >= (7, 0) else "float32"
+    assert choose_precision("auto", "cuda") == expected
+
+
+def test_engines():
+    assert choose_engine("auto", "cpu") == choose_engine("openvino", "cpu") == "openvino"
+    assert choose_engine("torch", "cpu") == choose_engine("auto", "cuda:1") == "torch"
+    for name, place in (("openvino", "cuda"), ("onnx", "cpu")):
+        with pytest.raises(UsageError, match="--engine"):
+            choose_engine(name, place)
+
+
+@pytest.mark.parametrize(
+    "error", [ImportError("No module named 'openvino'"), AttributeError("no attribute 'Core'")]
+)
+def test_where_openvino_does_not_start_torch_computes_and_it_is_said_once(
+    fresh, monkeypatch, caplog, error
+):
+    def fail():
+        raise error
+
+    monkeypatch.setattr(device, "openvino_core", fail)
+    assert choose_engine("auto", "cpu") == choose_engine("auto", "cpu") == "torch"
+    assert caplog.text.count("computing with torch, which is slower") == 1
+    with pytest.raises(MissingDependency, match="--engine torch"):
+        choose_engine("openvino", "cpu")
+
 
 SIZE = (1, 5, 19, 70)
 
@@ -63,7 +151,7 @@ def test_every_architecture_in_float32(name):
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 
 
-@pytest.mark.skipif(not has_bfloat16(), reason="a CPU without bfloat16")
+@pytest.mark.skipif(not bfloat16_instructions(), reason="a CPU without bfloat16")
 @pytest.mark.parametrize("name", ["salsanext", pytest.param("rangenet53", marks=pytest.mark.slow)])
 def test_ends_stay_float32_when_the_rest_is_short(name):
     """By OpenVINO and by torch; a range that was rounded would be metres away."""
@@ -88,7 +176,7 @@ def test_ends_stay_float32_when_the_rest_is_short(name):
 
 @pytest.mark.parametrize("precision", ["float32", pytest.param("bfloat16", marks=pytest.mark.slow)])
 def test_the_bits_do_not_depend_on_threads_or_streams(precision):
-    if precision == "bfloat16" and not has_bfloat16():
+    if precision == "bfloat16" and not bfloat16_instructions():
         pytest.skip("a CPU without bfloat16")
     module, x = network("salsanext"), images(1, 5, 32, 96)
     others = [images(1, 5, 32, 96).flip(axis).numpy() for axis in (2, 3)]

@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from command_line import python
-from scans import SMALL, make_scan, write_sequence, write_weights
+from scans import SMALL, make_scan, write_bin, write_sequence, write_weights
 
 from salsanext_cli import Scan, load_network, project, read_scan
 from salsanext_cli.engines.onnx_export import run
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.network.card import read_card
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import find_scans

@@ -64,9 +64,8 @@ def test_a_scan_without_a_measurement_is_an_error(value):
         codes(Scan(points, np.zeros(500, np.float32)))
 
 
-@pytest.mark.parametrize(
-    ("scan", "code"),
-    [
+def test_what_is_doubtful():
+    for scan, code in (
         (moved(turn=(1, -1, -1)), "upside-down"),
         (Scan(STREET.points[:, [0, 2, 1]], STREET.intensity), "tilted"),
         (moved(shift=(0, 0, 1.2)), "height"),
@@ -80,10 +79,8 @@ def test_a_scan_without_a_measurement_is_an_error(value):
         (Scan(STREET.points, np.full_like(STREET.intensity, np.nan)), "no-intensity"),
         (Scan(STREET.points, STREET.intensity * 255), "intensity-scale"),
         (Scan(STREET.points, STREET.intensity / 80), "intensity-scale"),
-    ],
-)
-def test_what_is_doubtful(scan, code):
-    assert code in codes(scan)
+    ):
+        assert code in codes(scan)
 
 
 def test_views_that_are_doubtful():

@@ -1,17 +1,24 @@
 # SPDX-License-Identifier: MIT
+"""View and vehicle, fitted to scans whose rays are known."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 from scans import SMALL, make_scan
 
-from salsanext_cli import Scan, project, read_scan
+from salsanext_cli import Scan, project, read_labels, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting import scan_fit
 from salsanext_cli.fitting.scan_checks import share_outside
-from salsanext_cli.fitting.view_fit import SHOWN, fit_view
-from salsanext_cli.geometry.projection import upright_rotation
+from salsanext_cli.fitting.scan_fit import MAX_SCANS
+from salsanext_cli.fitting.view_fit import MIN_RANGE_M, SHOWN, fit_ego, fit_view
+from salsanext_cli.geometry.projection import ego_points, upright_rotation, without_ego
 from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.selection import evenly_spaced
 
 SCANS = [make_scan(3000, seed) for seed in range(3)]
 
@@ -84,15 +91,12 @@ def test_images_of_sensors_that_lie_or_hang(up):
 @pytest.mark.parametrize("height", [0.3, 0.6, 0.9, 1.5])
 def test_a_sensor_in_a_room_stands_upright_where_its_beams_come_from(height):
     """A wide view sees the ceiling; near the floor no more than a part of that."""
-    elevations, azimuths = np.radians(np.linspace(-45, 45, 128)), np.radians(np.arange(0, 360, 0.5))
-    azimuth, elevation = (each.ravel() for each in np.meshgrid(azimuths, elevations))
-    flat = np.cos(elevation)
-    rays = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
+    seen = rays(np.arange(0, 360, 0.5), np.linspace(-45, 45, 128))
     walls = np.array([[-3.2, -2.3, -height], [4.8, 2.7, 2.6 - height]])
     with np.errstate(divide="ignore"):
-        ranges = (walls[:, None] / rays).max(axis=0).min(axis=1)
+        ranges = (walls[:, None] / seen).max(axis=0).min(axis=1)
     ranges = ranges + np.random.default_rng(0).normal(0, 0.01, len(ranges))
-    points = (rays * ranges[:, None]).astype(np.float32)
+    points = (seen * ranges[:, None]).astype(np.float32)
     found = fit_view([Scan(points, np.zeros(len(points), np.float32))], SMALL)
     assert (found.up, found.origin) == (SMALL.up, SMALL.origin)
     assert -46 < found.fov_down < found.fov_up < 46
@@ -114,3 +118,116 @@ def test_each_scan_is_read_once_for_view_intensity_and_gaps(world, monkeypatch):
     assert network.sensor.intensity_quantiles
     assert network.sensor.row_gaps is not None
     assert sorted(read) == sorted(file.path for file in find_scans(world.data))
+
+
+ROOF = np.array([[-1.8, -0.7, -0.9], [0.6, 0.7, -0.4]])
+NEIGHBOUR = np.array([[-1.0, 1.8, -1.3], [1.0, 2.4, 0.3]])
+HEIGHT = 1.8
+
+
+def rays(azimuths_deg=tuple(range(360)), elevations_deg=tuple(range(-40, 8))) -> np.ndarray:
+    azimuth, elevation = np.meshgrid(np.radians(azimuths_deg), np.radians(elevations_deg))
+    flat = np.cos(elevation)
+    xyz = (flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation))
+    return np.stack(xyz, axis=-1).reshape(-1, 3)
+
+
+def hits(box: np.ndarray) -> np.ndarray:
+    """Return the ranges at which rays meet a box, infinite for those that miss it."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        planes = box[:, None] / rays()
+    entry, end = planes.min(axis=0).max(axis=1), planes.max(axis=0).min(axis=1)
+    return np.where((entry < end) & (entry > 0), entry, np.inf)
+
+
+def driven(
+    count: int, *, moving: bool = True, beside: int = 0, roof: bool = True, height: float = HEIGHT
+) -> list[Scan]:
+    """Return scans of a flat place with a roof below the sensor, some with a car beside it."""
+    scans = []
+    with np.errstate(divide="ignore"):
+        ground = np.where(rays()[:, 2] < 0, -height / rays()[:, 2], np.inf)
+    for seed in range(count):
+        random = np.random.default_rng(seed if moving else 0)
+        others = random.uniform(4, 40, len(ground))
+        ranges = np.minimum(ground, others)
+        if roof:
+            ranges = np.minimum(ranges, hits(ROOF))
+        if seed < beside:
+            ranges = np.minimum(ranges, hits(NEIGHBOUR))
+        ranges = ranges + np.random.default_rng(seed).normal(0, 0.01, len(ranges))
+        points = (rays() * ranges[:, None]).astype(np.float32)
+        scans.append(Scan(points, random.random(len(points), np.float32)))
+    return scans
+
+
+@pytest.mark.parametrize("beside", [0, 5])
+def test_the_box_holds_the_roof_and_little_more(beside):
+    scans = driven(8, beside=beside)
+    box = fit_ego(scans, SMALL).ego_box
+    met = np.isfinite(hits(ROOF))
+    met &= hits(ROOF) > MIN_RANGE_M
+    own = ego_points(scans[7].points, replace(SMALL, ego_box=box))
+    assert np.isin(np.flatnonzero(met), own).mean() > 0.95
+    assert np.isin(own, np.flatnonzero(np.isfinite(hits(ROOF)))).mean() > 0.99
+    lowest, highest = np.array(box).reshape(2, 3)
+    assert (lowest > ROOF[0] - 0.3).all()
+    assert (highest < ROOF[1] + 0.3).all()
+
+
+@pytest.mark.parametrize(
+    "scans",
+    [
+        driven(2),
+        driven(8, moving=False),
+        [scan.take(np.flatnonzero(scan.points[:, 2] > -1)) for scan in driven(8)],
+        driven(8, beside=8, roof=False),
+    ],
+    ids=["two scans", "vehicle that stands", "no ground", "another beside it all the way"],
+)
+def test_scans_that_do_not_tell_a_box(scans):
+    assert fit_ego(scans, SMALL).ego_box == ()
+
+
+@pytest.mark.parametrize("height", [0.4, 0.9])
+def test_a_low_sensor_keeps_its_floor(height):
+    scans = driven(2, roof=False, height=height)
+    found = fit_ego(scans, SMALL)
+    assert found.min_range == pytest.approx(0.8 * height, abs=0.05)
+    assert not len(ego_points(scans[0].points, found))
+
+
+@given(
+    arrays.arrays(np.float32, (30, 3), elements=st.floats(-3, 3, width=32)),
+    st.floats(0, 2),
+    st.booleans(),
+)
+def test_points_of_the_vehicle_by_a_plain_loop(points, nearest, boxed):
+    sensor = replace(SMALL, min_range=nearest, ego_box=tuple(ROOF.ravel()) if boxed else ())
+    expected = []
+    for i, point in enumerate(points):
+        squared = np.einsum("k,k", point, point)
+        near = 0 < squared < np.float32(nearest) ** 2
+        inside = boxed and bool((point >= ROOF[0]).all() and (point <= ROOF[1]).all())
+        if near or (inside and squared > 0):
+            expected.append(i)
+    assert ego_points(points, sensor).tolist() == expected
+    scan = without_ego(Scan(points, np.zeros(30, np.float32)), sensor)
+    kept = np.delete(np.arange(30), expected)
+    assert (scan.points[kept] == points[kept]).all()
+    assert not scan.points[expected].any()
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("drive", ["0001", "0004"])
+def test_the_vehicle_of_real_drives_is_left_out(real_data, drive):
+    """By their labels: 31 is the vehicle itself."""
+    files = sorted((real_data / f"data/drives/sequences/{drive}/velodyne").glob("*.bin"))
+    files = evenly_spaced(files, MAX_SCANS)
+    scans = [read_scan(file) for file in files]
+    sensor = fit_ego(scans, SMALL)
+    truth = [read_labels(file.parents[1] / "labels" / f"{file.stem}.label") for file in files]
+    own = np.concatenate([np.isin(np.arange(len(s)), ego_points(s.points, sensor)) for s in scans])
+    vehicle = np.concatenate(truth) == 31
+    assert own[vehicle].mean() > 0.98
+    assert own[~vehicle].mean() < 0.001

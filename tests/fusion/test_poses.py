@@ -1,13 +1,26 @@
 # SPDX-License-Identifier: MIT
+"""Poses that are read, and those that fit their scans or not."""
+
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scans import make_scan
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.fusion.pose_checks import CAMERA
+from salsanext_cli.fusion.pose_checks import (
+    CAMERA,
+    fitting_parts,
+    overlap,
+    require_fitting,
+    upright_points,
+)
 from salsanext_cli.fusion.poses import (
     encode_poses,
     read_fused_poses,
     read_poses,
+    rotation,
+    with_w_first,
 )
 
 STEMS = ("000000", "000001", "000002")
@@ -27,13 +40,6 @@ def written(folder, content):
     path = folder / "poses.txt"
     path.write_bytes(content)
     return path
-
-
-def test_kitti_is_read_as_written(tmp_path):
-    poses = along(0, 1, 2.5)
-    path = written(tmp_path, encode_poses(poses))
-    np.testing.assert_allclose(read_poses(path, STEMS, STEMS), poses, atol=1e-8)
-    np.testing.assert_allclose(read_poses(path, STEMS, STEMS[1:])[1][0, 3], 2.5)
 
 
 def test_a_file_of_a_whole_drive_has_a_line_per_number(tmp_path):
@@ -74,11 +80,11 @@ def test_rounded_rotations_become_rigid(tmp_path):
     )
     exact = read_poses(written(tmp_path, encode_poses(poses)), STEMS, STEMS)
     np.testing.assert_array_equal(exact, poses)
+    np.testing.assert_array_equal(read_poses(path, STEMS, STEMS[1:]), poses[1:])
 
 
-@pytest.mark.parametrize(
-    ("content", "found"),
-    [
+def test_what_is_no_pose_is_refused(tmp_path):
+    for content, found in (
         (encode_poses(along(0, 1)), "2 lines"),
         (b"1 2 3\n" * 3, "line 1: '1 2 3'"),
         (b"a b\n" * 3, "line 1: 'a b'"),
@@ -91,8 +97,136 @@ def test_rounded_rotations_become_rigid(tmp_path):
         ),
         (b"0 1 2 3 0 0 0.5 0.5\n" * 3, "line 1 has a quaternion of length 0.707"),
         (b"", "0 lines"),
-    ],
-)
-def test_what_is_no_pose_is_refused(tmp_path, content, found):
-    with pytest.raises(FormatError, match=found):
-        read_poses(written(tmp_path, content), ("a", "b", "c"), ("a", "b", "c"))
+    ):
+        with pytest.raises(FormatError, match=found):
+            read_poses(written(tmp_path, content), ("a", "b", "c"), ("a", "b", "c"))
+
+
+def street(poses):
+    """Return a function from a scan's number to what is seen of a street's posts and kerbs."""
+    random = np.random.default_rng(0)
+    posts = random.uniform([-40, -15, 0], [80, 15, 0], (90, 3))
+    points = np.repeat(posts, 120, axis=0) + random.uniform(-0.4, 0.4, (10800, 3)) * [1, 1, 0]
+    points[:, 2] = random.uniform(-1.5, 2, 10800)
+    ground = random.uniform([-40, -15, -1.75], [80, 15, -1.7], (9000, 3))
+    world = np.concatenate([points, ground])
+    return lambda number: (world - poses[number, :3, 3]) @ poses[number, :3, :3]
+
+
+def moved(poses, start, by):
+    """Return poses of which those from a number on are elsewhere."""
+    return np.concatenate([poses[:start], by @ poses[start:]])
+
+
+def shift(x, y):
+    pose = np.eye(4)
+    pose[:2, 3] = x, y
+    return pose
+
+
+WAY = along(*range(0, 24, 2))
+SEEN = street(WAY)
+TURNED = np.diag([-1.0, -1, 1, 1])
+
+
+def test_overlap_is_the_share_of_points_in_voxels_of_the_other():
+    first, second = upright_points(SEEN(0)), upright_points(SEEN(1))
+    step = np.linalg.inv(WAY[0]) @ WAY[1]
+    near = second[np.hypot(second[:, 0], second[:, 1]) < 30][::2]
+    size = [0.5, 0.5, 2.0]
+    voxels = {tuple(voxel) for voxel in np.floor(first / size).astype(int)}
+    placed = near @ step[:3, :3].T + step[:3, 3]
+    found = [tuple(voxel) in voxels for voxel in np.floor(placed / size).astype(int)]
+    assert overlap(second, first, step) == np.mean(found) > 0.9
+    assert overlap(second[:0], first, step) == 0
+    assert overlap(second, first, shift(500, 0)) == 0
+
+
+def test_a_drive_is_cut_where_its_scans_do_not_meet():
+    for poses, parts in (
+        (WAY, [0] * 12),
+        (moved(WAY, 6, shift(6, 0)), [0] * 6 + [1] * 6),
+        (moved(WAY, 6, shift(0, 3)), [0] * 6 + [1] * 6),
+        (moved(WAY, 6, shift(500, 0)), [0] * 6 + [1] * 6),
+        (np.concatenate([WAY[:6], WAY[6:7] @ TURNED, WAY[7:]]), [0] * 6 + [1] + [0] * 5),
+    ):
+        assert fitting_parts(poses, SEEN)[0].tolist() == parts
+        assert require_fitting("poses.txt", poses, SEEN).tolist() == parts
+
+
+def test_scans_without_upright_points_go_on_with_the_part():
+    def seen(number):
+        return SEEN(number) if number != 5 else np.full((7, 3), np.nan)
+
+    assert fitting_parts(WAY, seen)[0].tolist() == [0] * 12
+    flat = fitting_parts(WAY, lambda number: SEEN(number) * [1, 1, 0])
+    assert flat[0].tolist() == [0] * 12
+    assert flat[1] == 0
+    away = moved(WAY, 6, shift(500, 0))
+    assert fitting_parts(away, lambda number: SEEN(number)[:9])[0].tolist() == [0] * 6 + [1] * 6
+
+
+def test_poses_of_a_slow_drive_must_fit_over_some_metres():
+    slow = along(*np.arange(0, 12, 0.4))
+    seen = street(slow)
+    assert require_fitting("poses.txt", slow, seen).tolist() == [0] * 30
+    for wrong in (np.tile(np.eye(4), (30, 1, 1)), CAMERA @ slow @ np.linalg.inv(CAMERA)):
+        with pytest.raises(FormatError, match="poses that"):
+            require_fitting("poses.txt", wrong, seen)
+
+
+def test_poses_must_lay_the_scans_on_each_other():
+    in_centimetres = WAY.copy()
+    in_centimetres[:, :3, 3] *= 100
+    frozen = WAY.copy()
+    frozen[6:] = WAY[6]
+    wrong = {
+        "world to the scans": np.linalg.inv(WAY),
+        "poses that are of the camera ": CAMERA @ WAY @ np.linalg.inv(CAMERA),
+        "not of the camera of calib.txt": np.linalg.inv(CAMERA) @ WAY @ CAMERA,
+        "in centimetres": in_centimetres,
+        "do not fit 100%": along(*range(0, -84, -7)),
+        "do not fit": frozen,
+    }
+    for found, each in wrong.items():
+        with pytest.raises(FormatError, match=found):
+            require_fitting("poses.txt", each, SEEN)
+
+
+def test_quaternions_with_w_first_are_said(tmp_path):
+    turns = np.arctan2(WAY[:, 1, 0], WAY[:, 0, 0]) / 2
+    places = [" ".join(map(str, pose[:3, 3])) for pose in WAY]
+    lines = [f"0 {p} {np.cos(h)} 0 0 {np.sin(h)}" for p, h in zip(places, turns, strict=True)]
+    path, stems = tmp_path / "tum.txt", [f"{n:02}" for n in range(len(WAY))]
+    path.write_text("\n".join(lines))
+    poses = read_poses(path, stems, stems)
+    np.testing.assert_allclose(with_w_first(poses), WAY, atol=1e-12)
+    with pytest.raises(FormatError, match="w first"):
+        require_fitting(path, poses, SEEN)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4))
+def test_any_quaternion_may_have_w_first(numbers):
+    assume(np.linalg.norm(numbers) > 0.1)
+    a, b, c, d = np.array(numbers) / np.linalg.norm(numbers)
+    read, meant = np.tile(np.eye(4), (2, 1, 1))
+    read[:3, :3], meant[:3, :3] = rotation(a, b, c, d), rotation(b, c, d, a)
+    np.testing.assert_allclose(with_w_first(read[None])[0], meant, atol=1e-9)
+
+
+def test_scans_that_stand_apart_or_still_may_have_such_poses():
+    still = np.tile(np.eye(4), (3, 1, 1))
+    assert require_fitting("p", still, lambda number: make_scan().points).tolist() == [0, 0, 0]
+    apart = along(0, 200, 400)
+    parts = require_fitting("p", apart, lambda number: make_scan(seed=number).points)
+    assert parts.tolist() == [0, 1, 2]
+    assert require_fitting("p", along(0), SEEN).tolist() == [0]
+
+
+def test_two_laps_and_a_long_halt_are_one_part():
+    halt = along(*[0.0] * 40, 2, 4, 6)
+    assert not fitting_parts(halt, street(halt))[0].any()
+    there = np.array(range(0, 24, 3))
+    laps = along(*there, *there[::-1], *there)
+    laps[:, :3, :3] = np.eye(3)
+    assert not fitting_parts(laps, street(laps))[0].any()

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: MIT
 import numpy as np
 import pytest
-from test_pose_checks import street
-from test_poses import along
+from test_poses import along, street
 
 from salsanext_cli import read_scan
 from salsanext_cli.fusion.poses import read_poses
@@ -19,6 +18,7 @@ def test_the_way_is_found_from_the_scans_alone():
     np.testing.assert_allclose(drive.poses[:, :3, 3], WAY[:, :3, 3], atol=0.1)
     np.testing.assert_allclose(drive.poses[:, :3, :3], WAY[:, :3, :3], atol=0.01)
     assert not drive.parts.any()
+    assert register([]).poses.shape == (0, 4, 4)
 
 
 def test_what_does_not_lie_on_the_scan_before_begins_a_part():
@@ -34,10 +34,6 @@ def test_a_drive_goes_on_behind_a_scan_that_shows_nothing(bad):
     assert drive.parts.tolist() == [0, 0, 0, 1, 0, 0]
     good = [0, 1, 2, 4, 5]
     np.testing.assert_allclose(drive.poses[good, :3, 3], WAY[good, :3, 3], atol=0.1)
-
-
-def test_no_scans_have_no_poses():
-    assert register([]).poses.shape == (0, 4, 4)
 
 
 @pytest.mark.real

@@ -16,6 +16,7 @@ import torch
 import yaml
 from cloud_seeds import las, lines, npz, structured
 from edited_clouds import write_pcd
+from onnx_models import write_onnx
 from ouster_recordings import write_recording
 from scans import SMALL, make_scan
 from tiny_network import TinyNetwork
@@ -113,17 +114,9 @@ def _safetensors(folder: Path) -> list[bytes]:
     return [(folder / name).read_bytes() for name in ("w.safetensors", "h.safetensors")]
 
 
-def _onnx() -> list[bytes]:
-    """Make an ONNX file of opset 17 with an empty graph and a card."""
+def _onnx(folder: Path) -> list[bytes]:
     card = WeightsCard({"name": "salsanext", "class_count": FEW.class_count}, FEW, SMALL)
-    ((key, value),) = card.to_metadata().items()
-
-    def field(number: int, content: bytes) -> bytes:
-        length = bytes([len(content) % 128 + 128, len(content) // 128])
-        return bytes([8 * number + 2]) + length + content
-
-    entry = field(1, key.encode()) + field(2, value.encode())
-    return [b"\x08\x08" + field(7, b"\0" * 99) + b"\x42\x02\x10\x11" + field(14, entry)]
+    return [write_onnx(folder / "m.onnx", card.to_metadata()).read_bytes()]
 
 
 def _published() -> Reader:
@@ -196,7 +189,7 @@ READERS: dict[str, Callable[[Path], Reader]] = {
         "r.toml", [Recipe().to_toml().encode(), b"epochs = 3\n"], recipe
     ),
     "safetensors": lambda folder: Reader("w.safetensors", _safetensors(folder), read_weights),
-    "onnx": lambda _: Reader("m.onnx", _onnx(), read_card),
+    "onnx": lambda folder: Reader("m.onnx", _onnx(folder), read_card),
     "published": lambda _: _published(),
 }
 """Functions that make a reader, with valid files in an empty folder, by its name."""

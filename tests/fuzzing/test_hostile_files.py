@@ -68,9 +68,8 @@ def metadata(**changes):
 DEEP = json.dumps({"__metadata__": {"salsanext": '{"a":' * 50_000}}).encode()
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
+def test_safetensors(tmp_path):
+    for data in (
         *(b"", b"\0" * 4, b"hello, world, this is no such file" * 9),
         *(struct.pack("<Q", size) + b"{}" for size in (2**63, 2**64 - 1, 2**40, 3)),
         struct.pack("<Q", len(DEEP)) + DEEP,
@@ -80,7 +79,5 @@ DEEP = json.dumps({"__metadata__": {"salsanext": '{"a":' * 50_000}}).encode()
         metadata(architecture={"name": "x" * 9000, "class_count": 20}),
         metadata(temperature=int("9" * 4000)),
         metadata(format="x" * 9000),
-    ],
-)
-def test_safetensors(tmp_path, data):
-    refused(tmp_path / "w.safetensors", data, read_weights, WeightsError)
+    ):
+        refused(tmp_path / "w.safetensors", data, read_weights, WeightsError)

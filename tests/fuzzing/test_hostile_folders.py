@@ -5,8 +5,8 @@ import json
 
 import numpy as np
 import pytest
-from empty_runs import begin_and_end
 from scans import SMALL, files_below, write_sequence
+from world import begin_and_end
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.results.layout import find_scans

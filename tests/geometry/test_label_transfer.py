@@ -34,15 +34,6 @@ def as_listed(found):
     ]
 
 
-def require_same(points, cloud, labels):
-    found = transfer_labels(points, cloud, labels)
-    expected, others = slow_transfer(points, cloud, labels)
-    assert as_listed(found) == expected
-    assert found.missing.tolist() == [label is None for label in expected]
-    np.testing.assert_allclose(sorted(found.unmatched), sorted(others), rtol=1e-5)
-    assert found.cloud_points == np.isfinite(cloud).all(axis=1).sum()
-
-
 @given(
     seed=st.integers(0, 1 << 30),
     count=st.integers(0, 60),
@@ -61,7 +52,12 @@ def test_it_is_what_a_loop_over_all_pairs_gives(seed, count, size, jitter, share
     points[random.random(count) < 0.1] = np.nan
     cloud[random.random(len(cloud)) < 0.1, 1] = np.inf
     labels = random.integers(0, 3, len(cloud)).astype(np.uint32) * 40
-    require_same(points, cloud, labels)
+    found = transfer_labels(points, cloud, labels)
+    expected, others = slow_transfer(points, cloud, labels)
+    assert as_listed(found) == expected
+    assert found.missing.tolist() == [label is None for label in expected]
+    np.testing.assert_allclose(sorted(found.unmatched), sorted(others), rtol=1e-5)
+    assert found.cloud_points == np.isfinite(cloud).all(axis=1).sum()
 
 
 def slow_merge(points, clouds, unlabelled):
@@ -123,14 +119,11 @@ def test_several_clouds_are_merged_as_a_loop_over_all_pairs_does(seed, size, cou
     assert len(found.unmatched) == sum(len(part.unmatched) for part in parts)
 
 
-def test_points_at_one_place_take_no_more_time_than_others():
+def test_points_at_one_place_take_no_more_time_and_those_beyond_anything_are_far_away():
     """A sensor without returns gives tens of thousands of zeros, and billions of pairs."""
     points = np.zeros((60_000, 3), np.float32)
     found = transfer_labels(points, points - np.float32(1e-4), np.full(60_000, 9, np.uint32))
     assert (found.labels == 9).all()
-
-
-def test_coordinates_beyond_anything_are_far_away():
     points = np.zeros((2, 3), np.float32)
     found = transfer_labels(points, points - np.float32([[3e38]]), np.ones(2, "u4"))
     assert found.missing.all()

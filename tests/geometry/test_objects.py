@@ -23,7 +23,7 @@ def are_connected(a, b):
     if distance <= objects.NEAR_M:
         return True
     cosine = far @ line / (np.linalg.norm(far) * distance)
-    return distance <= objects.FAR_M and cosine < objects.LARGEST_COSINE
+    return distance <= objects.FAR_M and cosine < objects.MAX_COSINE
 
 
 def slow_components(channels, labels):
@@ -96,7 +96,8 @@ def test_objects_that_no_16_bits_number_are_none(monkeypatch):
 
 
 def test_few_points_and_those_without_a_measurement_are_no_object():
-    few, none = thing(0, 8, count=objects.MIN_POINTS - 1, width=0.3), np.zeros((50, 3), np.float32)
+    few = thing(0, 8, count=objects.MIN_OBJECT_POINTS - 1, width=0.3)
+    none = np.zeros((50, 3), np.float32)
     assert not np.concatenate(objects_of([few, none], [CAR, CAR])).any()
     empty = project(Scan(np.zeros((0, 3), np.float32), np.zeros(0, np.float32)), sensor("hdl64"))
     assert len(find_objects(empty, np.zeros(0, np.uint8), THINGS)) == 0

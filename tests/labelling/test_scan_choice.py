@@ -71,16 +71,6 @@ def test_the_choice_is_that_of_a_slow_clear_loop(strategy, scans, count):
     assert order(features, weights, count, strategy) == slow(features, weights, count, strategy)
 
 
-def test_scans_on_a_line():
-    """Of a scan in the middle and others to both sides, diversity takes the ends next."""
-    line, doubt = np.array([[-3.0], [-1], [0], [1], [4]]), [1, 5, 2, 4, 3]
-    assert order(line, doubt, 3, "diverse") == [2, 4, 0]
-    # The two most uncertain ones, at -1 and 1, are not near each other: the ends are 3 apart.
-    assert order(line, doubt, 3, "uncertainty") == [1, 3, 4]
-    # At 4, 5·3 beats 4·2, at 1, and 1·2, at -3.
-    assert order(line, doubt, 2, "both") == [1, 4]
-
-
 def test_what_is_told_of_a_choice():
     features, weights = np.array([[0.0], [1], [4]]), [0.1, 0.3, 0.2]
     first, second, third = choose_scans(features, weights, 3, "both")

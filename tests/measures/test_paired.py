@@ -16,7 +16,7 @@ from salsanext_cli.measures.paired import (
     ScanPair,
     paired_differences,
 )
-from salsanext_cli.measures.scores import Confusion, class_sums, scores
+from salsanext_cli.measures.scores import class_sums, confusion_matrix, scored_rows, scores
 from salsanext_cli.results.layout import ScanFile
 
 SPACE = small_space("nothing", "car", "road", "tree")
@@ -31,16 +31,16 @@ def runs(count, seed=0):
         noise = [
             np.where(random.random(400) < p, random.integers(0, 4, 400), truth) for p in (0.5, 0.2)
         ]
-        pairs.append([Confusion(4).update(truth, predicted) for predicted in noise])
+        pairs.append([confusion_matrix(truth, predicted, 4) for predicted in noise])
     return pairs
 
 
 def sums_of(pairs):
-    return np.array([[class_sums(run.counted(SPACE.scored)) for run in pair] for pair in pairs])
+    return np.array([[class_sums(scored_rows(run, SPACE)) for run in pair] for pair in pairs])
 
 
 def slow(pairs):
-    total = [sum((pair[i] for pair in pairs), Confusion(4)) for i in (0, 1)]
+    total = [sum(pair[i] for pair in pairs) for i in (0, 1)]
     before, after = (scores(each, SPACE) for each in total)
     return after.accuracy - before.accuracy, after.iou_mean_present - before.iou_mean_present
 

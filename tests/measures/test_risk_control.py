@@ -10,7 +10,7 @@ from salsanext_cli import label_space
 from salsanext_cli.measures.risk_control import (
     KEEPS_NONE,
     KeptLabels,
-    KeptPromise,
+    RiskBoundCheck,
     allowed_scans,
     binomial,
     enough_drives,
@@ -19,7 +19,7 @@ from salsanext_cli.measures.risk_control import (
     needed_scans,
     promise,
 )
-from salsanext_cli.measures.scores import Confusion
+from salsanext_cli.measures.scores import confusion_matrix
 
 DRAWS = 2000
 
@@ -78,12 +78,9 @@ def broken_on_other_drives(drives, scans, *, by_drive=False, draws=500):
     return (losing[held] > 0.1).mean()
 
 
-def test_a_promise_of_few_drives_is_none_of_another():
+def test_a_promise_holds_of_another_drive_if_drives_are_the_unit_and_enough():
     assert broken_on_other_drives(4, 6) > 0.3
     assert broken_on_other_drives(1, 22) > 0.6
-
-
-def test_a_promise_of_enough_drives_holds_of_another_if_the_drive_is_the_unit():
     most = 0.1 + 3 * math.sqrt(0.1 * 0.9 / 500)
     assert broken_on_other_drives(22, 6) > 0.2 > most
     assert broken_on_other_drives(22, 6, by_drive=True) < most
@@ -144,7 +141,7 @@ def test_labels_that_are_kept_are_counted():
     )
     truth = np.array([0, car, car, person, person, person, road, rider])
     predicted = np.array([car, car, 0, road, person, 0, road, person])
-    confusion = Confusion(space.class_count).update(truth, predicted)
+    confusion = confusion_matrix(truth, predicted, space.class_count)
     scans = {"a/0": (20, 4, 2), "a/1": (30, 1, 1), "a/2": (0, 0, 0)}
     kept = KeptLabels.of_confusion(confusion, space, scans)
     assert (kept.points, kept.kept, kept.wrong) == (7, 5, 2)
@@ -156,17 +153,19 @@ def test_labels_that_are_kept_are_counted():
 
 def test_what_was_promised_stands_beside_what_was_found():
     scans = {"a/0": (100, 50, 8), "a/1": (200, 50, 4), "a/2": (0, 0, 0)}
-    found = KeptPromise.of_scans({"at_most": 0.05, "confidence": None}, scans)
+    found = RiskBoundCheck.of_scans({"at_most": 0.05, "confidence": None}, scans)
     assert (found.units, found.above, found.mean, found.worst) == (2, 1, 0.05, 0.08)
-    assert not found.is_broken
+    assert not found.is_exceeded
     assert "5.0 % on the mean of 2 scans, 8.0 % in the worst" in found.sentence
-    found = KeptPromise.of_scans({"at_most": 0.05, "confidence": 0.9}, scans)
+    found = RiskBoundCheck.of_scans({"at_most": 0.05, "confidence": 0.9}, scans)
     assert "1 of 2 scans, 8.0 % in the worst" in found.sentence
-    assert found.is_broken  # Half of them, of one tenth
-    assert not KeptPromise.of_scans({"at_most": 0.05, "confidence": 0.5}, scans).is_broken
-    assert KeptPromise.of_scans({"at_most": 0.05, "confidence": None}, {"a/2": (0, 0, 0)}) is None
+    assert found.is_exceeded  # Half of them, of one tenth
+    assert not RiskBoundCheck.of_scans({"at_most": 0.05, "confidence": 0.5}, scans).is_exceeded
+    assert (
+        RiskBoundCheck.of_scans({"at_most": 0.05, "confidence": None}, {"a/2": (0, 0, 0)}) is None
+    )
     drives = {"at_most": 0.04, "confidence": None, "unit": "drive"}
-    found = KeptPromise.of_scans(drives, scans | {"b/0": (10, 9, 0)})
+    found = RiskBoundCheck.of_scans(drives, scans | {"b/0": (10, 9, 0)})
     assert (found.units, found.above, found.mean, found.worst) == (2, 1, 0.025, 0.05)
 
 

@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: MIT
+"""What a run says of its scans at its end: classes, findings, scans of two sensors, bands."""
+
 from collections import Counter
+from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from evaluated import small_space
 from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL
 
-from salsanext_cli import LabelSpace, label_space
-from salsanext_cli.fitting.scan_checks import Finding, ScanCheck
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli import Scan, label_space
+from salsanext_cli.fitting.scan_checks import Finding, ScanCheck, check_scan
+from salsanext_cli.measures.scan_counts import ScanCounts, band_of_point
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, mixed_sensors
 from salsanext_cli.results.layout import ScanFile
 
 SPACE = label_space()
@@ -38,29 +44,19 @@ def test_labels_of_little_probability_are_doubted():
         assert [finding.code for finding in found.check.findings] == codes
 
 
-def space_of(count):
-    same = {i: i for i in range(count)}
-    names = {i: str(i) for i in same}
-    maps = {"learning_map": same, "learning_map_inv": same}
-    return LabelSpace.from_dict({"labels": names, **maps})
-
-
-@pytest.mark.parametrize(
-    ("count", "share", "codes"),
-    [
+def test_a_class_that_takes_the_scan_unless_there_are_few():
+    for count, share, codes in (
         (20, 0.72, []),
         (20, 0.78, ["one-class"]),
         (8, 0.83, []),
         (8, 0.87, ["one-class"]),
         (3, 1, []),
-    ],
-)
-def test_a_class_that_takes_the_scan_unless_there_are_few(count, share, codes):
-    labels = np.where(np.arange(1000) < 1000 * share, 1, 2).astype(np.uint8)
-    unlabelled, space = np.zeros(5000, np.uint8), space_of(count)
-    found = ScanSummary.of_labels(FILE, np.append(labels, unlabelled), space)
-    assert [finding.code for finding in found.check.findings] == codes
-    assert ScanSummary.of_labels(FILE, labels[:50], space).check.findings == ()
+    ):
+        labels = np.where(np.arange(1000) < 1000 * share, 1, 2).astype(np.uint8)
+        unlabelled, space = np.zeros(5000, np.uint8), small_space(*map(str, range(count)))
+        found = ScanSummary.of_labels(FILE, np.append(labels, unlabelled), space)
+        assert [finding.code for finding in found.check.findings] == codes
+        assert ScanSummary.of_labels(FILE, labels[:50], space).check.findings == ()
 
 
 @given(st.permutations(range(6)))
@@ -79,3 +75,100 @@ def test_warnings_do_not_depend_on_the_order_of_the_scans(order):
     height, tilted = summary.warnings()
     assert (height["message"], height["scans"]) == ("height of 2", ["08/2", "08/5"])
     assert (tilted["message"], tilted["scans"]) == ("tilted of 1", ["08/1", "08/2", "08/4", "08/5"])
+
+
+BEAMS = {
+    "of-16": (np.linspace(15, -15, 16), 450),
+    "of-32": (np.linspace(10.67, -30.67, 32), 272),
+    "of-64": (np.linspace(2, -24.9, 64), 512),
+    "dense": (np.concatenate([np.linspace(15, -6, 52), np.linspace(-7, -25, 12)]), 450),
+    "wide": (np.linspace(45, -45, 128), 256),
+    "half-wide": (np.linspace(22.5, -22.5, 128), 256),
+}
+"""Elevations of beams in degrees, and a quarter of the columns, as rotating sensors have them."""
+
+
+def scan_of(name, place, brightest=0.5):
+    """Return a scan at one of many places: open or narrow, with sky above, on a car or a robot."""
+    beams, columns = BEAMS[name]
+    random = np.random.default_rng((place, len(beams)))
+    elevation, azimuth = np.meshgrid(np.radians(beams), np.linspace(-np.pi, np.pi, columns))
+    elevation = elevation + np.radians(random.normal(0, 0.02, elevation.shape))
+    walls = random.uniform(6, 60) * (1.5 + np.sin(random.integers(1, 4) * azimuth))
+    wall, tall = walls / np.cos(elevation), walls * np.tan(elevation) < random.uniform(1, 15)
+    height = random.uniform(1.5, 2.1)
+    ground = -height / np.minimum(np.sin(elevation), -1e-3)
+    distance = np.where(tall, np.minimum(wall, ground), ground)
+    kept = (distance < 100) & (random.random(distance.shape) < random.uniform(0.9, 1))
+    flat = distance * np.cos(elevation)
+    xyz = (flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation))
+    points = np.stack(xyz, axis=-1)[kept].astype(np.float32)
+    bright = np.linspace(0, brightest * random.uniform(0.7, 1.4), len(points))
+    return Scan(points, bright.astype(np.float32))
+
+
+def traits(scan, of=SMALL):
+    return check_scan(FILE.path, scan, of).traits
+
+
+def files(sequence, count):
+    return [ScanFile(sequence, f"{number:06d}", FILE.path) for number in range(count)]
+
+
+OF = {name: [traits(scan_of(name, place)) for place in range(9)] for name in BEAMS}
+
+
+@pytest.mark.parametrize("name", BEAMS)
+def test_places_of_one_sensor_are_not_told_apart(name):
+    assert mixed_sensors(dict(zip(files("08", 9), OF[name], strict=True))) == {}
+    for pair in combinations(OF[name], 2):
+        assert mixed_sensors(dict(zip(files("08", 2), pair, strict=True))) == {}
+
+
+@pytest.mark.parametrize(("one", "other"), [*combinations(BEAMS, 2)])
+@pytest.mark.parametrize(("of_one", "of_other"), [(6, 6), (9, 1), (1, 9)])
+def test_two_sensors_are_told_apart(one, other, of_one, of_other):
+    scans = dict(zip(files("00", of_one), OF[one], strict=False))
+    scans |= dict(zip(files("08", of_other), OF[other], strict=False))
+    found = mixed_sensors(scans)
+    fewer = "00" if of_one < of_other else "08"
+    assert {file for file in scans if file.sequence == fewer} == found.keys()
+    assert {finding.code for finding in found.values()} == {"mixed-sensors"}
+
+
+def test_intensities_of_two_scales_are_told_apart():
+    usual, bytes_ = (replace(OF["of-64"][0], bright=bright) for bright in (0.5, 130.0))
+    none = replace(usual, bright=0.0)
+    scans = dict(zip(files("08", 4), [usual, usual, bytes_, none], strict=True))
+    (file,) = found = mixed_sensors(scans)
+    assert file.stem == "000002"
+    assert "intensities to 1.3e+02" in found[file].found
+
+
+def test_a_run_says_it_at_its_end(caplog):
+    summary = RunSummary(SMALL)
+    for file, of_scan in zip(files("08", 5), [*OF["of-64"][:4], OF["of-16"][0]], strict=True):
+        summary.add(ScanSummary(file, ScanCheck((), of_scan)))
+    assert not caplog.messages
+    (warning,) = summary.finished().warnings()
+    assert (warning["code"], warning["scans"]) == ("mixed-sensors", ["08/000004"])
+    assert "such as 08/000000" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("distance", "band"),
+    [(0.01, 0), (9.999, 0), (10, 1), (20, 2), (30, 3), (40, 4), (49.99, 4), (50, 5), (1e5, 5)],
+)
+def test_a_distance_band_begins_where_the_previous_one_ends(distance, band):
+    assert band_of_point(np.array([[0, -distance, 0]], np.float32)) == band
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"), [(300, 9800, "3.0%"), (2100, 8000, ""), (1, 900, "")]
+)
+def test_labels_that_hardly_ever_agree_are_doubted(right, wrong, said):
+    counts = ScanCounts.none(label_space(), by_distance=False)
+    counts.confusion[[1, 9, 0], [1, 0, 5]] = right, wrong, 100_000
+    warnings = [*counts.label_warnings(label_space())]
+    assert len(warnings) == bool(said)
+    assert all(said in text and "--label-space" in text for text in warnings)

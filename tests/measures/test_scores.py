@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: MIT
+"""Scores of classes, and of objects compared with a slow loop over all pairs of segments."""
+
 import json
 import math
 
@@ -8,9 +10,10 @@ import yaml
 from evaluated import small_space
 from hypothesis import given
 from hypothesis import strategies as st
-from sklearn.metrics import confusion_matrix
+from sklearn import metrics
 
-from salsanext_cli.measures.scores import Confusion, scores
+from salsanext_cli.measures.panoptic import MIN_SEGMENT_POINTS, count_segments, panoptic_quality
+from salsanext_cli.measures.scores import confusion_matrix, scores
 
 SPACE = small_space("unlabelled", "car", "on: road", "tree")
 PAIRS = st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), max_size=60)
@@ -21,27 +24,21 @@ def split(pairs):
 
 
 def of(pairs):
-    return scores(Confusion(4).update(*split(pairs)), SPACE)
+    return scores(confusion_matrix(*split(pairs), 4), SPACE)
 
 
 @given(PAIRS.filter(len), PAIRS.filter(len))
 def test_counts_are_those_of_scikit_learn_and_add_up(one, two):
-    expected = confusion_matrix(*split(one + two), labels=range(4))
-    np.testing.assert_array_equal(Confusion(4).update(*split(one + two)).matrix, expected)
-    parts = [Confusion(4).update(*split(pairs)) for pairs in (one, two)]
-    np.testing.assert_array_equal((parts[0] + parts[1]).matrix, expected)
-    assert parts[0].matrix.sum() == len(one)
-    np.testing.assert_array_equal(parts[0].update(*split(two)).matrix, expected)
-    Confusion(4, parts[1].matrix).update(*split(one))
-    assert parts[1].matrix.sum() == len(two)
+    expected = metrics.confusion_matrix(*split(one + two), labels=range(4))
+    np.testing.assert_array_equal(confusion_matrix(*split(one + two), 4), expected)
+    parts = [confusion_matrix(*split(pairs), 4) for pairs in (one, two)]
+    np.testing.assert_array_equal(parts[0] + parts[1], expected)
 
 
 @pytest.mark.parametrize("predicted", [[1, 2, 3], [1, 255], [1, -1]])
-def test_invalid_train_ids_are_refused_and_nothing_is_counted(predicted):
-    confusion = Confusion(4)
+def test_invalid_train_ids_are_refused(predicted):
     with pytest.raises(ValueError, match=r"broadcast|invalid entry"):
-        confusion.update(np.array([1, 2]), np.array(predicted))
-    assert not confusion.matrix.any()
+        confusion_matrix(np.array([1, 2]), np.array(predicted), 4)
 
 
 @given(PAIRS)
@@ -87,7 +84,7 @@ def test_the_mean_of_frequent_classes_is_that_of_at_least_500_points():
     # The tree has one point too few.
     truth, predicted = np.repeat([1, 2, 2, 3], [500, 500, 250, 499]), np.repeat(1, 1749)
     predicted[750:1000], predicted[1000:] = 2, 3
-    result = scores(Confusion(4).update(truth, predicted), SPACE)
+    result = scores(confusion_matrix(truth, predicted, 4), SPACE)
     assert [c.points for c in result.classes] == [500, 750, 499]
     assert [c.iou for c in result.classes] == [500 / 750, 250 / 750, 499 / 749]
     assert result.iou_mean_frequent == pytest.approx(1 / 2)
@@ -111,3 +108,71 @@ def test_json_holds_null_for_what_is_absent():
     plain = json.loads(json.dumps(of([(1, 1)]).to_dict(), allow_nan=False))
     car, road, _ = plain["classes"]
     assert (car["name"], car["iou"], road["iou"], plain["accuracy"]) == ("car", 1.0, None, 1.0)
+
+
+SCENE = small_space("none", "road", "car", "person")
+THINGS = np.array([False, False, True, True])
+
+
+def slow_counts(truth, predicted):
+    """Take the definition word by word: labels are pairs of class and instance."""
+    points = [(t, p) for t, p in zip(truth, predicted, strict=True) if t[0] != 0]
+    counts = np.zeros((4, 5))
+    for c in (1, 2, 3):
+        true = {t for t, _ in points if t[0] == c}
+        found = {p for _, p in points if p[0] == c}
+        matched = set()
+        for t in true:
+            for p in found:
+                both = sum(pair == (t, p) for pair in points)
+                either = sum(pair[0] == t or pair[1] == p for pair in points)
+                if both / either > 0.5:
+                    counts[c, :2] += both / either, 1
+                    matched |= {("t", t), ("p", p)}
+        size = {("t", t): sum(pair[0] == t for pair in points) for t in true}
+        size |= {("p", p): sum(pair[1] == p for pair in points) for p in found}
+        alone = [key for key, n in size.items() if key not in matched and n >= MIN_SEGMENT_POINTS]
+        counts[c, 2:4] = sum(key[0] == "p" for key in alone), sum(key[0] == "t" for key in alone)
+        counts[c, 4] = sum(instance > 0 for _, instance in true)
+    return counts
+
+
+def counts_of(truth, predicted):
+    both = []
+    for labels in (truth, predicted):
+        train, instance = np.array(labels, np.int64).reshape(-1, 2).T
+        both.append((train.astype(np.uint8), (train | instance << 16).astype(np.uint32)))
+    return count_segments(*both, SCENE.scored)
+
+
+@given(
+    st.lists(
+        st.tuples(*[st.tuples(st.integers(0, 3), st.integers(0, 2))] * 2, st.integers(1, 90)),
+        max_size=9,
+    )
+)
+def test_counts_are_those_of_the_definition(blocks):
+    truth = [t for t, _, count in blocks for _ in range(count)]
+    predicted = [p for _, p, count in blocks for _ in range(count)]
+    np.testing.assert_allclose(counts_of(truth, predicted), slow_counts(truth, predicted))
+
+
+def test_qualities_of_counts():
+    """Three of four points of a car, all of a road, and a person that is called a car."""
+    truth = [(2, 7)] * 100 + [(1, 0)] * 100 + [(3, 1)] * 60
+    predicted = [(2, 1)] * 75 + [(1, 0)] * 125 + [(2, 2)] * 60
+    found = panoptic_quality(counts_of(truth, predicted), SCENE, THINGS)
+    car = found["classes"]["car"]
+    assert car == {
+        "pq": 0.5,
+        "sq": 0.75,
+        "rq": pytest.approx(2 / 3),
+        "matches": 1,
+        "false_alarms": 1,
+        "misses": 0,
+    }
+    assert found["classes"]["road"]["pq"] == pytest.approx(0.8)
+    assert found["classes"]["person"]["misses"] == 1
+    assert found["things"]["pq"] == pytest.approx(0.25)
+    assert found["all"]["pq"] == pytest.approx((0.5 + 0.8) / 3)
+    assert panoptic_quality(counts_of([], []), SCENE, THINGS)["all"] == {"pq": 0, "sq": 0, "rq": 0}

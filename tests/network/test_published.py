@@ -83,9 +83,8 @@ def test_prefix_and_wrapping_do_not_matter(tmp_path, prefix, wrapped):
         assert torch.equal(read, written)
 
 
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
+def test_files_that_are_no_checkpoints(tmp_path):
+    for content, says in (
         ({"state_dict": {"logits.weight": "text"}}, "no state_dict of tensors"),
         ({"model": {"x": torch.zeros(1)}}, "no state_dict of tensors"),
         (
@@ -95,12 +94,10 @@ def test_prefix_and_wrapping_do_not_matter(tmp_path, prefix, wrapped):
         ({"state_dict": {**FEW, "logits.weight": torch.ones(2).to_sparse()}}, "no plain tensor"),
         ({"state_dict": {**FEW, "logits.weight": Path()}}, "no plain tensor but Ignored"),
         ({"state_dict": {"unheard.of.weight": torch.zeros(1)}}, "unknown tensor unheard.of.weight"),
-    ],
-)
-def test_files_that_are_no_checkpoints(tmp_path, content, says):
-    path = save(tmp_path / "SalsaNext", content)
-    with pytest.raises(WeightsError, match=f"SalsaNext · .*{says}"):
-        read_published(path)
+    ):
+        path = save(tmp_path / "SalsaNext", content)
+        with pytest.raises(WeightsError, match=f"SalsaNext · .*{says}"):
+            read_published(path)
 
 
 FORMS = pytest.mark.parametrize("as_zip", [True, False], ids=["zip", "legacy"])
@@ -186,19 +183,16 @@ def test_a_target_that_exists_is_kept_unless_overwriting(checkpoint, tmp_path):
     assert read_weights(target)
 
 
-@pytest.mark.parametrize(
-    ("bias", "says"),
-    [
+def test_a_checkpoint_without_usable_outputs_is_refused(tmp_path, state):
+    for bias, says in (
         ({"logits.bias": torch.ones(5)}, "5 outputs · expected 20, one per class"),
         ({"logits.bias": torch.tensor(3.0)}, "outputs"),
         ({}, "outputs"),
-    ],
-)
-def test_a_checkpoint_without_usable_outputs_is_refused(tmp_path, state, bias, says):
-    others = {name: tensor for name, tensor in state.items() if name != "logits.bias"}
-    path = save(tmp_path / "SalsaNext", {"state_dict": others | bias})
-    with pytest.raises(WeightsError, match=says):
-        import_weights(path, tmp_path / "w.safetensors")
+    ):
+        others = {name: tensor for name, tensor in state.items() if name != "logits.bias"}
+        path = save(tmp_path / "SalsaNext", {"state_dict": others | bias})
+        with pytest.raises(WeightsError, match=says):
+            import_weights(path, tmp_path / "w.safetensors")
 
 
 # The published weights, against outputs of the published implementation

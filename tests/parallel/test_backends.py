@@ -76,12 +76,6 @@ def workers(request):
     return request.getfixturevalue(request.param)
 
 
-@pytest.fixture
-def two_cores(monkeypatch):
-    """Divide two cores among two workers: one thread each, whatever the machine."""
-    monkeypatch.setattr("joblib.cpu_count", lambda: 2)
-
-
 def everything(data, out, weights, **options):
     """Run the stages that load a network, and return every file they leave."""
     network, batch = NetworkSettings(weights, "cpu"), RunOptions(**options)
@@ -111,7 +105,9 @@ def connected(workers):
         yield workers
 
 
-def test_the_bytes_do_not_depend_on_who_works(tmp_path, alone, weights, connected, two_cores):
+def test_the_bytes_do_not_depend_on_who_works(tmp_path, alone, weights, connected, monkeypatch):
+    # One thread for each of two workers, whatever the machine.
+    monkeypatch.setattr("joblib.cpu_count", lambda: 2)
     data, expected = alone
     assert len(expected) == 4 * (3 + 3) + 3
     assert everything(data, tmp_path / "out", weights, **connected) == expected

@@ -1,11 +1,63 @@
 # SPDX-License-Identifier: MIT
-"""GPUs of workers; none is needed, since their number is an argument."""
+"""Threads, GPUs and shards of workers; no GPU is needed, since their number is an argument."""
 
 import subprocess
 import sys
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from pathlib import Path
 
+import numba
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel import worker
+from salsanext_cli.parallel.options import (
+    Shard,
+    cores,
+    threads_of_workers,
+    use_threads,
+    worker_count,
+)
+from salsanext_cli.parallel.run import MAX_CHUNK_SCANS, MIN_CHUNKS_PER_WORKER, chunks
 from salsanext_cli.parallel.worker import WORKER
+from salsanext_cli.results.layout import ScanFile
+
+
+@pytest.fixture(autouse=True)
+def as_before():
+    before = torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS
+    yield
+    torch.set_num_threads(before[0])
+    numba.config.NUMBA_NUM_THREADS = before[1]
+
+
+def test_jobs():
+    assert worker_count(3) == 3
+    assert worker_count(-1) == cores() >= 1
+
+
+def test_threads_begin_with_their_share_and_leave_the_others_alone():
+    torch.set_num_threads(5)
+    with threads_of_workers(3), ThreadPoolExecutor(2) as pool:
+        seen = list(pool.map(lambda _: torch.get_num_threads(), range(4)))
+        assert numba.config.NUMBA_NUM_THREADS == 3
+    assert seen == [3] * 4
+    assert torch.get_num_threads() == 5
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(torch.get_num_threads).result() == 5
+
+
+def test_a_worker_of_a_cluster_sets_its_own():
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(use_threads, 2).result()
+        assert pool.submit(torch.get_num_threads).result() == 2
+    assert numba.config.NUMBA_NUM_THREADS == 2
+
 
 ASK = """
 import sys
@@ -44,3 +96,72 @@ def test_a_device_that_was_named_or_is_alone_or_of_no_worker_stays(monkeypatch):
     monkeypatch.setattr(WORKER, "run", "a run")
     for device, count in (("cpu", 4), ("cuda:3", 4), ("auto", 1), ("cuda", 0)):
         assert worker.own_device(device, count) == device
+
+
+COUNTS = st.integers(1, 9)
+NAMES = st.sets(st.tuples(st.sampled_from(["00", "08", "a"]), st.integers(0, 99)), max_size=40)
+
+
+def scans_of(names):
+    return [ScanFile(s, f"{n:06d}", Path(f"/{s}/{n}.bin")) for s, n in sorted(names)]
+
+
+def every(count):
+    return [Shard(number, count) for number in range(1, count + 1)]
+
+
+@given(NAMES, COUNTS, st.randoms(use_true_random=False))
+def test_all_shards_have_every_scan_once_whatever_the_order(names, count, draw):
+    scans = scans_of(names)
+    found: Counter[ScanFile] = Counter()
+    sizes = []
+    for shard in every(count):
+        shuffled = draw.sample(scans, len(scans))
+        mine = shard.of(shuffled)
+        found.update(mine)
+        sizes.append(len(mine))
+    assert found == Counter(scans)
+    assert max(sizes) - min(sizes) <= 1
+
+
+def test_shards_are_read():
+    assert Shard.parse("08/08") == Shard(8, 8)
+    for text in ("", "0/4", "5/4", "1/0", "-1/4", "1/4/2", "1 / 4", "²/4", "1/" + 99 * "9"):
+        with pytest.raises(UsageError, match="--shard"):
+            Shard.parse(text)
+
+
+def slurm(number, least, count, **more):
+    names = {"ID": number, "MIN": least, "COUNT": count, **more}
+    return {f"SLURM_ARRAY_TASK_{name}": str(value) for name, value in names.items()}
+
+
+def test_arrays_of_slurm_are_shards_or_refused():
+    for environment, shard in (
+        (slurm(7, 0, 8, STEP=1), Shard(8, 8)),
+        (slurm(1, 1, 8), Shard(1, 8)),
+        (slurm(14, 10, 3, STEP=2), Shard(3, 3)),
+        (slurm(5, 5, 1), Shard(1, 1)),
+        ({}, None),
+        ({"SLURM_ARRAY_TASK_ID": "1"}, None),
+    ):
+        assert Shard.of_slurm(environment) == shard
+    for environment in (
+        *(slurm(7, 1, 3, STEP=1), slurm(0, 1, 3), slurm(3, 0, 4, STEP=2), slurm("x", 0, 4)),
+        *(slurm(1, 0, 4, STEP="x"), slurm(1, 0, 4, STEP="")),
+    ):
+        with pytest.raises(UsageError, match=r"SLURM_ARRAY_TASK_ID.* --shard i/n"):
+            Shard.of_slurm(environment)
+
+
+@given(st.lists(st.integers(0, 120), max_size=6), st.integers(1, 40))
+def test_chunks_hold_every_scan_in_order_and_are_alike_within_a_sequence(lengths, workers):
+    scans = scans_of((f"{s:02d}", n) for s, length in enumerate(lengths) for n in range(length))
+    found = chunks(scans, workers)
+    assert [scan for chunk in found for scan in chunk] == scans
+    assert len(found) >= min(len(scans), MIN_CHUNKS_PER_WORKER * workers)
+    for chunk in found:
+        assert len({scan.sequence for scan in chunk}) == 1
+        assert 1 <= len(chunk) <= MAX_CHUNK_SCANS
+    for one, other in pairwise(found):
+        assert one[0].sequence != other[0].sequence or abs(len(one) - len(other)) <= 1

@@ -1,18 +1,24 @@
 # SPDX-License-Identifier: MIT
+"""Colours, and the plots that have them."""
+
 from dataclasses import replace
+from io import BytesIO
 
 import matplotlib
 import numpy as np
 import pytest
+from evaluated import calibration_result, ranking_result, small_space
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from matplotlib.image import imread
 
 from salsanext_cli.classes.label_space import label_space
+from salsanext_cli.measures.scores import Counts, confusion_matrix, scores
 from salsanext_cli.report.colours import (
     EMPTY,
-    LEAST_CONTRAST,
-    LEAST_DIFFERENCE,
+    MIN_CONTRAST,
+    MIN_DIFFERENCE,
     colour_difference,
     legend_of,
     map_colours,
@@ -21,6 +27,24 @@ from salsanext_cli.report.colours import (
     screen_colours,
     value_colours,
     value_range,
+)
+from salsanext_cli.report.plots import (
+    CELL_PX,
+    HEIGHT_ABOVE,
+    LEFT,
+    NAMES_PX,
+    PLOT_PX,
+    ROW_PX,
+    SKY,
+    TOP,
+    WIDTH,
+    class_uncertainty,
+    confusion_picture,
+    error_diagram,
+    iou_bars,
+    reliability_diagram,
+    risk_coverage,
+    sparsification,
 )
 
 SPACE = label_space()
@@ -59,7 +83,7 @@ def test_a_legend_names_what_occurs_once():
     assert legend == [("car", car), ("road", road)]
     assert legend_of(SPACE, np.array([CAR])) == legend[:1]
     ((_, sidewalk),) = legend_of(SPACE, np.array([SPACE.names.index("sidewalk")]))
-    assert contrast(sidewalk) >= LEAST_CONTRAST > 2 * contrast((75, 0, 75))
+    assert contrast(sidewalk) >= MIN_CONTRAST > 2 * contrast((75, 0, 75))
 
 
 def contrast(colour):
@@ -79,11 +103,11 @@ def contrast(colour):
 @given(arrays(np.uint8, (5, 3)))
 def test_dark_colours_are_mixed_with_as_little_white_as_makes_them_visible(colours):
     for colour, seen in zip(colours.tolist(), on_dark(colours).tolist(), strict=True):
-        assert contrast(seen) >= LEAST_CONTRAST
-        if contrast(colour) >= LEAST_CONTRAST:
+        assert contrast(seen) >= MIN_CONTRAST
+        if contrast(colour) >= MIN_CONTRAST:
             assert seen == colour
         else:
-            assert contrast(seen) < LEAST_CONTRAST + 0.1
+            assert contrast(seen) < MIN_CONTRAST + 0.1
             # Hues stay: what was the largest part still is.
             assert all(seen[i] >= seen[j] for i in range(3) for j in range(3)
                        if colour[i] >= colour[j])  # fmt: skip
@@ -104,8 +128,8 @@ def screen_of(colours):
 def test_classes_can_be_told_apart_in_pictures(name):
     space = label_space(name)
     colours = dict(zip(space.names, screen_colours(space), strict=True))
-    assert apart(np.array([*colours.values()])) >= LEAST_DIFFERENCE
-    assert all(contrast(colour) >= LEAST_CONTRAST for colour in colours.values())
+    assert apart(np.array([*colours.values()])) >= MIN_DIFFERENCE
+    assert all(contrast(colour) >= MIN_CONTRAST for colour in colours.values())
     assert np.ptp(colours["unlabeled"]) == 0
     # Those known from SemanticKITTI's are hardly changed.
     own = dict(zip(space.names, space.colours, strict=True))
@@ -116,11 +140,87 @@ def test_classes_can_be_told_apart_in_pictures(name):
 @given(st.integers(1, 32).flatmap(lambda n: arrays(np.uint8, (n, 3))))
 def test_up_to_32_classes_of_any_colours_can_be_told_apart(own):
     colours = screen_of(own)
-    assert len(own) == 1 or apart(colours) >= LEAST_DIFFERENCE
-    assert all(contrast(colour) >= LEAST_CONTRAST for colour in colours)
+    assert len(own) == 1 or apart(colours) >= MIN_DIFFERENCE
+    assert all(contrast(colour) >= MIN_CONTRAST for colour in colours)
     np.testing.assert_array_equal(colours, screen_of(own))
 
 
-def test_many_classes_differ_as_much_as_they_can():
-    assert apart(screen_of(np.zeros((43, 3)))) > 10
-    assert len(np.unique(screen_of(np.zeros((255, 3))), axis=0)) == 255
+def test_of_more_classes_32_are_told_apart():
+    colours = screen_of(np.zeros((43, 3)))
+    assert len(np.unique(colours, axis=0)) == 32
+
+
+def counts() -> Counts:
+    """Every car found, half the road called unlabelled, everything else absent."""
+    car, road = SPACE.names.index("car"), SPACE.names.index("road")
+    truth, predicted = np.array([[car, car, road, road, 0], [car, car, road, 0, car]])
+    return confusion_matrix(truth, predicted, SPACE.class_count)
+
+
+def pixels(png: bytes) -> np.ndarray:
+    return (imread(BytesIO(png))[:, :, :3] * 255).round().astype(int)
+
+
+def test_bars_are_as_long_as_the_iou_in_the_colour_of_the_class():
+    picture = pixels(iou_bars(scores(counts(), SPACE), SPACE))
+    lengths = {}
+    for name in ("car", "road", "person"):
+        place = SPACE.names.index(name) - 1
+        row = picture[70 + place * ROW_PX + ROW_PX // 2 - 7]
+        colour = screen_colours(SPACE)[SPACE.names.index(name)]
+        lengths[name] = (row == colour).all(axis=-1).sum() / (690 / 1.08)
+    assert lengths["car"] == pytest.approx(1, abs=0.02)
+    assert lengths["road"] == pytest.approx(0.5, abs=0.02)
+    assert lengths["person"] == 0
+
+
+def test_cells_are_as_dark_as_the_share_of_the_row():
+    picture = pixels(confusion_picture(counts(), SPACE))
+    car, road = SPACE.names.index("car"), SPACE.names.index("road")
+
+    def cell(truth, predicted):
+        return picture[30 + (truth - 1) * CELL_PX + 5, NAMES_PX + predicted * CELL_PX + 5].sum()
+
+    assert cell(car, car) < cell(road, road) < cell(car, road)
+    # The row of an absent class is grey from end to end.
+    grey = picture[30 + 5 * CELL_PX + 5, NAMES_PX + 5]
+    assert grey.max() - grey.min() < 10
+    assert cell(6, 3) == cell(6, 6) < cell(car, road)
+
+
+def test_without_points_and_with_any_names_there_is_a_picture():
+    space = small_space("none", "$\\frac{$ [b]", "Straße")
+    some = confusion_matrix(np.array([1, 2]), np.array([1, 1]), 3)
+    for confusion in (np.zeros_like(some), some):
+        assert pixels(iou_bars(scores(confusion, space), space)).size
+        assert pixels(confusion_picture(confusion, space)).size
+
+
+def rgb(colour: str) -> list[int]:
+    return [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+
+
+def rows_of(picture, colour, x) -> np.ndarray:
+    """Return how high a colour reaches in a column of the axes: 0 at the bottom, 1 at the top."""
+    column = picture[TOP : TOP + HEIGHT_ABOVE + 1, LEFT + round(x * WIDTH)]
+    near = np.abs(column - rgb(colour)).sum(axis=-1) < 60
+    return 1 - np.flatnonzero(near) / HEIGHT_ABOVE
+
+
+def test_bars_are_as_high_as_the_accuracy():
+    picture = pixels(reliability_diagram(calibration_result([1] * 6 + [2] * 4)))
+    assert rows_of(picture, SKY, 11.5 / 15).max() == pytest.approx(0.6, abs=0.01)
+    assert not rows_of(picture, SKY, 5.5 / 15).size
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_pictures_are_of_one_size_with_wrong_points_or_without(count):
+    result = ranking_result([0.1] * count, np.zeros(count, bool))
+    for picture in (
+        risk_coverage({"epistemic": result}),
+        sparsification({"epistemic": result}),
+        class_uncertainty(result, SPACE),
+        reliability_diagram(calibration_result([])),
+        error_diagram(result, SPACE),
+    ):
+        assert pixels(picture).shape[1::-1] == PLOT_PX

@@ -13,11 +13,10 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 from evaluated import CAR, ROAD, SPACE, World
-from scans import SMALL, make_scan
+from scans import SMALL, make_scan, write_bin
 from served import served
 
 from salsanext_cli import write_labels
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.query import ResultQuery

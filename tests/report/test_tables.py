@@ -12,18 +12,18 @@ from scans import SMALL
 from salsanext_cli import label_space
 from salsanext_cli.labelling.picked_data_set import PickedScan
 from salsanext_cli.measures.paired import RunComparison, ScanPair
-from salsanext_cli.measures.scores import Confusion, class_sums, scores
+from salsanext_cli.measures.scores import class_sums, confusion_matrix, scores
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
 from salsanext_cli.report.comparison import comparison_tables
 from salsanext_cli.report.picked import picked_table
 from salsanext_cli.report.tables import (
+    band_table,
     card_table,
     error_table,
     imported_table,
     kept_table,
     network_table,
-    ring_table,
     score_table,
     survey_tables,
     uncertainty_tables,
@@ -49,7 +49,7 @@ def printed(*tables) -> list[list[str]]:
 def result():
     truth = np.repeat([1, 1, 2, 0], 1000)
     predicted = np.repeat([1, 0, 2, 2], 1000)
-    return scores(Confusion(4).update(truth, predicted), SPACE)
+    return scores(confusion_matrix(truth, predicted, 4), SPACE)
 
 
 def test_a_row_per_class_then_the_means():
@@ -64,23 +64,16 @@ def test_a_row_per_class_then_the_means():
     ]
 
 
-def test_a_row_per_ring():
-    nothing = scores(Confusion(4), SPACE)
-    assert printed(ring_table({"0–10 m": result(), "over 50 m": nothing})) == [
+def test_bands_are_compared_in_the_same_classes():
+    """Of classes of other bands only, the mean of a band says nothing."""
+    nothing = scores(np.zeros((4, 4), np.int64), SPACE)
+    assert printed(band_table({"0–10 m": result(), "over 50 m": nothing})) == [
         ["0–10 m", "75.0", "66.7", "3,000", ""],
         ["over 50 m", "–", "–", "0", "car [red], road"],
     ]
-
-
-def test_rings_are_compared_in_the_same_classes():
-    """Of classes of other rings only, the mean of a ring says nothing."""
-    far = scores(Confusion(4).update(np.array([2, 2]), np.array([2, 1])), SPACE)
-    rows = printed(ring_table({"0–10 m": result(), "10–20 m": far, "20–30 m": result()}))
-    assert [(row[1], row[4]) for row in rows] == [
-        ("100.0", ""),
-        ("50.0", "car [red]"),
-        ("100.0", ""),
-    ]
+    far = scores(confusion_matrix(np.array([2, 2]), np.array([2, 1]), 4), SPACE)
+    rows = printed(band_table({"0–10 m": result(), "10–20 m": far, "20–30 m": result()}))
+    assert [row[1::3] for row in rows] == [["100.0", ""], ["50.0", "car [red]"], ["100.0", ""]]
 
 
 def test_a_class_with_a_threshold_of_its_own_has_a_row_though_none_is_kept():
@@ -123,11 +116,11 @@ def test_undefined_scores_are_dashes_and_absent_results_have_no_table():
 def tables_of_a_large_data_set(weights):
     """Yield every table, with names and numbers as long as those of a large data set."""
     space = label_space()
-    every = Confusion(20, np.eye(20, dtype=np.int64) * MANY // 20)
-    few = Confusion(20).update(np.array([1, 2]), np.array([2, 2]))
+    every = np.eye(20, dtype=np.int64) * MANY // 20
+    few = confusion_matrix(np.array([1, 2]), np.array([2, 2]), 20)
     yield score_table(scores(every, space), "scores on scans that the weights were trained on")
     yield score_table(scores(few, space))
-    yield ring_table({"0–10 m": scores(every, space), "over 50 m": scores(few, space)})
+    yield band_table({"0–10 m": scores(every, space), "over 50 m": scores(few, space)})
     calibration, ranking = calibration_result([1, 2]), ranked(0.1, 0.2)
     calibration = replace(calibration, scans=4071, scores=replace(calibration.scores, points=MANY))
     ranking = replace(ranking, scores=replace(ranking.scores, points=MANY, wrong=MANY // 3))
@@ -149,8 +142,8 @@ def tables_of_a_large_data_set(weights):
     yield imported_table([{"scan": "08/000000", "scalar": "scalar_Classification", **counts}])
     reason = "number 3 of 4,071 by uncertainty; nearly equal ones passed over"
     yield picked_table([PickedScan(1, "2011_09_26", "0000000000", 0.5, 1.5, None, reason)])
-    sums = np.repeat(class_sums(every.matrix)[None], 2, axis=0)
-    pair = ScanPair(ScanFile("2011_09_26", "0000000000", Path("a")), every.matrix[::-1], sums[None])
+    sums = np.repeat(class_sums(every)[None], 2, axis=0)
+    pair = ScanPair(ScanFile("2011_09_26", "0000000000", Path("a")), every[::-1], sums[None])
     yield comparison_tables(RunComparison(space, [pair] * 5))
 
 

@@ -1,14 +1,27 @@
 # SPDX-License-Identifier: MIT
+"""Scans that are found, and those of them that are selected."""
+
+import logging
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from scans import write_sequence
 
-from salsanext_cli.errors import NOTICE, NoInputError, OutputError
+from salsanext_cli.classes.label_space import LabelSpace, label_space
+from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import find_outputs, find_scans, output_path
-from salsanext_cli.results.selection import select_scans
+from salsanext_cli.results.selection import (
+    choose,
+    data_set_of,
+    evenly_spaced,
+    select_scans,
+    space_of,
+    with_splits,
+)
 
 
 def make(folder: Path, *names: str) -> None:
@@ -36,24 +49,21 @@ def dataset(tmp_path: Path) -> Path:
 BOTH = [("00", "000000"), ("00", "000001"), ("08", "000000"), ("08", "000001")]
 
 
-@pytest.mark.parametrize(
-    ("place", "expected"),
-    [
+def test_every_way_to_name_scans(dataset) -> None:
+    for place, expected in (
         (".", BOTH),
         ("sequences", BOTH),
         ("sequences/08", BOTH[2:]),
         ("sequences/08/velodyne", BOTH[2:]),
         ("sequences/08/velodyne/000001.bin", BOTH[3:]),
         ("sequences/../sequences/08", BOTH[2:]),
-    ],
-)
-def test_every_way_to_name_scans(dataset, place, expected) -> None:
-    scans = find_scans(dataset / place)
-    assert [(scan.sequence, scan.stem) for scan in scans] == expected
-    for scan in scans:
-        folder = dataset / "sequences" / scan.sequence
-        assert scan.path == folder / "velodyne" / f"{scan.stem}.bin"
-        assert scan.label_path == folder / "labels" / f"{scan.stem}.label"
+    ):
+        scans = find_scans(dataset / place)
+        assert [(scan.sequence, scan.stem) for scan in scans] == expected
+        for scan in scans:
+            folder = dataset / "sequences" / scan.sequence
+            assert scan.path == folder / "velodyne" / f"{scan.stem}.bin"
+            assert scan.label_path == folder / "labels" / f"{scan.stem}.label"
 
 
 @pytest.mark.parametrize("place", [".", "..", "../velodyne", "./000000.bin", "../../08/velodyne"])
@@ -64,13 +74,10 @@ def test_relative_places_get_their_true_names(dataset, place, monkeypatch) -> No
     assert scan.path.is_absolute()
 
 
-def test_links_keep_the_name_as_typed(dataset: Path, tmp_path: Path) -> None:
+def test_links_keep_the_name_as_typed_and_are_scans_when_theirs_is_gone(dataset, tmp_path) -> None:
     link = tmp_path / "drive"
     link.symlink_to(dataset / "sequences" / "08" / "velodyne")
     assert {(scan.sequence, scan.path.parent) for scan in find_scans(link)} == {("drive", link)}
-
-
-def test_link_to_a_scan_that_is_gone_is_not_passed_over(tmp_path: Path) -> None:
     make(tmp_path / "scans", "a.bin")
     (tmp_path / "scans" / "b.bin").symlink_to(tmp_path / "gone.bin")
     assert [scan.stem for scan in find_scans(tmp_path / "scans")] == ["a", "b"]
@@ -196,3 +203,84 @@ def test_no_name_leads_out_of_the_output_folder(sequence: str, stem: str) -> Non
         return
     assert path.parts == ("/", "out", "sequences", sequence, "range", f"{stem}.npy")
     assert not {"..", "\0"} & {*path.parts, *str(path)}
+
+
+def names(scans):
+    return [f"{scan.sequence}/{scan.stem}" for scan in scans]
+
+
+def test_choices(world):
+    for selection, expected in (
+        (ScanSelection(), ["00/000000", "08/000000", "08/000001"]),
+        (ScanSelection(split="train"), ["00/000000"]),
+        (ScanSelection(sequences=("8",), limit=5), ["08/000000", "08/000001"]),
+        (ScanSelection(split="valid", limit=1), ["08/000000"]),
+    ):
+        assert names(select_scans(world.data, selection)) == expected
+
+
+def test_a_split_does_not_choose_in_a_folder_of_ones_own(tmp_path, caplog):
+    folder = write_sequence(tmp_path / "Straße 9", ["a"])
+    with caplog.at_level(logging.WARNING):
+        scans = select_scans(folder, ScanSelection(split="valid"))
+    assert names(scans) == ["Straße 9/a"]
+    assert "no split names Straße 9: taking all" in caplog.text
+
+
+@pytest.mark.parametrize("name", ["labels.yaml", "semantic-kitti.yaml"])
+def test_a_data_set_may_bring_its_own_splits(world, name):
+    space = label_space().to_dict() | {"name": "mine", "split": {"odd": ["00"]}}
+    (world.data / name).write_text(yaml.safe_dump(space))
+    scans = find_scans(world.data)
+    assert space_of(scans).splits == {"odd": ("00",)}
+    assert names(select_scans(world.data, ScanSelection(split="odd"))) == ["00/000000"]
+
+
+OWN, SAME_IDS = {"odd": ["00"], "valid": ["00", "08"]}, label_space("coarse").to_dict()
+
+
+@pytest.mark.parametrize("own", [None, {}, OWN])
+@pytest.mark.parametrize("given", [{}, {"valid": ["00"]}])
+def test_splits_are_those_given_else_of_the_data_set_else_semantic_kittis(world, own, given):
+    if own is not None:
+        text = yaml.safe_dump(label_space().to_dict() | {"split": own})
+        (world.data / "labels.yaml").write_text(text)
+    space = LabelSpace.from_dict(SAME_IDS | {"split": given})
+    for alternatives in (False, True):
+        found = with_splits(space, world.data, alternatives=alternatives)
+        usual = ("00", "08") if own else ("08",)
+        assert found.splits["valid"] == (("00",) if given else usual)
+        assert found.fits(space)
+    chosen = choose(find_scans(world.data), ScanSelection(split="valid"), space, world.data)
+    assert {scan.sequence for scan in chosen} == {*found.splits["valid"]}
+
+
+def test_a_broken_label_space_is_read_only_where_it_is_needed(world, caplog):
+    (world.data / "labels.yaml").write_text("labels: 3")
+    whole = LabelSpace.from_dict(SAME_IDS | {"split": {"train": ["00"]}})
+    assert with_splits(whole, world.data) is whole
+    for _ in range(2):
+        assert with_splits(whole, world.data, alternatives=True) is whole
+    (said,) = caplog.messages
+    assert "labels.yaml · not a label space" in said
+    assert said.endswith("label space coarse is taken without it")
+    for alternatives in (False, True):
+        with pytest.raises(UsageError, match=r"labels\.yaml · not a label space"):
+            with_splits(label_space("coarse"), world.data, alternatives=alternatives)
+
+
+def test_the_label_space_of_scans_elsewhere_is_the_fallback(tmp_path):
+    folder = write_sequence(tmp_path / "one", ["a"])
+    (scan,) = find_scans(folder)
+    other = label_space()
+    assert data_set_of(scan) is None
+    assert space_of([scan], other) is other
+    assert space_of([]).name == "semantic-kitti"
+
+
+def test_evenly_spaced_takes_first_and_last_and_none_twice(tmp_path):
+    files = find_scans(write_sequence(tmp_path / "08", [f"{i:02d}" for i in range(11)], count=1))
+    assert evenly_spaced(files, 0) == files
+    assert evenly_spaced(files, 20) == files
+    assert [file.stem for file in evenly_spaced(files, 3)] == ["00", "05", "10"]
+    assert len(set(evenly_spaced(files, 10))) == 10

@@ -1,22 +1,30 @@
 # SPDX-License-Identifier: MIT
-"""Runs of stages in an output folder: what is recorded, refused, removed and kept."""
+"""Runs of stages in an output folder: what is recorded, refused, removed, kept, disturbed."""
 
 import json
 import os
+import shutil
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from empty_runs import begin_and_end
-from scans import files_below, write_sequence
+from scans import files_below, labels_below, write_sequence, write_weights
+from world import begin_and_end
 
 from salsanext_cli import __version__, label_space, sensor
-from salsanext_cli.errors import OutputError
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.errors import OutputError, WeightsError
 from salsanext_cli.files.atomic import STALE_AFTER_S
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.options import KnnParameters
+from salsanext_cli.parallel.run import NetworkTask, RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.results.output_run import output_run
+from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.stages.predict import predict_scan, predict_scans
 
 SETTINGS = {"weights": "abc", "knn": {"k": 5}}
 LABELS = np.full(5, 10, np.uint32)
@@ -176,20 +184,17 @@ def test_an_infinite_setting_is_recorded_as_json_can(tmp_path: Path) -> None:
     assert json.loads(text, parse_constant=pytest.fail)["settings"] == {"cutoff": "Infinity"}
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
+def test_damaged_records_are_named(tmp_path: Path) -> None:
+    for content in (
         *(b"{", b"{}", b'{"settings": {}, "writes": 3}'),
         b'{"settings": {}, "writes": ["elsewhere"]}',
         b'{"settings": {}, "writes": [], "scans": {"08": {"folder": 3, "asked_for": []}}}',
-    ],
-)
-def test_damaged_records_are_named(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "predict.json").write_bytes(content)
-    with pytest.raises(OutputError, match=r"predict\.json"):
-        predict(tmp_path)
-    with pytest.raises(OutputError, match=r"predict\.json"):
-        StageRecords(tmp_path).owner("predictions")
+    ):
+        (tmp_path / "predict.json").write_bytes(content)
+        with pytest.raises(OutputError, match=r"predict\.json"):
+            predict(tmp_path)
+        with pytest.raises(OutputError, match=r"predict\.json"):
+            StageRecords(tmp_path).owner("predictions")
 
 
 def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
@@ -276,3 +281,65 @@ def test_what_was_left_half_written_long_ago_is_removed(tmp_path: Path) -> None:
     predict(out, scans=scans_of(tmp_path, "a"))
     assert [path for path in gone if path.exists()] == []
     assert [path for path in kept if not path.exists()] == []
+
+
+def run(world, meddle: Callable[[], object] = lambda: None, **options):
+    """Predict, and meddle after the first scan."""
+
+    def progress(done: int, _: int) -> None:
+        if done == 1:
+            meddle()
+
+    given = RunOptions(progress=progress, **options)
+    return predict_scans(world.data, world.out, settings=world.network, options=given)
+
+
+def test_a_scan_that_is_deleted(world, tmp_path):
+    """It is the fourth: when the first is done, the third may be read already."""
+    write_sequence(world.data / "sequences/08", ["000000", "000001", "000002"])
+    predict_scans(world.data, tmp_path / "whole", settings=world.network)
+    path = world.scan("08", "000002")
+    content = path.read_bytes()
+    outcome = run(world, path.unlink)
+    assert (outcome.done, len(outcome.failures)) == (3, 1)
+    assert outcome.failures[0].reason.startswith(f"{path} · cannot be read: no such file")
+    path.write_bytes(content)
+    assert run(world).done == 1
+    assert labels_below(world.out) == labels_below(tmp_path / "whole")
+
+
+@pytest.mark.slow
+def test_workers_that_find_other_weights_label_no_scan(world, tmp_path):
+    """As those of a training that goes on: who has not loaded the first ones stops."""
+    weights = tmp_path / "w.safetensors"
+    shutil.copy(world.network.weights, weights)
+    network = NetworkSettings(weights, "cpu").load()
+    settings = NetworkSettings(weights, "cpu").resolved(network)
+    write_weights(weights, seed=1)
+    output = OutputRun(world.out, folders=("predictions",))
+    task = NetworkTask(partial(predict_scan, knn=KnnParameters(), output=output), settings, network)
+    with pytest.raises(WeightsError, match="was replaced since the run began"):
+        run_over_scans(task, find_scans(world.data), RunOptions(jobs=2))
+    assert labels_below(world.out) == {}
+
+
+def test_an_output_folder_that_is_deleted(world, tmp_path):
+    """The results that went with it are not taken for done."""
+    predict_scans(world.data, tmp_path / "whole", settings=world.network)
+    with pytest.raises(OutputError, match=r"was removed or replaced .* run again with --overwrite"):
+        run(world, lambda: shutil.rmtree(world.out))
+    with pytest.raises(OutputError, match="is a result that no stage recorded"):
+        run(world)
+    assert run(world, overwrite=True).done == 3
+    assert labels_below(world.out) == labels_below(tmp_path / "whole")
+
+
+def test_a_file_replaced_by_one_of_the_same_size_and_time(tmp_path):
+    """As a clock that was set back, or a copy that keeps times, can leave it."""
+    digests = []
+    for content in (b"one", b"two"):
+        (tmp_path / "new").write_bytes(content)
+        os.utime(tmp_path / "new", (1, 1))
+        (tmp_path / "new").replace(tmp_path / "file")
+        digests.append(fingerprint(tmp_path / "file"))
+    assert digests[0] != digests[1]

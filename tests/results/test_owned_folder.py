@@ -24,7 +24,7 @@ def test_a_written_file_is_ours(written: OwnedFolder, name: str) -> None:
     written.write(path, b"once before")
     written.write(path, b"content")
     assert path.read_bytes() == b"content"
-    assert written.others([path]) == []
+    assert written.foreign_files([path]) == []
     assert written.written() == [path]
     assert written.remove_own([path]) == []
     assert not path.exists()
@@ -42,7 +42,7 @@ def test_files_of_others_are_kept(written: OwnedFolder) -> None:
     others[2].symlink_to(ours)
     foreign = written.root / "foreign"
     foreign.write_bytes(b"mine")
-    assert written.others([ours, *others, foreign]) == [*others, foreign]
+    assert written.foreign_files([ours, *others, foreign]) == [*others, foreign]
     assert written.remove_own([ours, *others, foreign]) == [*others, foreign]
     assert sorted(path.name for path in written.root.iterdir() if path.name[0] != ".") == [
         *("edited", "foreign", "replaced", "touched")
@@ -54,7 +54,7 @@ def test_nothing_is_removed_through_a_link_below_a_folder_that_may_be_one(tmp_pa
     (tmp_path / "out").symlink_to(tmp_path / "disk")
     written, path = OwnedFolder(tmp_path / "out"), tmp_path / "out/sequences/00/a.bin"
     written.write(path, b"scan")
-    assert written.others([path]) == []
+    assert written.foreign_files([path]) == []
     path.parent.rename(tmp_path / "elsewhere")
     path.parent.symlink_to(tmp_path / "elsewhere")
     assert written.remove_own([path]) == [path]
@@ -65,7 +65,7 @@ def test_an_empty_file_is_nobodys_loss(written: OwnedFolder) -> None:
     """A power cut can leave one that had just got its name."""
     written.root.mkdir()
     (written.root / "empty").touch()
-    assert written.others([written.root / "empty", written.root / "none"]) == []
+    assert written.foreign_files([written.root / "empty", written.root / "none"]) == []
 
 
 def test_a_record_that_was_cut_off_costs_one_line(written: OwnedFolder) -> None:
@@ -75,7 +75,7 @@ def test_a_record_that_was_cut_off_costs_one_line(written: OwnedFolder) -> None:
     record.write_bytes(record.read_bytes()[:-3])
     written.write(written.root / "c", b"x")
     paths = [written.root / name for name in "abc"]
-    assert written.others(paths) == paths[1:2]
+    assert written.foreign_files(paths) == paths[1:2]
 
 
 def test_a_file_that_could_not_be_recorded_does_not_appear(written: OwnedFolder) -> None:
@@ -91,7 +91,7 @@ def test_many_at_once_lose_no_line(written: OwnedFolder) -> None:
     with ThreadPoolExecutor(8) as threads:
         list(threads.map(lambda path: written.write(path, b"x"), paths))
     assert written.written() == paths
-    assert written.others(paths) == []
+    assert written.foreign_files(paths) == []
 
 
 @pytest.mark.parametrize("name", ["../victim", "{folder}/victim", "a/../../victim", "%2e./victim"])

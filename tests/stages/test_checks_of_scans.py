@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, write_sequence
+from scans import SMALL, write_bin, write_sequence
 
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.errors import FormatError, TrainingError
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.owned_folder import OwnedFolder

@@ -63,9 +63,9 @@ def test_scores_are_those_of_eval(runs):
     assert [mean.before, mean.after] == [each.scores.iou_mean_present for each in evaluated]
     assert 0 < accuracy.low <= accuracy.difference <= accuracy.high
     assert found.scores["car"].before == evaluated[0].scores.classes[0].iou
-    assert set(found.rings) == {"0–10 m", "10–20 m"}
-    ring = evaluated[0].by_distance["0–10 m"]
-    assert found.rings["0–10 m"][1].before == ring.iou_mean_present
+    assert set(found.bands) == {"0–10 m", "10–20 m"}
+    band = evaluated[0].by_distance["0–10 m"]
+    assert found.bands["0–10 m"][1].before == band.iou_mean_present
     assert (data["scans"], data["scored"], data["trained_on"]) == (7, 6, [])
     assert data["changed_most"][0]["scan"] == "08/5"
 

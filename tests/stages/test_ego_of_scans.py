@@ -3,16 +3,16 @@
 
 import re
 import shlex
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from command_line import only_json
-from scans import SMALL, labels_below
+from scans import SMALL, labels_below, write_bin
 from typer.testing import CliRunner
 
 from salsanext_cli import Scan, read_labels, read_scan
 from salsanext_cli.cli.app import app
-from salsanext_cli.formats.kitti import write_bin
 
 NEAR = 300
 
@@ -53,8 +53,7 @@ def test_the_housing_is_unlabelled_and_it_is_said(housed):
 
 
 def test_a_sensor_file_keeps_what_it_tells(housed, tmp_path):
-    known = (f"{k} = {v}" for k, v in SMALL.to_dict().items() if isinstance(v, int | float))
-    (tmp_path / "own.toml").write_text("\n".join(('name = "own"', *known, "min_range = 0.1")))
+    (tmp_path / "own.toml").write_text(replace(SMALL, min_range=0.1).to_toml())
     result = typed(housed, f"predict DATA OUT --sensor '{tmp_path / 'own.toml'}'")
     assert result.exit_code == 0, result.stderr
     assert unlabelled(housed)[0] == pytest.approx([0] * 3, abs=0.5)

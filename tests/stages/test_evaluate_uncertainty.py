@@ -71,10 +71,6 @@ def uncertainty_of(world: World, by_distance: bool = False) -> UncertaintyEvalua
     return evaluate_uncertainty(counts, SPACE)
 
 
-def files_of(world: World) -> set[str]:
-    return {path.name for path in world.out.iterdir() if path.is_file()}
-
-
 def report_of(world: World) -> dict:
     return json.loads((world.out / "eval.json").read_text())
 
@@ -85,11 +81,12 @@ def test_whatever_is_there_is_evaluated(world, folder):
     scores = world.evaluate() and (world.out / "scores.txt").read_bytes()
     world.put(folder, "000000", softmax(1, 0.25) if folder == "probabilities" else [0.1, 0.2])
     world.evaluate()
-    assert files_of(world) == ALWAYS | PICTURES[folder]
+    files = {path.name for path in world.out.iterdir() if path.is_file()}
+    assert files == ALWAYS | PICTURES[folder]
     assert (world.out / "scores.txt").read_bytes() == scores
     report = report_of(world)
     assert ("calibration" in report) == (folder == "probabilities")
-    kinds = ["confidence", "softmax_entropy"] if folder == "probabilities" else [folder[12:]]
+    kinds = ["least_confidence", "softmax_entropy"] if folder == "probabilities" else [folder[12:]]
     assert list(report["uncertainty"]) == kinds
 
 
@@ -103,7 +100,7 @@ def test_the_error_per_scan_is_the_mean_over_the_scans_that_have_points(world):
     assert calibration.scores.ece == 0
 
 
-def test_classes_and_rings(world):
+def test_classes_and_bands(world):
     world.add("000000", [CAR, CAR, ROAD], [CAR, ROAD, ROAD], distance=5)
     world.put("probabilities", "000000", softmax(0.75, 0.25, 0.25))
     world.put("uncertainty/epistemic", "000000", [0.1, 0.2, 0.5])

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import plyfile
 import pytest
-from scans import write_array
+from scans import write_array, write_bin
 from typer.testing import CliRunner
 
 from salsanext_cli import Scan, label_space, read_labels, read_scan, write_labels
 from salsanext_cli.cli.app import app
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.fusion import drive_map
 from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.drive_map import MapTask
@@ -78,11 +77,8 @@ def cars_and_buildings(task):
     return (labels[places > 4.9] == CAR).any(), (moving == CAR).any(), (moving == BUILDING).any()
 
 
-def test_what_moves_leaves_no_trail_and_what_is_parked_stays(street):
+def test_what_moves_leaves_no_trail_where_scans_in_reach_and_of_the_part_tell_it(street):
     assert cars_and_buildings(street) == (True, False, True)
-
-
-def test_only_scans_in_reach_and_of_the_part_tell_what_moves(street):
     assert cars_and_buildings(replace(street, reach=0)) == (True, True, True)
     apart = Drive(street.drive.poses, np.arange(5))
     assert cars_and_buildings(replace(street, drive=apart)) == (True, True, True)
@@ -247,10 +243,3 @@ def test_a_report_shows_the_drive_from_above_or_says_why_not(fused):
     page = report(fused.out / "fused").page.read_text()
     assert "4 lines" in page
     assert 'alt="08: ' not in page
-
-
-def test_a_map_of_the_user_is_kept(fused):
-    map_of(fused).write_text("mine")
-    with pytest.raises(OutputError, match="kept"):
-        export(fused)
-    assert map_of(fused).read_text() == "mine"

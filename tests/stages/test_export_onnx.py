@@ -38,10 +38,6 @@ def model(tmp_path_factory, weights):
     return path
 
 
-def card_of(sensor, name):
-    return WeightsCard({"name": name, "class_count": 20}, label_space(), sensor)
-
-
 def image(sensor=SMALL):
     return project(make_scan(), sensor)
 
@@ -53,7 +49,7 @@ def image(sensor=SMALL):
 def test_every_architecture_computes_what_torch_does(name):
     module = lively(build({"name": name, "class_count": 20, "dropout": 0.2}))
     for sensor in (SMALL, ODD):
-        card = card_of(sensor, name)
+        card = WeightsCard({"name": name, "class_count": 20}, label_space(), sensor)
         found = exported(module, card)
         onnx.checker.check_model(found, full_check=True)
         assert difference(found.SerializeToString(), module, card) < 1e-4

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import plyfile
 import pytest
-from empty_runs import begin_and_end
-from scans import SMALL, files_below, write_array
-from world import Kept
+from scans import SMALL, files_below, write_array, write_bin
+from world import Kept, begin_and_end
 
 from salsanext_cli import LabelSpace, Scan, label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import (
@@ -18,7 +17,6 @@ from salsanext_cli.errors import (
     NoInputError,
     OutputError,
 )
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.formats.las import classification
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
@@ -244,7 +242,7 @@ def test_odd_points_are_exported(world):
 
 def test_a_run_that_goes_on_colours_alike_and_most_points_are_in_the_range(predicted):
     export(predicted, colour="range", query=ResultQuery(selection=ScanSelection(limit=1)))
-    export(predicted, colour="range")
+    export(predicted, colour="range", options=RunOptions(jobs=2))
     (comment,) = {ply(predicted, s).comments[0] for s in ("00", "08")}
     low, high = (float(n) for n in comment.split()[-2:])
     ranges = column(predicted, "range")

@@ -310,12 +310,3 @@ def test_labels_of_another_number_of_points_are_a_failure(apply, world, tmp_path
     (failure,) = apply(keep=["bicycle"]).failures
     assert failure.scan.stem == "000000"
     assert not [*tmp_path.glob("to/sequences/*/*/000000*")]
-
-
-def test_what_a_scan_has_no_more_is_removed(apply, world, tmp_path):
-    apply(split=True)
-    path = output_path(world.out, "08", "predictions", "000001")
-    write_labels(path, np.array([CAR] * 4, np.uint32))
-    apply(split=True, options=RunOptions(overwrite=True))
-    assert not (tmp_path / "to/sequences/08/road/000001.bin").exists()
-    assert left(tmp_path, "000001", "car") == [0, 1, 2, 3]

@@ -8,7 +8,7 @@ import numpy as np
 import plyfile
 import pytest
 from command_line import only_json
-from scans import files_below
+from scans import files_below, write_bin
 from typer.testing import CliRunner
 
 from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_labels, read_scan
@@ -21,7 +21,6 @@ from salsanext_cli.errors import (
     SalsanextError,
     UsageError,
 )
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.fusion.poses import encode_poses, read_poses
 from salsanext_cli.fusion.window import FusionWindow, disagreement, fuse, fused_labels
 from salsanext_cli.options import ScanSelection
@@ -263,13 +262,17 @@ def test_what_cannot_be_fused_is_said(world, drive):
     assert not fused_folder(drive).exists()
 
 
-def test_votes_for_classes_that_there_are_not_are_damage_and_have_no_vote(drive):
+def test_damaged_votes_are_those_of_no_scan_and_so_are_votes_for_no_class(drive):
+    drive.result("probabilities", stem="000001").write_bytes(b"no array")
+    outcome = fuse_results(drive.out)
+    assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
+    assert np.load(fused_folder(drive) / "views/000000.npy").max() == 2
     shutil.rmtree(drive.out / "sequences/08/probabilities")
     folder = drive.data / "sequences/08"
     again = RunOptions(overwrite=True)
     predict_scans(folder, drive.out, settings=drive.network, extras=("votes",), options=again)
     np.save(drive.result("votes"), np.full((1500, 3), 200 * 256, np.uint16))
-    outcome = fuse_results(drive.out)
+    outcome = fuse_results(drive.out, options=again)
     assert [failure.code for failure in outcome.failures] == ["format"]
     assert np.load(fused_folder(drive) / "views/000001.npy").max() == 2
 
@@ -374,10 +377,3 @@ def test_python_labels_a_drive_as_the_command_line_does(world, caplog, monkeypat
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     with pytest.raises(SalsanextError, match=r"salsanext\[fuse\]"):
         next(label_drive(folder, weights))
-
-
-def test_a_scan_that_is_damaged_fails_and_has_no_vote(drive):
-    drive.result("probabilities", stem="000001").write_bytes(b"no array")
-    outcome = fuse_results(drive.out)
-    assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
-    assert np.load(fused_folder(drive) / "views/000000.npy").max() == 2

@@ -3,12 +3,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, make_scan
+from scans import SMALL, make_scan, write_bin
 
 from salsanext_cli import Scan, project, read_scan, sensor
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.fitting.view_fit import fit_view
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.stages.inspect import inspect, write_sensor
 
 TILT = np.radians(6.5)
@@ -40,23 +39,20 @@ def test_a_fitted_sensor_is_measured_through_its_own_view(tilted, tmp_path):
     assert (fitted.range_noise, fitted.intensity_noise) == (None, SMALL.intensity_noise)
 
 
-@pytest.mark.parametrize(
-    ("points", "found"),
-    [
+def test_scans_without_a_field_of_view_are_not_fitted(tmp_path):
+    for points, found in (
         (np.zeros((2000, 3)), r"0 points with a measurement.* expected 1000 or more"),
         (make_scan(999).points, r"999 points"),
         (
             make_scan(2000).points * [1, 1, 0.01],
             r"a field of view of 0\.\d\d°.* 1° or more",
         ),
-    ],
-)
-def test_scans_without_a_field_of_view_are_not_fitted(tmp_path, points, found):
-    scan = Scan(points.astype(np.float32), np.zeros(len(points), np.float32))
-    write_bin(tmp_path / "scans/0.bin", scan)
-    inspection = inspect(tmp_path / "scans", sensor=SMALL, fit=True)
-    with pytest.raises(NoInputError, match=found):
-        inspection.fitted_sensor("mine")
+    ):
+        scan = Scan(points.astype(np.float32), np.zeros(len(points), np.float32))
+        write_bin(tmp_path / "scans/0.bin", scan)
+        inspection = inspect(tmp_path / "scans", sensor=SMALL, fit=True)
+        with pytest.raises(NoInputError, match=found):
+            inspection.fitted_sensor("mine")
 
 
 def write_beams(folder, beams):
@@ -69,17 +65,6 @@ def write_beams(folder, beams):
     return folder
 
 
-def test_a_fit_for_images_of_its_own_has_beams_and_the_whole_view(tmp_path):
-    beams = np.array([40, 20, 8, 5, 3, 2, 1, 0, -1, -2, -3, -4, -5, -6, -8, -10, -15, -25])
-    folder = write_beams(tmp_path / "scans", beams)
-    found = inspect(folder, sensor=SMALL.resized(18, 64), fit=True)
-    own = found.fitted_sensor("own")
-    np.testing.assert_allclose(own.beams, beams, atol=0.02)
-    assert (own.fov_up, own.fov_down) == pytest.approx((40, -25), abs=0.1)
-    # Statistics are those of a row per beam.
-    assert found.total.pixels == 18 * 64
-
-
 def test_a_fit_for_the_images_of_weights_has_the_view_that_auto_takes(tmp_path):
     folder = write_beams(tmp_path / "scans", np.linspace(40, -40, 60))
     found = inspect(folder, sensor=SMALL, fit=True)
@@ -89,5 +74,5 @@ def test_a_fit_for_the_images_of_weights_has_the_view_that_auto_takes(tmp_path):
     assert mine.fov_up - mine.fov_down < 72
     assert found.fitted_sensor("mine").fov_up == pytest.approx(40, abs=0.1)
     write_sensor(tmp_path / "mine.toml", mine, images=False)
-    usual = {"beams": (), "means": SMALL.means, "stds": SMALL.stds}
+    usual = {"means": SMALL.means, "stds": SMALL.stds}
     assert sensor(tmp_path / "mine.toml", SMALL) == replace(mine, **usual)

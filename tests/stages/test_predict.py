@@ -1,4 +1,7 @@
 # SPDX-License-Identifier: MIT
+"""Labels of scans: in one step or three, one by one or in batches; projections."""
+
+import json
 import shutil
 from dataclasses import replace
 
@@ -11,18 +14,21 @@ from scans import (
     labels_below,
     make_scan,
     replace_points,
+    share_alike,
+    write_bin,
     write_sequence,
     write_weights,
 )
 
-from salsanext_cli import KnnParameters, LabelSpace, knn_refine, label_space, project
+from salsanext_cli import KnnParameters, LabelSpace, knn_refine, label_space, project, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.kitti import write_bin
+from salsanext_cli.fitting.label_scan import projected_sensor
 from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.network.weights import read_weights, save_weights
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.records import Scan
+from salsanext_cli.sensors.sensor import sensor
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
@@ -225,3 +231,127 @@ def test_several_sources_are_one_run(world):
     shutil.copy(world.scan("08", "000001"), twice)
     with pytest.raises(OutputError, match="2 scans of that name"):
         run(world, [twice, world.scan("08", "000001")])
+
+
+EXTRAS = ("pixel_labels", "probabilities")
+
+
+def bytes_below(folder):
+    found = files_below(folder).items()
+    return {name: data for name, data in found if name.endswith((".label", ".npy"))}
+
+
+@pytest.fixture
+def nine(on_openvino):
+    """Return a world with a sequence of nine scans, of no points, of one and of many."""
+    world = on_openvino
+    folder = world.data / "sequences" / "05"
+    write_sequence(folder, [f"{n:06d}" for n in range(8)], labels=False)
+    replace_points(folder / "velodyne" / "000007.bin", [])
+    write_bin(folder / "velodyne" / "000008.bin", Scan(np.float32([[5, 1, 0]]), np.float32([0.5])))
+    return world
+
+
+def predict(world, out, **options):
+    return predict_scans(world.data / "sequences/05", out, **{"settings": world.network, **options})
+
+
+def test_the_same_bytes_in_batches_of_any_size(nine, tmp_path):
+    predict(nine, tmp_path / "1", extras=EXTRAS)
+    expected = bytes_below(tmp_path / "1")
+    assert len(expected) == 4 * 9
+    outcome = predict(nine, tmp_path / "4", extras=EXTRAS, batch=4)
+    assert (outcome.done, outcome.failures) == (9, ())
+    assert bytes_below(tmp_path / "4") == expected
+
+
+def test_scans_that_fail_do_not_keep_the_others(nine, tmp_path):
+    """Be it that they cannot be read, or that their result cannot be written."""
+    (nine.data / "sequences/05/velodyne/000003.bin").write_bytes(b"cut off")
+    blocked = tmp_path / "out/sequences/05/predictions/000002.label"
+    blocked.mkdir(parents=True)
+    outcome = predict(nine, tmp_path / "out", batch=4, options=RunOptions(overwrite=True))
+    assert [failure.scan.stem for failure in outcome.failures] == ["000002", "000003"]
+    assert outcome.done == 7
+
+
+def test_batches_shrink_when_memory_is_short(nine, tmp_path, monkeypatch, caplog):
+    """By torch, which computes batches; OpenVINO takes one scan after the other."""
+    by_torch, softmax = replace(nine.network, engine="torch"), torch.Tensor.softmax
+    predict(nine, tmp_path / "expected", settings=by_torch)
+
+    def short_of_memory(logits, dim):
+        if len(logits) > 2:
+            raise torch.OutOfMemoryError("no room")
+        return softmax(logits, dim)
+
+    monkeypatch.setattr(torch.Tensor, "softmax", short_of_memory)
+    outcome = predict(nine, tmp_path / "out", batch=4, settings=by_torch)
+    assert (outcome.done, outcome.failures) == (9, ())
+    assert "not enough memory for 4 scans at once: 2 now" in caplog.text
+    assert share_alike(tmp_path / "out", tmp_path / "expected") > 0.999
+
+
+@pytest.mark.parametrize(
+    ("step", "batch"),
+    [
+        ("engines.network.knn_refine", 1),
+        ("engines.network.Engine.tensor", 4),
+    ],
+)
+def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch, step, batch):
+    def no_room(*_args, **_options):
+        raise torch.OutOfMemoryError("no room")
+
+    monkeypatch.setattr(f"salsanext_cli.{step}", no_room)
+    by_torch = replace(nine.network, engine="torch")
+    outcome = predict(nine, tmp_path / "out", batch=batch, settings=by_torch)
+    assert len(outcome.failures) == 9
+    assert "000000.bin · is too large for the memory of cpu" in outcome.failures[0].reason
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+@pytest.mark.parametrize("precision", ["float32", "float16", "bfloat16"])
+def test_a_gpu_gives_the_labels_of_a_cpu(nine, tmp_path, precision):
+    predict(nine, tmp_path / "cpu")
+    there = replace(nine.network, device="cuda", precision=precision)
+    predict(nine, tmp_path / "gpu", settings=there, batch=4)
+    assert share_alike(tmp_path / "gpu", tmp_path / "cpu") >= 0.99
+
+
+def test_the_files_hold_the_projection(world):
+    outcome = project_scans(world.data, world.out, sensor=SMALL)
+    assert outcome.done == 3
+    seen = replace(SMALL, min_range=1.0, ego_box=())
+    image = project(read_scan(world.scan("08", "000001")), seen)
+    channels = np.load(world.result("range", "08", "000001"))
+    pixels = np.load(world.result("pixels", "08", "000001"))
+    assert channels.dtype == np.float32
+    assert pixels.dtype == np.int32
+    np.testing.assert_array_equal(channels, image.channels)
+    np.testing.assert_array_equal(pixels, image.pixel_of_point)
+    assert json.loads((world.out / "project.json").read_text())["settings"] == {
+        "sensor": json.loads(json.dumps(seen.to_dict()))
+    }
+    assert projected_sensor(world.out) == seen
+    assert projected_sensor(world.data) is None
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("folder", "preset", "fits"),
+    [
+        ("semantickitti/sequences/08", "hdl64", True),
+        ("pandaset/sequences/002/velodyne/000000.bin", "pandar64", True),
+        ("sensors/nuscenes_hdl32/five_columns.pcd.bin", "hdl32", True),
+        ("sensors/ouster/os0_128.bin", "os0-128", True),
+        ("sensors/ouster/os2_32.bin", "os2-32", True),
+        ("sensors/pcd/hdl32_with_points_at_origin.pcd", "hdl32", True),
+        ("semantickitti/sequences/08", "vlp16", False),
+        ("sensors/ouster/os1_128.bin", "os2-32", False),
+    ],
+)
+def test_real_scans_fit_their_sensors_only(real_data, tmp_path, caplog, folder, preset, fits):
+    project_scans(real_data / "data" / folder, tmp_path, sensor=sensor(preset))
+    assert caplog.text.count("outside the view") == (0 if fits else 1)

@@ -4,11 +4,10 @@
 import numpy as np
 import pytest
 from evaluated import CAR, MOVING_CAR, ROAD, SPACE, World
-from scans import make_scan
+from scans import make_scan, write_bin
 
 from salsanext_cli import read_labels, read_scan
 from salsanext_cli.errors import UsageError
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.report.colours import EMPTY
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.query import ResultQuery

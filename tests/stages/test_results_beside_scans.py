@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import only_json
-from scans import make_scan, write_sequence
+from scans import make_scan, write_bin, write_sequence
 from typer.testing import CliRunner
 
 from salsanext_cli.cli.app import app
 from salsanext_cli.errors import OutputError
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.results.layout import find_scans, require_none_hidden
 
 
@@ -26,20 +25,12 @@ def drive(tmp_path, monkeypatch):
         (tmp_path / "tables").mkdir(exist_ok=True)
         np.savetxt(tmp_path / f"tables/{stem}.txt", np.c_[scan.points, scan.intensity])
     monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
-@pytest.fixture
-def call(weights):
-    def call(command):
-        result = CliRunner().invoke(app, command.replace("WEIGHTS", f"{weights}").split())
-        assert result.exit_code == 0, result.output
-        return only_json(result)
-
-    return call
-
-
-NETWORK = "--weights WEIGHTS --device cpu --engine torch --json --columns x,y,z,intensity"
+def call(command):
+    result = CliRunner().invoke(app, command.split())
+    assert result.exit_code == 0, result.output
+    return only_json(result)
 
 
 @pytest.mark.parametrize(
@@ -53,18 +44,19 @@ NETWORK = "--weights WEIGHTS --device cpu --engine torch --json --columns x,y,z,
         ("data/sequences/00/velodyne", "data/sequences/00/velodyne"),
     ],
 )
-def test_later_commands_find_the_scans(drive: Path, call, source: str, out: str) -> None:
+def test_later_commands_find_the_scans(drive: None, weights, source: str, out: str) -> None:
     places = ["plain", "tables", "data", "data/sequences", "data/sequences/00", "streets"]
     before = {place: find_scans(Path(place)) for place in [*places, source]}
-    first = call(f"predict {source} {out} {NETWORK}")
+    network = f"--weights {weights} --device cpu --engine torch --json --columns x,y,z,intensity"
+    first = call(f"predict {source} {out} {network}")
     assert (first["done"], first["failures"]) == (2, [])
     # `eval` writes a table, which is no scan beside tables that are.
     (Path(out) / "scores.txt").write_text("accuracy_mean: 0.5\n")
     assert {place: find_scans(Path(place)) for place in before} == before
-    again = call(f"predict {source} {out} {NETWORK}")
+    again = call(f"predict {source} {out} {network}")
     assert (again["done"], again["skipped"]) == (0, 2)
     assert call(f"export-ply --out {out} --json")["done"] == 2
-    call(f"predict {source} elsewhere {NETWORK}")
+    call(f"predict {source} elsewhere {network}")
     for labels in Path("elsewhere").rglob("*.label"):
         assert labels.read_bytes() == (out / labels.relative_to("elsewhere")).read_bytes()
 

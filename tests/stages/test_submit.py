@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from scans import make_scan
+from scans import make_scan, write_bin
 
 from salsanext_cli import label_space, write_labels
 from salsanext_cli.errors import LabelError, OutputError
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.stages import submit as module
 from salsanext_cli.stages.submit import SCANS_OF_TEST, submit
@@ -105,6 +104,10 @@ def test_everything_that_is_wrong_is_listed_and_nothing_written(folders):
     write_labels(folders.label("14", "000000"), np.array([2, 3, 40, 40, 252, 258, 10]))
     write_labels(folders.label("15", "000000"), np.full(POINTS, 252 | 7 << 16))
     write_labels(folders.label("16", "000000"), np.full(POINTS, 10 | 7 << 16))
+    # Which `eval` reads, and the benchmark does not.
+    labels = np.full(POINTS + 1, 40)
+    write_bin(folders.scan("17", "000000"), make_scan(len(labels)))
+    folders.label("17", "000000").write_bytes(labels.astype("<u2").tobytes())
     made = folders.submit()
     assert [(p.code, p.sequence, p.scans) for p in made.problems] == [
         ("missing", "11", 1),
@@ -114,8 +117,9 @@ def test_everything_that_is_wrong_is_listed_and_nothing_written(folders):
         ("unknown-id", "14", 1),
         ("moving", "14", 1),
         ("moving", "15", 1),
+        ("length", "17", 1),
     ]
-    missing, cut, _, length, unknown, moving, _ = messages(made)
+    missing, cut, _, length, unknown, moving, _, short = messages(made)
     assert "sequence 11 · 1 of 3 predictions are missing: 000001" in missing
     assert "1 of their scans are missing too: complete the data set" in missing
     assert "000002.label · 5 bytes" in cut
@@ -123,19 +127,9 @@ def test_everything_that_is_wrong_is_listed_and_nothing_written(folders):
     assert "2, 3" in unknown
     assert "train ids" in unknown
     assert "252 moving-car, 258 moving-truck" in moving
+    assert "000000.label · 2 bytes per label" in short
     assert not folders.zip.exists()
     assert list(folders.zip.parent.iterdir()) == []
-
-
-def test_labels_of_less_than_four_bytes_are_refused(folders):
-    """As `eval` reads them, and the benchmark does not."""
-    labels = np.full(POINTS + 1, 40)
-    write_bin(folders.scan("12", "000000"), make_scan(len(labels)))
-    folders.label("12", "000000").write_bytes(labels.astype("<u2").tobytes())
-    (problem,) = folders.submit().problems
-    assert (problem.code, problem.sequence) == ("length", "12")
-    assert "000000.label · 2 bytes per label" in problem.message
-    assert not folders.zip.exists()
 
 
 def test_an_incomplete_data_set_is_noticed(folders):

@@ -67,17 +67,13 @@ def test_scans_and_labels_belong_together(streets):
     assert totals == made["points"]
 
 
-def test_labels_yaml_is_semantickittis_with_its_own_split(streets):
+def test_label_space_poses_times_and_calibration_are_semantickittis(streets):
     out, made, _ = streets
     space, real = label_space(out / "labels.yaml"), label_space()
     assert (space.name, space.names) == (real.name, real.names)
     assert space.learning_map == real.learning_map
     np.testing.assert_array_equal(space.colours, real.colours)
     assert space.splits == made["splits"]
-
-
-def test_poses_times_and_calibration_are_kittis(streets):
-    out, _, _ = streets
     folder = out / "sequences" / "02"
     poses = np.loadtxt(folder / "poses.txt")
     assert poses.shape == (2, 12)

@@ -26,7 +26,7 @@ from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages.train import train
-from salsanext_cli.training import fit
+from salsanext_cli.training import fit, learner
 from salsanext_cli.training.data.class_counts import class_weights
 from salsanext_cli.training.fit import Training
 from salsanext_cli.training.learner import Learner
@@ -183,11 +183,11 @@ def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset, tmp_path):
 
 
 def test_another_cpu_resumes_in_the_precision_of_the_first(dataset, tmp_path, monkeypatch):
-    wanted, has = TINY.with_changes(epochs=1, precision="auto"), "training.learner.has_bfloat16"
-    monkeypatch.setattr(f"salsanext_cli.{has}", lambda: True)
+    wanted = TINY.with_changes(epochs=1, precision="auto")
+    monkeypatch.setattr(learner, "bfloat16_instructions", lambda: ["bf16"])
     first = go(dataset, tmp_path / "run", recipe=wanted)
     assert recipe(tmp_path / "run/recipe.toml") == wanted.with_changes(precision="bfloat16")
-    monkeypatch.setattr(f"salsanext_cli.{has}", lambda: False)
+    monkeypatch.setattr(learner, "bfloat16_instructions", list)
     assert go(dataset, tmp_path / "run", recipe=wanted) == first
     with pytest.raises(OutputError, match='precision was "bfloat16" and is "float16"'):
         go(dataset, tmp_path / "run", recipe=wanted.with_changes(precision="float16"))

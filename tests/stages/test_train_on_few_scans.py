@@ -58,7 +58,7 @@ def initial(tiny_training: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     torch.manual_seed(1)
     save_weights(path, TinyNetwork(), card)
     monkeypatch.setattr(stage, "default_weights", lambda: path)
-    monkeypatch.setattr(error, "LEAST_STEPS", 1)
+    monkeypatch.setattr(error, "MIN_STEPS", 1)
     return path
 
 

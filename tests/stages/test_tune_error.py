@@ -31,7 +31,7 @@ ALL = ScanSelection()
 @pytest.fixture
 def in_few_steps(monkeypatch) -> None:
     """Fit a model of errors that is good for nothing."""
-    monkeypatch.setattr("salsanext_cli.training.tuning.error.LEAST_STEPS", 1)
+    monkeypatch.setattr("salsanext_cli.training.tuning.error.MIN_STEPS", 1)
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ import pytest
 from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
-from salsanext_cli.errors import TrainingError, UsageError, WeightsError
-from salsanext_cli.measures.risk_control import BROKEN
+from salsanext_cli.errors import OutputError, TrainingError, UsageError, WeightsError
+from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.results.layout import LEAST_CONFIDENCE, find_scans
+from salsanext_cli.results.layout import LEAST_CONFIDENCE, find_scans, output_path
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
@@ -96,7 +96,7 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     world.result(LEAST_CONFIDENCE, file.sequence, file.stem).unlink()
     assert evaluate(find_scans(world.data), world.out, space).promise == found.promise
     results = ResultFolder(world.out).read(find_scans(world.data)[0], truth_in=(space, space))
-    assert results.rejected_points == doubts[0]
+    assert results.rejected.sum() == doubts[0]
 
 
 def test_each_class_has_a_threshold_that_holds_of_its_own_points(
@@ -114,7 +114,8 @@ def test_each_class_has_a_threshold_that_holds_of_its_own_points(
     )
     losses, rejected = dict[str, list[float]](), 0
     for file in find_scans(world.data):
-        every = space.to_train(read_labels(world.out.with_name("all") / _labels_of(file)))
+        path = output_path(world.out.with_name("all"), file.sequence, "predictions", file.stem)
+        every = space.to_train(read_labels(path))
         truth = space.to_train(read_labels(file.label_path))
         doubt = np.load(world.result(LEAST_CONFIDENCE, file.sequence, file.stem))
         kept = space.to_train(world.labels(file.sequence, file.stem))
@@ -134,11 +135,7 @@ def test_each_class_has_a_threshold_that_holds_of_its_own_points(
     assert found.kept is not None
     assert {name: getattr(found.kept, name) for name in tuned["kept"]} == tuned["kept"]
     results = [ResultFolder(world.out).read(file) for file in find_scans(world.data)]
-    assert sum(each.rejected_points for each in results) == rejected > 0
-
-
-def _labels_of(file) -> str:
-    return f"sequences/{file.sequence}/predictions/{file.stem}.label"
+    assert sum(each.rejected.sum() for each in results) == rejected > 0
 
 
 def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, caplog) -> None:
@@ -153,18 +150,26 @@ def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, ca
     found = evaluate(find_scans(world.data), world.out, label_space()).promise
     assert found is not None
     assert (found.unit, found.units) == ("drive", 2)
-    assert BROKEN not in caplog.messages
+    assert RISK_BOUND_EXCEEDED not in caplog.messages
     for file in find_scans(world.data):
         labels = world.labels(file.sequence, file.stem)
         write_labels(file.label_path, np.where(labels == 10, 40, 10).astype(np.uint32))
     evaluate(find_scans(world.data), world.out, label_space())
-    assert BROKEN in caplog.messages
+    assert RISK_BOUND_EXCEEDED in caplog.messages
     # A sensor that was fitted otherwise
     card = read_card(target)
     view = card.risk["view"] | {"fov_up": card.risk["view"]["fov_up"] + 8}
     save_with_card(target, target, replace(card, risk={**card.risk, "view": view}))
     predict_scans(world.data, world.out.with_name("o"), settings=network, reject="risk")
     assert "nothing is promised" in caplog.text
+
+
+def test_a_curve_is_not_overwritten_unasked(world: World, target) -> None:
+    curve = target.with_name(f"{target.stem}_risk.png")
+    curve.write_bytes(b"precious")
+    with pytest.raises(OutputError, match=r"_risk\.png"):
+        tune("risk", world.data, target, settings=world.network, at_most=0.5)
+    assert curve.read_bytes() == b"precious"
 
 
 def test_what_few_scans_cannot_promise(unsure_is_wrong: World, target) -> None:
@@ -209,7 +214,7 @@ def test_copies_of_a_scan_promise_nothing(unsure_is_wrong: World, target, caplog
 def test_an_error_that_was_fitted_to_these_scans_is_said(
     unsure_is_wrong: World, target, tmp_path, caplog, monkeypatch
 ) -> None:
-    monkeypatch.setattr(error, "LEAST_STEPS", 1)
+    monkeypatch.setattr(error, "MIN_STEPS", 1)
     world, fitted = unsure_is_wrong, tmp_path / "fitted.safetensors"
     tune("error", world.data, fitted, settings=world.network, selection=ScanSelection("valid"))
     network = replace(world.network, weights=fitted)
@@ -228,7 +233,7 @@ def test_a_drive_left_out_is_judged_by_what_is_promised(confidence, is_above) ->
 
 
 def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(error, "LEAST_STEPS", 1)
+    monkeypatch.setattr(error, "MIN_STEPS", 1)
     world = unsure_is_wrong
     with pytest.raises(WeightsError, match=r"no threshold of risk .* `salsanext tune risk"):
         predict_scans(world.data, world.out, settings=world.network, reject="risk")

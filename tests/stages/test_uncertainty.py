@@ -83,12 +83,18 @@ def test_points_without_a_measurement_are_unlabelled_and_have_no_uncertainty(wor
     assert not world.labels()[nowhere].any()
 
 
-def test_a_network_without_dropout_is_refused(world, tmp_path):
+def test_no_dropout_is_refused_and_so_is_unknown_noise_unless_it_does_not_matter(world, tmp_path):
     weights = write_weights(tmp_path / "w.safetensors", dropout=0.0)
     certain = replace(world, network=NetworkSettings(weights, "cpu", engine="torch"))
     with pytest.raises(WeightsError, match="without dropout"):
         run(certain)
     assert not world.out.exists()
+    seen = replace(SMALL, range_noise=None)
+    silent = replace(world, network=replace(world.network, sensor=seen))
+    with pytest.raises(UsageError, match=r"its noise is not known .*give it with --sensor"):
+        run(silent)
+    assert not world.out.exists()
+    assert run(silent, aleatoric="none").done == 3
 
 
 def test_the_analytic_way_needs_neither_passes_nor_seed(world):
@@ -120,15 +126,6 @@ def test_without_aleatoric_there_is_no_total(world):
     run(world, options=RunOptions(overwrite=True))
     for folder in FOLDERS:
         assert world.result(folder).exists()
-
-
-def test_a_sensor_of_unknown_noise_is_refused_unless_it_does_not_matter(world):
-    seen = replace(SMALL, range_noise=None)
-    silent = replace(world, network=replace(world.network, sensor=seen))
-    with pytest.raises(UsageError, match=r"its noise is not known .*give it with --sensor"):
-        run(silent)
-    assert not world.out.exists()
-    assert run(silent, aleatoric="none").done == 3
 
 
 def test_labels_made_step_by_step_remember_their_weights(world, tmp_path):

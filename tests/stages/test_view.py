@@ -61,7 +61,7 @@ def test_every_scan_is_as_a_report_holds_it(world, ask):
         assert cloud["name"] == name
 
 
-def test_nothing_else_is_served(ask):
+def test_nothing_else_is_served_nor_to_other_pages_whatever_a_forwarded_port(ask):
     assert ask("/")[0] == 200
     assert ask("/?from=a-link")[0] == 200
     for place in ("7", "-1", "x", "", "../cloud/TOKEN/1", "9" * 5000):
@@ -74,6 +74,8 @@ def test_nothing_else_is_served(ask):
     status, text = ask("/cloud/another/1")
     assert status == 410
     assert "reload it" in json.loads(text)["error"]
+    for host, status in (("localhost:9000", 200), ("127.0.0.1.evil.example", 403)):
+        assert ask("/cloud/TOKEN/0", host)[0] == status, host
 
 
 def test_results_made_anew_are_not_shown_as_those_of_the_start(world):
@@ -96,11 +98,6 @@ def test_a_browser_that_leaves_is_no_error(ask, world, capfd):
         connection.close()
         assert asker(server)("/")[0] == 200
     assert "Traceback" not in capfd.readouterr().err
-
-
-def test_a_forwarded_port_may_have_another_number_but_no_other_page_reads_the_scans(ask):
-    for host, status in (("localhost:9000", 200), ("127.0.0.1.evil.example", 403)):
-        assert ask("/cloud/TOKEN/0", host)[0] == status, host
 
 
 def test_a_scan_moved_away_is_an_answer_and_not_the_end(world, ask):

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Sensors on their vehicle: an HDL-64E's beams; random ones, on the street that others see."""
+"""Sensors on their vehicle, and the drives that they record."""
 
 import numpy as np
 import pytest
+from sklearn.neighbors import NearestNeighbors
 
 from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.presets import RANDOM_SENSOR
 from salsanext_cli.synthesis.rig import (
     ENCODER_STEP_DEG,
+    HDL64_MOUNT_M,
     LOWER_BLOCK,
     RIGS,
     UPPER_BLOCK,
@@ -36,8 +38,9 @@ def test_elevations_are_the_sensors_own_in_two_blocks(beams):
     assert -np.diff(degrees[32:]).mean() == pytest.approx(1 / 2, abs=0.02)
 
 
-def test_rays_are_unit_vectors_at_the_beams_angles(beams):
-    origins, directions, _ = beams.rays()
+def test_rays_turn_clockwise_in_steps_of_the_encoder_ahead_at_time_zero(beams):
+    """As unit vectors at the elevations of the beams; each laser goes once around."""
+    origins, directions, times = beams.rays()
     count = 64 * beams.columns
     assert np.linalg.norm(origins, axis=1).max() < 0.1
     assert origins.shape == directions.shape == (count, 3)
@@ -45,21 +48,12 @@ def test_rays_are_unit_vectors_at_the_beams_angles(beams):
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-12)
     elevation = np.arcsin(directions[:, 2]).reshape(64, -1)
     np.testing.assert_allclose(elevation, np.repeat(beams.elevation[:, None], beams.columns, 1))
-
-
-def test_a_laser_goes_once_around_anticlockwise_in_steps_of_the_encoder(beams):
-    _, directions, _ = beams.rays()
-    azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0])).reshape(64, -1)
-    steps = np.diff(np.unwrap(azimuth, axis=1, period=360), axis=1)
+    azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
+    steps = np.diff(np.unwrap(azimuth.reshape(64, -1), axis=1, period=360), axis=1)
     multiples = steps / ENCODER_STEP_DEG
     np.testing.assert_allclose(multiples, np.round(multiples), atol=1e-6)
     assert set(np.round(multiples).astype(int).ravel()) == {1, 2}
     assert steps.sum(1).max() < 360
-
-
-def test_the_sensor_looks_ahead_at_time_zero_and_turns_clockwise(beams):
-    _, directions, times = beams.rays()
-    azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
     assert np.abs(times).max() <= 0.05
     np.testing.assert_allclose(times, -azimuth / 3600, atol=1e-9)
 
@@ -132,3 +126,62 @@ def test_no_vehicle_hides_anything_above_the_horizon(rigs):
         hidden_shares.add(round(hidden.mean(), 3))
     assert 0 in hidden_shares
     assert len(hidden_shares) > 10
+
+
+SPACING = 2.5
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return list(record(7, 0, 3, SPACING))
+
+
+def world(frame, labels):
+    """Return the points of some classes, world coordinates."""
+    chosen = np.isin(frame.labels, labels)
+    return frame.scan.points[chosen] @ frame.pose[:3, :3].T + frame.pose[:3, 3]
+
+
+def test_scans_look_like_an_hdl64s_above_the_road(frames):
+    for frame in frames:
+        scan = frame.scan
+        assert len(scan) == len(frame.labels)
+        assert 60_000 < len(scan) < 135_000
+        reach = np.linalg.norm(scan.points, axis=1)
+        assert reach.min() > 1
+        assert reach.max() < 82
+        assert len(np.unique(frame.labels)) > 8
+        road = scan.points[np.isin(frame.labels, (surfaces.ROAD, surfaces.MARKING))]
+        near = road[np.hypot(road[:, 0], road[:, 1]) < 8]
+        assert np.median(near[:, 2]) == pytest.approx(-HDL64_MOUNT_M, abs=0.15)
+        assert near[:, 2].std() < 0.15
+
+
+def test_standing_things_stay_where_they_are(frames):
+    still = (surfaces.BUILDING, surfaces.FENCE, surfaces.POLE, surfaces.CLUTTER, surfaces.CAR)
+    first, second = (world(frame, still) for frame in frames[:2])
+    here = first[np.linalg.norm(first - frames[1].pose[:3, 3], axis=1) < 12]
+    distance, _ = NearestNeighbors(n_neighbors=1).fit(second).kneighbors(here)
+    assert np.median(distance) < 0.12
+    shifted, _ = NearestNeighbors(n_neighbors=1).fit(second + [0.4, 0.3, 0.5]).kneighbors(here)
+    assert np.median(shifted) > 1.5 * np.median(distance)
+
+
+def test_poses_are_rigid_and_so_far_apart(frames):
+    for frame in frames:
+        rotation = frame.pose[:3, :3]
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(rotation) == pytest.approx(1)
+    steps = np.diff([frame.pose[:3, 3] for frame in frames], axis=0)
+    np.testing.assert_allclose(np.linalg.norm(steps, axis=1), SPACING, rtol=0.1)
+    ahead = np.array([frame.pose[:3, 0] for frame in frames[:-1]])
+    assert ((steps * ahead).sum(1) > 0.95 * SPACING).all()
+
+
+def test_moving_things_are_not_where_they_were():
+    moving = tuple(surfaces.MOVING.values())
+    before, after = (world(frame, moving) for frame in record(7, 1, 2, 3.0))
+    assert len(before)
+    assert len(after)
+    distance, _ = NearestNeighbors(n_neighbors=1).fit(after).kneighbors(before)
+    assert np.median(distance) > 0.2

@@ -100,8 +100,7 @@ def test_the_command_line_under_torchrun(tmp_path: Path) -> None:
     write_sequence(tmp_path / "data/sequences/00", ["0", "1", "2"], count=600)
     write_sequence(tmp_path / "data/sequences/08", ["0"], count=600)
     sensor, run = tmp_path / "small.toml", tmp_path / "run"
-    lines = (f"{key} = {json.dumps(value)}\n" for key, value in SMALL.to_dict().items())
-    sensor.write_text("".join(lines), "utf-8")
+    sensor.write_text(SMALL.to_toml(), "utf-8")
     given = ("train", tmp_path / "data", run, "--recipe", "quick", "--sensor", sensor, "--json")
     given = (*given, "--also", tmp_path / "data", "--set=sensors=fitted")
     short = ("samples_per_epoch=3", "crop_width=32", "architecture=salsanet")

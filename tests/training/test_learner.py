@@ -252,7 +252,7 @@ def test_auto_is_what_the_device_computes_fast(
     chosen: tuple[str, str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("salsanext_cli.training.learner.has_bfloat16", lambda: multiplies)
+    monkeypatch.setattr("salsanext_cli.training.learner.bfloat16_instructions", lambda: multiplies)
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     devices = (torch.device("cpu"), torch.device("cuda", 0))
     assert tuple(map(fastest_precision, devices)) == chosen

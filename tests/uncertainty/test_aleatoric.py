@@ -45,11 +45,6 @@ def test_a_sensor_that_does_not_know_its_noise(image, missing):
     assert noise_of(NOISY) == (0.03, 0.1)
 
 
-def with_noise(network, metres, intensity):
-    sensor = replace(network.sensor, range_noise=metres, intensity_noise=intensity)
-    return network.for_sensor(sensor)
-
-
 @slow_on_openvino
 def test_it_ranks_pixels_as_noisy_copies_do(network, image):
     """Sixty-four copies of the scan, each with its own noise of 2 cm and 0.02."""
@@ -63,7 +58,7 @@ def test_it_ranks_pixels_as_noisy_copies_do(network, image):
 
 
 def test_copies_have_the_noise_that_density_filtering_begins_with(network, image):
-    sensor = with_noise(network, 0.05, 0.02).sensor
+    sensor = replace(network.sensor, range_noise=0.05, intensity_noise=0.02)
     copies = np.stack([*islice(noisy_copies(image, sensor, 3), 400)])
     given = np.stack([normalise(copy, sensor) for copy in copies])
     occupied = image.channels[0] > 0

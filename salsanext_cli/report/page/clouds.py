@@ -14,7 +14,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.records import Float
 from salsanext_cli.report.colours import FIXED_SCALES, value_range
-from salsanext_cli.report.page.run_results import CONFIDENCE, ShownScan
+from salsanext_cli.report.page.run_results import ShownScan
 from salsanext_cli.report.scan_pictures import UNITS
 from salsanext_cli.results.result_folder import ScanResults
 from salsanext_cli.sensors.sensor import Sensor
@@ -39,7 +39,7 @@ def scales_of(scans: Sequence[ShownScan]) -> dict[str, Scale]:
     scales: dict[str, Scale] = {}
     for name, each in values.items():
         highest = value_range(np.concatenate(each))[1]
-        linear = (0.0, highest if highest > 0 and name != CONFIDENCE else 1.0)
+        linear = (0.0, highest if highest > 0 and name != "least_confidence" else 1.0)
         marks = FIXED_SCALES.get(name, linear)
         scales[name] = {"marks": marks, "unit": UNITS.get(name, "")}
     return scales

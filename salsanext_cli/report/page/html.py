@@ -17,8 +17,8 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, escaped, printable
-from salsanext_cli.measures.scan_counts import RING_NAMES
-from salsanext_cli.measures.scores import Confusion, Counts, largest_confusions, ring_rows, scores
+from salsanext_cli.measures.scan_counts import BAND_NAMES
+from salsanext_cli.measures.scores import Counts, band_rows, largest_confusions, scored_rows, scores
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
 from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
 from salsanext_cli.report.page.run_results import (
@@ -199,9 +199,9 @@ def _bar(share: float, rgb: str) -> str:
 
 
 def _comparison(compared: Comparison, space: LabelSpace) -> str:
-    """Return the section that only labelled scans have: rings, confusions and plots."""
+    """Return the section that only labelled scans have: bands, confusions and plots."""
     confusions = _confusions(compared.counts.confusion, space)
-    parts = _rings(compared, space)
+    parts = _bands(compared, space)
     parts += _listed("Largest confusions", '<ol class="confusions">', "</ol>", confusions)
     pictures = uncertainty_pictures(compared.uncertainty, space)
     parts += _figures({PICTURES[name]: png for name, png in pictures.items()})
@@ -218,25 +218,25 @@ def _figures(pictures: Mapping[str, bytes]) -> str:
     return f'<div class="plots">{figures}</div>' * bool(figures)
 
 
-def _rings(compared: Comparison, space: LabelSpace) -> str:
-    """Return a table of the scores of the rings of distance; none if they were not counted."""
-    rings = (scores(ring, space) for ring in compared.counts.rings)
-    found = dict(zip(RING_NAMES, rings, strict=bool(compared.counts.rings)))
+def _bands(compared: Comparison, space: LabelSpace) -> str:
+    """Return a table of the scores of the distance bands; none if they were not counted."""
+    bands = (scores(band, space) for band in compared.counts.bands)
+    found = dict(zip(BAND_NAMES, bands, strict=bool(compared.counts.bands)))
     names = ("distance", "mean IoU % of the same classes", "accuracy %", "points", "absent classes")
     lines = []
-    for name, ring, mean, absent in ring_rows(found):
-        if ring.points:
-            shares = (percent(mean), percent(ring.accuracy))
-            cells = (name, *shares, f"{ring.points:,}", ", ".join(absent))
+    for name, band, mean, absent in band_rows(found):
+        if band.points:
+            shares = (percent(mean), percent(band.accuracy))
+            cells = (name, *shares, f"{band.points:,}", ", ".join(absent))
             lines.append("".join(f"<td>{_text(cell)}</td>" for cell in cells))
     heading = "".join(f"<th>{name}</th>" for name in names)
     table = "".join(f"<tr>{line}</tr>" for line in (heading, *lines))
     return f"<h3>By distance</h3><table>{table}</table>" if lines else ""
 
 
-def _confusions(confusion: Confusion, space: LabelSpace) -> list[str]:
+def _confusions(confusion: Counts, space: LabelSpace) -> list[str]:
     """Say what is taken for what, most points first."""
-    matrix, names = confusion.counted(space.scored), space.names
+    matrix, names = scored_rows(confusion, space), space.names
     truths = matrix.sum(axis=1).tolist()
     return [
         f"{names[true]} taken for {names[predicted]}: "
@@ -247,7 +247,7 @@ def _confusions(confusion: Confusion, space: LabelSpace) -> list[str]:
 
 def _occurring(class_points: Counts, compared: Comparison | None) -> dict[str, list[int]]:
     """Return the classes of some scan, by colour: the legend is the same for all scans."""
-    true = compared.counts.confusion.matrix.sum(axis=1) if compared else ()
+    true = compared.counts.confusion.sum(axis=1) if compared else ()
     found = {"label": class_points.sum(axis=0), "truth": true, "wrong": np.ones(3)}
     return {name: np.flatnonzero(points).tolist() for name, points in found.items()}
 

@@ -27,27 +27,30 @@ from salsanext_cli.fitting.view_fit import view_text
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.measures.histograms import lack_of_confidence
-from salsanext_cli.measures.risk_control import BROKEN, KeptLabels, KeptPromise, promise
+from salsanext_cli.measures.risk_control import (
+    RISK_BOUND_EXCEEDED,
+    KeptLabels,
+    RiskBoundCheck,
+    promise,
+)
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts, count_scan, read_softmax
-from salsanext_cli.measures.scores import Confusion, Counts, Scores, scores
+from salsanext_cli.measures.scores import Counts, Scores, scored_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
 )
 from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.results.layout import ERROR, LABELLING_STAGES, ScanFile, output_path
+from salsanext_cli.results.layout import ERROR, PREDICTION_STAGES, ScanFile, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
 from salsanext_cli.results.stage_records import Rejection, StageRecords
-from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
+from salsanext_cli.results.uncertainty_kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
 """Kinds of uncertainty by how well they tell which scan is uncertain."""
-CONFIDENCE = "least_confidence"
-"""1 − the largest probability, which the page shows as confidence."""
-UNCERTAIN = (*dict.fromkeys(("error", "entropy", "disagreement", CONFIDENCE, *UNCERTAINTY)),)
+UNCERTAIN = (*dict.fromkeys(("error", *MEANT_BY_UNCERTAINTY, *UNCERTAINTY)),)
 """Values by which points can be hidden, in the order in which they are offered."""
 SCALARS = (*UNCERTAIN, "range", "intensity")
 """Values that are shown on a scale; labels are not."""
@@ -58,7 +61,7 @@ DEFAULT_LIMITS = (
 """Failures of the default weights, as docs/model-card.md has them; it does not come with a page."""
 SHOWN_DIGITS = 12
 """Hexadecimal digits of a SHA-256 that are shown."""
-CHECKED_STAGES = ("project", *LABELLING_STAGES)
+CHECKED_STAGES = ("project", *PREDICTION_STAGES)
 """Stages that keep reasons to doubt scans, or sequences."""
 
 
@@ -82,7 +85,7 @@ class ScanRow:
     points: int  # Number of its points that have a label or an uncertainty
     class_points: Counts | None  # (C,) int64 or None: number of points by predicted train id
     uncertainty: dict[str, float]  # Mean over the points by kind; NaN without any
-    confusion: Counts | None = None  # (C, C) as `Confusion.counted`; None without labels
+    confusion: Counts | None = None  # (C, C) as `scored_rows`; None without labels
 
     @property
     def wrong(self) -> float:
@@ -116,7 +119,7 @@ def read_row(
     counts = count_scan(
         file, out, space, by_distance, *compared_in, trained_on, rejection=reader.rejection
     )
-    confusion = counts.confusion.counted(space.scored)
+    confusion = scored_rows(counts.confusion, space)
     return ScanRow(file, points, class_points, uncertainty, confusion), counts
 
 
@@ -179,7 +182,7 @@ class RunResults:
         if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
             every = np.ones(len(results.scan), bool)
             softmax = read_softmax(path, every, space, reader.merging)
-            results.uncertainty[CONFIDENCE] = lack_of_confidence(softmax)
+            results.uncertainty["least_confidence"] = lack_of_confidence(softmax)
         boxes = read_boxes(output_path(reader.out, file.sequence, "objects", file.stem), space)
         return ShownScan(row.file.name, reason, results, boxes)
 
@@ -197,12 +200,12 @@ class RunResults:
         return Comparison(self.counts, scores(confusion, space), uncertainty, sentences)
 
     @property
-    def promise(self) -> KeptPromise | None:
+    def promise(self) -> RiskBoundCheck | None:
         """Promise of the labels that are kept, beside what is found."""
         promised = StageRecords(self.reader.out).promised(self.reader.space)
         if self.counts is None or promised is None:
             return None
-        return KeptPromise.of_scans(promised, self.counts.kept)
+        return RiskBoundCheck.of_scans(promised, self.counts.kept)
 
     def warnings(self) -> list[str]:
         """Return every reason to doubt the page, a line each."""
@@ -211,8 +214,8 @@ class RunResults:
         lines = warnings_of_run(self.reader.out, wanted)
         if self.counts:
             lines = [*self.counts.label_warnings(self.reader.space), *lines]
-        if self.promise and self.promise.is_broken:
-            lines = [BROKEN, *lines]
+        if self.promise and self.promise.is_exceeded:
+            lines = [RISK_BOUND_EXCEEDED, *lines]
         if self.missing.scans:
             lines.append(f"{counted(len(self.missing.scans), 'scan')} without results left out")
         return lines
@@ -252,10 +255,10 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
 
 def _worst_class(rows: Sequence[ScanRow], space: LabelSpace) -> int | None:
     """Return the class of the lowest IoU of those that the truth holds."""
-    matrix = np.zeros((space.class_count, space.class_count), np.int64)
+    confusion = np.zeros((space.class_count, space.class_count), np.int64)
     for row in rows:
-        matrix += 0 if row.confusion is None else row.confusion
-    held = [each for each in scores(Confusion(len(matrix), matrix), space).classes if each.points]
+        confusion += 0 if row.confusion is None else row.confusion
+    held = [each for each in scores(confusion, space).classes if each.points]
     return min(held, key=lambda each: each.iou).train_id if held else None
 
 

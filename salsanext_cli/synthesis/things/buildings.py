@@ -34,11 +34,11 @@ class House(NamedTuple):
 def house(rng: Rng, width: float, depth: float, floors: int) -> Mesh:
     """Return a house whose front is `width` metres long and centred on x = 0."""
     material = Material.PLASTER if rng.random() < 0.7 else Material.BRICK
-    wall = Skin.drawn(rng, BUILDING, material, 0.6, 1.35)
+    wall = Skin.random(rng, BUILDING, material, 0.6, 1.35)
     storey = float(rng.uniform(2.6, 3.6))
     height = storey * floors + rng.uniform(0.2, 0.9)
     bay = float(rng.uniform(2.2, 4.2))
-    base = wall if rng.random() < 0.6 else Skin.drawn(rng, BUILDING, Material.BRICK, 0.4, 1.5)
+    base = wall if rng.random() < 0.6 else Skin.random(rng, BUILDING, Material.BRICK, 0.4, 1.5)
     bounds = ((0, BLANK_SHARE), (0.3, 0.6), (1, 1))[rng.choice(3, p=(0.45, 0.25, 0.3))]
     open_share = float(rng.uniform(*bounds))
     drawn = House(width, depth, height, storey, floors, bay, wall, base, open_share)
@@ -77,7 +77,7 @@ def _facade(rng: Rng, house: House, ends: Array, *, front: bool) -> Mesh:
             around, pane = _pierced(x0, x1, bottom, top, hole, rng.uniform(0.08, 0.3))
             walls.extend(around)
             (glass if rng.random() < bare else closed).append(pane)
-    shutters = Skin.drawn(rng, BUILDING, Material.WOOD, 0.4, 1.1)
+    shutters = Skin.random(rng, BUILDING, Material.WOOD, 0.4, 1.1)
     skins = (house.base, house.wall, Skin(BUILDING, Material.GLASS), shutters)
     skinned = zip(panels, skins, strict=True)
     mesh = merge(quads(np.array(corners), skin) for corners, skin in skinned if corners)
@@ -125,7 +125,7 @@ def _pierced(
 def _roof(rng: Rng, house: House) -> Mesh:
     """Return a flat or a gabled roof with eaves."""
     width, depth, height = house.width, house.depth, house.height
-    skin = Skin.drawn(rng, BUILDING, Material.BRICK, 0.5, 0.9)
+    skin = Skin.random(rng, BUILDING, Material.BRICK, 0.5, 0.9)
     eaves = rng.uniform(0.1, 0.6)
     x, low, high = width / 2 + 0.1, -eaves, depth + eaves
     if rng.random() < 0.3:
@@ -176,7 +176,7 @@ def _details(rng: Rng, house: House) -> list[Mesh]:
 
 def garage(rng: Rng) -> Mesh:
     """Return a garage or shed, its door at y = 0."""
-    wall = Skin.drawn(rng, BUILDING, Material.PLASTER, 0.6, 1.1)
+    wall = Skin.random(rng, BUILDING, Material.PLASTER, 0.6, 1.1)
     width, depth, height = rng.uniform([2.6, 4, 2.2], [6, 6.5, 2.9])
     walls = box((-width / 2, 0, FOOT_M), (width / 2, depth, height), wall)
     metal = Skin(BUILDING, Material.METAL, 1.3)
@@ -185,6 +185,6 @@ def garage(rng: Rng) -> Mesh:
 
 def arch(rng: Rng, width: float, height: float) -> Mesh:
     """Return the storeys above a passage between two houses."""
-    wall = Skin.drawn(rng, BUILDING, Material.PLASTER, 0.6, 1.3)
+    wall = Skin.random(rng, BUILDING, Material.PLASTER, 0.6, 1.3)
     low = float(rng.uniform(2.4, 3.4))
     return box((-width / 2, 0, low), (width / 2, 8, max(height, low + 1)), wall)

@@ -22,7 +22,7 @@ def _ring(centre: Array, radius: float, thickness: float, skin: Skin) -> Mesh:
 
 def bicycle(rng: Rng, label: int = BICYCLE) -> Mesh:
     """Return a bicycle: spoked wheels, frame, handlebar, saddle, perhaps a carrier and baskets."""
-    frame = Skin.drawn(rng, label, Material.METAL, 0.6, 2.2)
+    frame = Skin.random(rng, label, Material.METAL, 0.6, 2.2)
     tyre = Skin(label, Material.RUBBER, TYRE_SHADE)
     saddle, crank = np.array([-0.22, 0, 0.92]), np.array([-0.05, 0, 0.3])
     head, fork = np.array([0.33, 0, 0.85]), np.array([AXLE_M, 0, WHEEL_M])
@@ -57,7 +57,7 @@ def bicycle(rng: Rng, label: int = BICYCLE) -> Mesh:
 def motorcycle(rng: Rng, label: int = MOTORCYCLE) -> Mesh:
     """Return a motorcycle or a scooter."""
     paint, iron = dark_paint(rng, label), Skin(label, Material.METAL, 0.6)
-    tyre = Skin.drawn(rng, label, Material.RUBBER, 0.5, TYRE_SHADE)
+    tyre = Skin.random(rng, label, Material.RUBBER, 0.5, TYRE_SHADE)
     scooter = rng.random() < 0.4
     radius = 0.23 if scooter else 0.31
     front, rear = np.array([0.68, 0, radius]), np.array([-0.62, 0, radius])
@@ -98,8 +98,8 @@ def _scooter(paint: Skin, iron: Skin, seat: Skin) -> list[Mesh]:
 
 def _seated(rng: Rng, label: int, hip: Array, lean: float, feet: Array, grip: Array) -> list[Mesh]:
     """Return a person on a saddle; `feet` (2, 3) right and left, `grip` the left hand."""
-    cloth = Skin.drawn(rng, label, Material.CLOTH, 0.4, 1.3)
-    trousers = Skin.drawn(rng, label, Material.CLOTH, 0.3, 1.2)
+    cloth = Skin.random(rng, label, Material.CLOTH, 0.4, 1.3)
+    trousers = Skin.random(rng, label, Material.CLOTH, 0.3, 1.2)
     shoulder = hip + np.array([lean, 0, 0.5 - 0.3 * lean])
     girth = float(rng.uniform(0.9, 1.25))
     pelvis, neck = hip - np.array([0.02, 0, 0.08]), shoulder + np.array([0.03, 0, 0.07])

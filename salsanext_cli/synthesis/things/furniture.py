@@ -10,7 +10,7 @@ FOOT_M = -0.3  # Height of the foot of poles and boxes: below the ground, which 
 
 
 def _steel(rng: Rng) -> Skin:
-    return Skin.drawn(rng, POLE, Material.METAL, 0.08, 1.6)
+    return Skin.random(rng, POLE, Material.METAL, 0.08, 1.6)
 
 
 def lamp(rng: Rng) -> Mesh:
@@ -39,7 +39,7 @@ def post(rng: Rng) -> Mesh:
 def _face(rng: Rng) -> Mesh:
     """Return a sign's plate in the x-z plane around the origin, its bright side towards -y."""
     kind = ("round", "triangle", "panel")[rng.integers(3)]
-    bright = Skin.drawn(rng, SIGN, Material.RETRO, 0.75, 1.1)
+    bright = Skin.random(rng, SIGN, Material.RETRO, 0.75, 1.1)
     radius = float(rng.uniform(0.28, 0.45))
     if kind == "round":
         front = disc((0, 0, 0), radius, bright, 14)
@@ -67,7 +67,7 @@ def board(rng: Rng) -> Mesh:
     half, low = float(rng.uniform(0.4, 1.4)), float(rng.uniform(0.8, 1.8))
     high = low + float(rng.uniform(0.5, 1.2))
     steel = _steel(rng)
-    bright = Skin.drawn(rng, SIGN, Material.RETRO, 0.6, 1.1)
+    bright = Skin.random(rng, SIGN, Material.RETRO, 0.6, 1.1)
     parts = [tube([[x, 0, FOOT_M], [x, 0, high]], 0.05, steel) for x in (-half * 0.8, half * 0.8)]
     plate = np.array([[[-half, 0, low], [half, 0, low], [half, 0, high], [-half, 0, high]]])
     parts.append(quads(plate - [0, 0.08, 0], bright))
@@ -86,14 +86,14 @@ def traffic_light(rng: Rng) -> Mesh:
 
 
 def _dustbin(rng: Rng) -> Mesh:
-    skin = Skin.drawn(rng, CLUTTER, Material.WOOD, 0.2, 1.1)
+    skin = Skin.random(rng, CLUTTER, Material.WOOD, 0.2, 1.1)
     x, y, z = rng.uniform([0.2, 0.2, 0.8], [0.35, 0.4, 1.15])
     lid = box((-x - 0.02, -y - 0.05, z), (x + 0.02, y, z + 0.08), skin)
     return merge([box((-x, -y, 0.05), (x, y, z), skin), lid])
 
 
 def _cabinet(rng: Rng) -> Mesh:
-    skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.5, 1.1)
+    skin = Skin.random(rng, CLUTTER, Material.PLASTER, 0.5, 1.1)
     x, y, z = rng.uniform([0.25, 0.12, 0.8], [0.9, 0.3, 1.6])
     return box((-x, -y, FOOT_M), (x, y, z), skin)
 
@@ -110,14 +110,14 @@ def bench(rng: Rng) -> Mesh:
 
 
 def _planter(rng: Rng) -> Mesh:
-    skin = Skin.drawn(rng, CLUTTER, Material.BRICK, 0.7, 1.1)
+    skin = Skin.random(rng, CLUTTER, Material.BRICK, 0.7, 1.1)
     radius, height = float(rng.uniform(0.25, 0.7)), float(rng.uniform(0.35, 0.7))
     path = [[0, 0, FOOT_M], [0, 0, height], [0, 0, height + 0.01]]
     return tube(path, [radius, radius * 1.1, 0.02], skin, 10)
 
 
 def _column(rng: Rng) -> Mesh:
-    skin = Skin.drawn(rng, CLUTTER, Material.PLASTER, 0.7, 1.1)
+    skin = Skin.random(rng, CLUTTER, Material.PLASTER, 0.7, 1.1)
     return tube([[0, 0, FOOT_M], [0, 0, 3.0], [0, 0, 3.3]], [0.6, 0.6, 0.75], skin, 12)
 
 
@@ -126,7 +126,7 @@ def _crates(rng: Rng) -> Mesh:
     for _ in range(int(rng.integers(2, 6))):
         low = np.array([*rng.normal(0, 0.6, 2), 0.0])
         size = rng.uniform([0.2, 0.2, 0.15], [0.8, 0.6, 0.9])
-        skin = Skin.drawn(rng, CLUTTER, Material.WOOD, 0.4, 1.1)
+        skin = Skin.random(rng, CLUTTER, Material.WOOD, 0.4, 1.1)
         parts.append(box(low, low + size, skin).moved(yaw=rng.uniform(0, 1.5)))
     return merge(parts)
 

@@ -19,8 +19,8 @@ def limb(start: Array, joint: Array, end: Array, radii: tuple[float, float], ski
 def person(rng: Rng, *, sitting: bool = False) -> Mesh:
     """Return a person 1.1 to 1.95 m tall, perhaps with a bag, a coat or a box; seated at 0.5 m."""
     height = float(rng.uniform(1.1, 1.5) if rng.random() < 0.12 else rng.uniform(1.55, 1.95))
-    top = Skin.drawn(rng, PERSON, Material.CLOTH, 0.3, 1.4)
-    bottom = Skin.drawn(rng, PERSON, Material.CLOTH, 0.3, 1.35)
+    top = Skin.random(rng, PERSON, Material.CLOTH, 0.3, 1.4)
+    bottom = Skin.random(rng, PERSON, Material.CLOTH, 0.3, 1.35)
     stride = rng.uniform(0.03, 0.2) * (1 if rng.random() < 0.75 else 0.1)
     girth = rng.uniform(0.85, 1.3)
     upper = merge([*_torso(rng, stride, girth, top), *_luggage(rng)])
@@ -71,7 +71,7 @@ def _sitting_legs(cloth: Skin) -> list[Mesh]:
 
 def _luggage(rng: Rng) -> list[Mesh]:
     """Return a rucksack, a bag, a box in the arms, or nothing."""
-    bag = Skin.drawn(rng, PERSON, Material.CLOTH, 0.3, 1.2)
+    bag = Skin.random(rng, PERSON, Material.CLOTH, 0.3, 1.2)
     corners = (
         ((-0.17, -0.09, 0.58), (-0.07, 0.09, 0.8)),
         ((-0.1, 0.13, 0.3), (0.1, 0.19, 0.48)),

@@ -13,7 +13,7 @@ FOOT_M = -0.4
 
 def leaf_skin(rng: Rng) -> Skin:
     """Draw the brightness of leaves."""
-    return Skin.drawn(rng, VEGETATION, Material.LEAF, 0.7, 1.25)
+    return Skin.random(rng, VEGETATION, Material.LEAF, 0.7, 1.25)
 
 
 def _leaves(
@@ -32,7 +32,7 @@ def _lumps(rng: Rng, spread: float) -> Array:
 
 def tree(rng: Rng, height: float) -> Mesh:
     """Return a broad-leaved tree: bent trunk, branches, a crown of clusters."""
-    bark = Skin.drawn(rng, TRUNK, Material.BARK, 0.5, 1.15)
+    bark = Skin.random(rng, TRUNK, Material.BARK, 0.5, 1.15)
     branch = bark._replace(label=VEGETATION)
     radius = float(rng.uniform(0.018, 0.06) * height**0.75)
     clear = max(rng.uniform(0.2, 0.5) * height, 1.8 if rng.random() < 0.5 else 0.0)
@@ -114,5 +114,5 @@ def weeds(rng: Rng, radius: float) -> Mesh:
     count = int(70 * radius)
     centres = rng.normal(0, radius * 0.5, (count, 3))
     centres[:, 2] = rng.uniform(0.0, 0.45, count) * rng.uniform(0.3, 1.0)
-    leaf = Skin.drawn(rng, VEGETATION, Material.LEAF, 0.8, 1.15)
+    leaf = Skin.random(rng, VEGETATION, Material.LEAF, 0.8, 1.15)
     return facets(centres, rng.uniform(0.04, 0.14, count), leaf, rng)

@@ -28,7 +28,7 @@ def length_of(mesh: Mesh) -> float:
 def dark_paint(rng: Rng, label: int) -> Skin:
     """Draw the paint of a vehicle: most are dark in the infrared."""
     bounds = ((0.0, 0.09), (0.1, 0.5), (0.5, 1.0), (1.0, 1.6))
-    return Skin.drawn(rng, label, Material.PAINT, *bounds[rng.choice(4, p=(0.6, 0.14, 0.16, 0.1))])
+    return Skin.random(rng, label, Material.PAINT, *bounds[rng.choice(4, p=(0.6, 0.14, 0.16, 0.1))])
 
 
 def _body(body: Numbers, paint: Skin, stretch: Array) -> Mesh:
@@ -111,7 +111,7 @@ def bus(rng: Rng) -> Mesh:
     stretch = rng.uniform([0.55, 0.88, 0.85], [1.1, 1.02, 1.08])
     length, width = shape.length * stretch[0], shape.width * stretch[1]
     dark = rng.random() < 0.5
-    paint = dark_paint(rng, BUS) if dark else Skin.drawn(rng, BUS, Material.PAINT, 0.3, 1.6)
+    paint = dark_paint(rng, BUS) if dark else Skin.random(rng, BUS, Material.PAINT, 0.3, 1.6)
     parts = [_body(shape, paint, stretch), *_fittings(shape, BUS, stretch)]
     parts += _wheels(BUS, [0.28 * length, -0.26 * length], width / 2, shape.wheel, 0.3)
     top = shape.profile[:, 2].max() * stretch[2]
@@ -139,7 +139,7 @@ def truck(rng: Rng) -> Mesh:
     cab = kind.cab
     stretch = rng.uniform([0.85, 0.88, 0.85], [1.1, 1.08, 1.15])
     material = (Material.PLASTER, Material.PAINT, Material.METAL)[rng.integers(3)]
-    load = Skin.drawn(rng, TRUCK, material, 0.5, 1.8)
+    load = Skin.random(rng, TRUCK, material, 0.5, 1.8)
     half_length, half_width = rng.uniform(*kind.bed) / 2, cab.width * 0.49 * stretch[1]
     bed = Bed(half_length, half_width, rng.uniform(*kind.floor), load)
     cab_length, gap = cab.length * stretch[0], rng.uniform(*kind.gap)
@@ -187,7 +187,7 @@ def _flat(rng: Rng, bed: Bed) -> list[Mesh]:
         size = rng.uniform([0.5, 0.4, 0.3], [*largest, 1.4])
         x = rng.uniform(-half_length, half_length - size[0])
         y = rng.uniform(-half_width, half_width - size[1])
-        piece = Skin.drawn(rng, TRUCK, Material.WOOD, 0.3, 1.2)
+        piece = Skin.random(rng, TRUCK, Material.WOOD, 0.3, 1.2)
         parts.append(box((x, y, floor + 0.1), (x + size[0], y + size[1], floor + size[2]), piece))
     return parts
 
@@ -237,7 +237,7 @@ def _caravan(rng: Rng) -> Mesh:
     stretch = rng.uniform([0.7, 0.85, 0.8], [1.25, 1.08, 1.06])
     half = shape.width / 2 * stretch[1]
     front = shape.length / 2 * stretch[0]
-    parts = [_body(shape, Skin.drawn(rng, OTHER_VEHICLE, Material.PAINT, 0.1, 1.6), stretch)]
+    parts = [_body(shape, Skin.random(rng, OTHER_VEHICLE, Material.PAINT, 0.1, 1.6), stretch)]
     parts += _wheels(OTHER_VEHICLE, [rng.uniform(-0.5, 0.2)], half, shape.wheel, 0.2)
     return merge([*parts, *_drawbar(front)])
 
@@ -252,14 +252,14 @@ def _trailer(rng: Rng) -> Mesh:
     x, y, floor = rng.uniform([0.9, 0.6, 0.45], [2.6, 1.05, 0.65])
     height = rng.choice([rng.uniform(0.3, 0.5), rng.uniform(0.8, 1.9)])
     material = Material.CLOTH if height > 0.6 else Material.METAL
-    skin = Skin.drawn(rng, OTHER_VEHICLE, material, 0.2, 1.4)
+    skin = Skin.random(rng, OTHER_VEHICLE, material, 0.2, 1.4)
     parts = [box((-x, -y, floor), (x, y, floor + height), skin)]
     parts += _wheels(OTHER_VEHICLE, [0.0, -0.7] if x > 2 else [0.0], y + 0.2, 0.3, 0.18)
     return merge([*parts, *_drawbar(float(x))])
 
 
 def _tractor(rng: Rng) -> Mesh:
-    paint = Skin.drawn(rng, OTHER_VEHICLE, Material.PAINT, 0.1, 1.4)
+    paint = Skin.random(rng, OTHER_VEHICLE, Material.PAINT, 0.1, 1.4)
     glass = Skin(OTHER_VEHICLE, Material.GLASS)
     parts = [
         box((0.2, -0.4, 0.8), (2.0, 0.4, 1.55), paint),
@@ -276,7 +276,7 @@ def _tractor(rng: Rng) -> Mesh:
 
 
 def _excavator(rng: Rng) -> Mesh:
-    paint = Skin.drawn(rng, OTHER_VEHICLE, Material.PAINT, 0.4, 1.5)
+    paint = Skin.random(rng, OTHER_VEHICLE, Material.PAINT, 0.4, 1.5)
     tracks = Skin(OTHER_VEHICLE, Material.RUBBER)
     parts = [box((-1.6, y - 0.25, 0), (1.6, y + 0.25, 0.8), tracks) for y in (-0.95, 0.95)]
     upper = [

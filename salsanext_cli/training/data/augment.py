@@ -83,7 +83,7 @@ class Checkerboard:
     fov_up: float
 
     @classmethod
-    def drawn(cls, sensor: Sensor, random: np.random.Generator) -> Self:
+    def random(cls, sensor: Sensor, random: np.random.Generator) -> Self:
         """Draw bands, sectors or boxes, all three as often, their number and azimuth."""
         in_bands, in_sectors = KINDS[random.integers(len(KINDS))]
         bands = int(random.integers(MIN_BANDS, MAX_BANDS + 1)) if in_bands else 1
@@ -140,9 +140,7 @@ def concatenate(*scans: LabelledScan) -> LabelledScan:
     """Return the points of all scans, in their order."""
     points = np.concatenate([scan.points for scan, _ in scans])
     intensity = np.concatenate([scan.intensity for scan, _ in scans])
-    rings = [scan.ring for scan, _ in scans if scan.ring is not None]
-    ring = np.concatenate(rings) if len(rings) == len(scans) else None
-    return Scan(points, intensity, ring), np.concatenate([labels for _, labels in scans])
+    return Scan(points, intensity), np.concatenate([labels for _, labels in scans])
 
 
 def choose_columns(

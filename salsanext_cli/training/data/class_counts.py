@@ -39,15 +39,6 @@ class ClassCounts:
     warnings: list[dict[str, Any]]  # About scans of either split, as `RunSummary.warnings` has them
     digests: dict[ScanFile, str]  # Of the training scans
 
-    def require_no_warnings(self, dataset: Path) -> None:
-        """Raise `TrainingError` if a scan is doubtful."""
-        if self.warnings:
-            found = ", ".join(
-                f"{each['code']} in {counted(len(each['scans']), 'scan')}" for each in self.warnings
-            )
-            remedy = "mend the scans or leave them out, or train without --strict"
-            raise TrainingError(dataset, f"doubtful scans: {found}", "none", remedy)
-
 
 def require_labels(files: Sequence[ScanFile]) -> None:
     """Raise `LabelError` naming the first scan without a label file, or with a first guess."""

@@ -173,7 +173,7 @@ class Samples(Dataset[Sample]):
         labelled = self._augmented(self._read(index, random), random)
         if _drawn(recipe.mix, random):
             partner = self._augmented(self._partner(index, random), random)
-            board = augment.Checkerboard.drawn(self.sensor, random)
+            board = augment.Checkerboard.random(self.sensor, random)
             labelled = augment.mix(labelled, partner, board)
         if _drawn(recipe.paste, random):
             partner = self._partner(index, random)

@@ -29,7 +29,7 @@ TILT_DEG = 1.0  # Standard deviation of the angle that a sensor is tilted by
 EDGE_SHIFT_DEG, EDGE_SHIFT = 6.0, 0.25
 """Largest shift of an edge of the view, in degrees and as a share of the view, so that the edges
 never meet."""
-LEAST_ROWS, MOST_ROWS = 0.25, 0.75  # Bounds of the share of rows that are kept
+MIN_ROWS, MAX_ROWS = 0.25, 0.75  # Bounds of the share of rows that are kept
 MAX_RUN = 4
 """Most pixels between two measured ones of a row of which the holes among them are counted."""
 EDGE_RATIO = 1.1  # Ratio of the ranges on both sides above which there is an edge between them
@@ -37,8 +37,8 @@ RANGE_EDGES_M = (5.0, 10.0, 20.0, 40.0)  # Bounds of the bins of the range on th
 HOLE_SHARES = np.array([[0.064, 0.026, 0.026, 0.051, 0.067], [0.119, 0.114, 0.115, 0.149, 0.176]])
 """Share of holes on surfaces and at edges, by range."""
 CONTINUED = 0.42  # Share of holes whose neighbour to the right is a hole, too
-MOST_HOLES = 2.0  # Largest factor of the shares: that of the sensor with the most holes, OS2-32
-MOST_JITTER_M = 0.03
+MAX_HOLES = 2.0  # Largest factor of the shares: that of the sensor with the most holes, OS2-32
+MAX_JITTER_M = 0.03
 """Largest standard deviation of positions: of ranges it is what makers state as typical."""
 
 
@@ -75,7 +75,7 @@ def other_view(sensor: Sensor, random: Rng) -> Sensor:
 def fewer_beams(channels: Float, random: Rng) -> Float:
     """Return channels (C, H, W) of which some rows are kept, evenly spaced or any."""
     height = channels.shape[1]
-    count = max(1, round(height * random.uniform(LEAST_ROWS, MOST_ROWS)))
+    count = max(1, round(height * random.uniform(MIN_ROWS, MAX_ROWS)))
     if random.random() < 0.5:
         rows = np.floor((np.arange(count) + random.random()) * height / count).astype(np.intp)
     else:
@@ -103,7 +103,7 @@ def hole_cells(ranges: Float) -> Indices:
 def make_holes(channels: Float, random: Rng) -> Float:
     """Return channels (C, H, W), the range first, of which pixels are lost as in real sensors."""
     # By the share of their cell times a factor; by `CONTINUED` with their left neighbours.
-    shares = np.append(HOLE_SHARES, 0.0)[hole_cells(channels[0])] * random.uniform(0, MOST_HOLES)
+    shares = np.append(HOLE_SHARES, 0.0)[hole_cells(channels[0])] * random.uniform(0, MAX_HOLES)
     chance, own = random.random(shares.shape), random.random(shares.shape) >= CONTINUED
     source = np.maximum.accumulate(np.where(own, np.arange(own.shape[1]), 0), axis=1)
     lost = np.take_along_axis(chance, source, axis=1) < shares
@@ -112,6 +112,6 @@ def make_holes(channels: Float, random: Rng) -> Float:
 
 def jitter(points: Float, random: Rng) -> Float:
     """Return points (N, 3) with normal noise on x, y and z; those at the origin stay."""
-    deviation = np.float32(random.uniform(0, MOST_JITTER_M))
+    deviation = np.float32(random.uniform(0, MAX_JITTER_M))
     noise = deviation * random.standard_normal(points.shape, np.float32)
     return points + noise * (points != 0).any(axis=1, keepdims=True)

@@ -17,7 +17,7 @@ from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelle
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan_seed
 
-SMALLEST_VARIANCE = 1e-4
+MIN_VARIANCE = 1e-4
 """Lower bound of a variance, (1 % of probability)²: else a few points that are sure and wrong would
 weigh more than all others."""
 SAMPLES = 30  # Passes per scan and rate
@@ -41,7 +41,7 @@ def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) ->
     """Return Σ ½ log s + (y − p)² / 2s over points and classes; lower is better."""
     # It is the negative log-likelihood, but for a constant, of the one-hot truth y (M,) under
     # Gaussians of mean p (M, C), the mean softmax of the passes, and total variance s (M, C).
-    s = np.maximum(variance.astype(np.float64), SMALLEST_VARIANCE)
+    s = np.maximum(variance.astype(np.float64), MIN_VARIANCE)
     error = probabilities.astype(np.float64)
     error[np.arange(len(truth)), truth] -= 1
     return math.fsum((np.log(s) / 2 + error**2 / (2 * s)).sum(axis=0))
@@ -93,4 +93,4 @@ def fit_dropout(
         "scans": len(scans.files),
         "points": points,
     }
-    return Tuned(candidates[best].card, report)
+    return candidates[best].card, report

@@ -31,10 +31,10 @@ FOLDS = 5
 SEED = 0  # Seed of the choice of points, of the first weights and of the order of the points
 HIDDEN = 16  # Values of each of the two hidden layers
 EPOCHS, BATCH = 8, 2048  # Passes over the points, and points per step
-LEAST_STEPS = 400  # Few points are passed over more often
+MIN_STEPS = 400  # Few points are passed over more often
 LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4
 HEIGHT = FEATURES.index("height above the sensor")
-LEAST_SPREAD = 1e-3  # Features that hardly differ are not blown up
+MIN_SPREAD = 1e-3  # Features that hardly differ are not blown up
 
 
 log = logging.getLogger(__name__)
@@ -81,7 +81,7 @@ def fit_error_model(scans: TuningScans) -> Tuned:
     model = cross_validated(judged, folds(files, FOLDS) if len(files) > 1 else [])
     if model.scores["folds"] and not gains(model):
         log.warning("the error is no better than the confidence on scans left out")
-    return Tuned(replace(network.card, error=model, risk={}), dict(model.scores))
+    return replace(network.card, error=model, risk={}), dict(model.scores)
 
 
 def cross_validated(
@@ -129,11 +129,11 @@ def _scores_left_out(
         return {"folds": 0, "error": None, "confidence": None}
     wrong = np.concatenate([points.wrong for points in left_out])
     features = np.concatenate([points.features for points in left_out])
-    doubt = 1 - features[:, FEATURES.index("probability of the label")]
+    least_confidence = 1 - features[:, FEATURES.index("probability of the label")]
     return {
         "folds": len(parts),
         "error": error_scores(np.concatenate(errors), wrong),
-        "confidence": error_scores(np.clip(doubt, 0, 1), wrong),
+        "confidence": error_scores(np.clip(least_confidence, 0, 1), wrong),
     }
 
 
@@ -152,7 +152,7 @@ def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
     """Fit a model of least cross-entropy to points; without `height` that feature weighs 0."""
     features = np.concatenate([scan.features for scan in scans])
     wrong = torch.from_numpy(np.concatenate([scan.wrong for scan in scans])).float()
-    mean, spread = features.mean(axis=0), np.maximum(features.std(axis=0), LEAST_SPREAD)
+    mean, spread = features.mean(axis=0), np.maximum(features.std(axis=0), MIN_SPREAD)
     # What is left out is infinitely wide: all its values become 0, and so do its weights.
     spread[HEIGHT] = spread[HEIGHT] if height else np.inf
     values = torch.from_numpy((features - mean) / spread)
@@ -161,7 +161,7 @@ def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
         linear = [nn.Linear(len(FEATURES), HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.Linear(HIDDEN, 1)]
         model = nn.Sequential(linear[0], nn.ReLU(), linear[1], nn.ReLU(), linear[2])
         steps_per_epoch = -(-len(values) // BATCH)
-        epochs = max(EPOCHS, -(-LEAST_STEPS // steps_per_epoch))
+        epochs = max(EPOCHS, -(-MIN_STEPS // steps_per_epoch))
         optimiser = torch.optim.AdamW(model.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
             optimiser, LEARNING_RATE, epochs=epochs, steps_per_epoch=steps_per_epoch

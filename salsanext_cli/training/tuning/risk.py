@@ -14,7 +14,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import LabelError, TrainingError, UsageError, counted, first_few
 from salsanext_cli.fitting.label_scan import labelled, project_for
-from salsanext_cli.fitting.scan_fit import labels_depend_on, view_of
+from salsanext_cli.fitting.scan_fit import labels_depend_on, view_record
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
@@ -27,12 +27,12 @@ from salsanext_cli.measures.risk_control import (
     needed_scans,
     promise,
 )
-from salsanext_cli.measures.scores import Confusion, Counts, Ratios
+from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.options import KnnParameters
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans
-from salsanext_cli.uncertainty.error_features import knows_error, label_error
+from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
 CURVE_POINTS = 101
 MAX_LISTED = 5
@@ -77,7 +77,7 @@ def judged_scan(
         raise LabelError(file.label_path, "no point is of a class that counts", expected)
     values = points_from_pixels(1 - softmax.max(axis=0), image.pixel_of_point, np.nan)
     if kind == "error":
-        values = label_error(network, image, softmax, labels)
+        values = error_probability(network, image, softmax, labels)
     bins = np.where(np.isnan(values) | (labels == 0), UNCERTAINTY_BINS, bin_of(values))
     truth, labels, bins = truth[scored], labels[scored], bins[scored]
     np.add.at(counts, (truth, labels, bins), 1)
@@ -97,8 +97,8 @@ def kept_labels(
     Then points, kept and wrong ones of each scan.
     """
     is_kept = np.arange(counts.shape[2]) < held[:, None]
-    confusion = Confusion(space.class_count, (counts * is_kept).sum(axis=2))
-    confusion.matrix[:, 0] += (counts * ~is_kept).sum(axis=(1, 2))
+    confusion = (counts * is_kept).sum(axis=2)
+    confusion[:, 0] += (counts * ~is_kept).sum(axis=(1, 2))
     labels = np.flatnonzero(held)
     kept = [each.below[:, labels, held[labels] - 1].sum(axis=1).tolist() for each in scans]
     of_scans = {s.file.name: (s.points, *of_scan) for s, of_scan in zip(scans, kept, strict=True)}
@@ -122,8 +122,11 @@ def fit_risk(
     _require_scans(scans, len(scans.files), at_most, confidence)
     network, space = scans.network, scans.space
     kind = "error" if knows_error(network) else "least_confidence"
-    if kind == "error":
-        _warn_of_fitted(scans)
+    # The error may have been fitted to sequences of the same names.
+    fitted = set(network.card.error.scores.get("sequences", ())) if network.card.error else set()
+    if kind == "error" and (same := sorted(fitted & {file.sequence for file in scans.files})):
+        message = "the error was fitted to %s too: a threshold holds for scans that no fit has seen"
+        log.warning(message, first_few(same))
     classes = space.class_count
     counts = np.zeros((classes, classes, UNCERTAINTY_BINS + 1), np.int64)
     known, judged = set(network.card.trained_on), list[JudgedScan]()
@@ -161,7 +164,7 @@ def fit_risk(
         "sequences": np.unique(sequences).tolist(),
         "digests": "".join(scan.digest for scan in judged),
         "settings": labels_depend_on(scans.settings, scans.loaded),
-        "view": view_of(network.sensor),
+        "view": view_record(network.sensor),
     }
     worst = sorted(left_out, key=lambda each: -each["loss"])[:MAX_LISTED]
     sentences = [*labels.sentences, *map(_sentence, worst)]
@@ -174,13 +177,16 @@ def fit_risk(
         if few:
             common = f"too few {unit}s for a promise, so by the common threshold"
             sentences.append(f"{first_few(few)}: {common}")
+    means = shares.mean(axis=0)
+    wanted = np.linspace(0, means[0, -1], CURVE_POINTS)
+    steps = np.unique(np.searchsorted(means[0], wanted).clip(max=UNCERTAINTY_BINS - 1))
     report = {
         "promise": promise(risk),
         **risk,
         "skipped": left,
         "kept": asdict(labels),
         "left_out": left_out,
-        "risk_coverage": _curve(shares.mean(axis=0)),
+        "risk_coverage": means[:, steps].tolist(),
         "of_scans": [[kept / points, wrong / points] for points, kept, wrong in of_scans.values()],
         "sentences": sentences,
     }
@@ -189,7 +195,7 @@ def fit_risk(
         log.warning("%s: more wrong than that, by the threshold of the others", first_few(above))
     elif not left_out:
         log.warning("scans of one sequence do not tell how the threshold holds on another")
-    return Tuned(replace(network.card, risk=risk), report)
+    return replace(network.card, risk=risk), report
 
 
 def _of_labels(
@@ -209,23 +215,6 @@ def _of_labels(
             losses = means_of_units(below[has, 1] / below[has, :1, -1], units[has])
             of_labels[label] = min(held, held_thresholds(losses, **numbers))
     return of_labels, own
-
-
-def _curve(means: Ratios) -> list[list[float]]:
-    """Return what is kept, and kept and wrong, at about `CURVE_POINTS` of all thresholds (2, B)."""
-    wanted = np.linspace(0, means[0, -1], CURVE_POINTS)
-    steps = np.unique(np.searchsorted(means[0], wanted).clip(max=means.shape[1] - 1))
-    points: list[list[float]] = means[:, steps].tolist()
-    return points
-
-
-def _warn_of_fitted(scans: TuningScans) -> None:
-    """Warn where the error of the weights was fitted to sequences of the same names."""
-    model = scans.network.card.error
-    fitted = set(model.scores.get("sequences", ())) if model else set()
-    if same := sorted(fitted & {file.sequence for file in scans.files}):
-        message = "the error was fitted to %s too: a threshold holds for scans that no fit has seen"
-        log.warning(message, first_few(same))
 
 
 def _require_scans(

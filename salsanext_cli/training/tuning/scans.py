@@ -26,6 +26,7 @@ from salsanext_cli.training.data.targets import class_sets
 
 VALIDATION = ScanSelection(split="valid")
 """Selection of scans to tune on, unless another is given."""
+Tuned = tuple[WeightsCard, dict[str, Any]]  # Card of the new weights, and a report, plain data
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +60,6 @@ class TuningScans:
         if not points:
             expected = f"labels of {self.space.name}"
             raise LabelError(self.source, "no point is of a class that counts", expected)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Tuned:
-    """Part of the weights that was fitted."""
-
-    card: WeightsCard  # Card of the new weights
-    report: dict[str, Any]  # Plain data
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import reduce
 from operator import iadd
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -45,7 +44,12 @@ def fit_temperature(scans: TuningScans) -> Tuned:
     truth = torch.from_numpy(np.concatenate([classes for _, classes in samples])).long()
     scans.require_points(len(truth))
     temperature = best_temperature(logits, truth)
-    _require_possible(scans.source, temperature, len(truth))
+    lowest, highest = TEMPERATURES
+    if not lowest <= temperature <= highest:
+        # It is 0 where every point is right, infinite where no class of the truth is known.
+        found = f"the best temperature for {len(truth)} points is {temperature:g}"
+        expected = f"one between {lowest:g} and {highest:g}"
+        raise TrainingError(scans.source, found, expected, "use more scans, or other weights")
     if card.error:
         log.log(NOTICE, "the error model is left out: fit it anew with `salsanext tune error`")
     if card.risk:
@@ -56,7 +60,7 @@ def fit_temperature(scans: TuningScans) -> Tuned:
         "scans": len(scans.files),
         "points": len(truth),
     }
-    return Tuned(replace(card, temperature=temperature, error=None, risk={}, accuracy={}), report)
+    return replace(card, temperature=temperature, error=None, risk={}, accuracy={}), report
 
 
 def _samples(scans: TuningScans, most: int) -> Iterator[tuple[Float, Any]]:
@@ -71,16 +75,6 @@ def _samples(scans: TuningScans, most: int) -> Iterator[tuple[Float, Any]]:
         chosen = random.choice(count, most, replace=False) if count > most else slice(None)
         log.info("%s: %d points", file.name, min(count, most))
         yield labelled.of_points(logits)[chosen].copy(), labelled.truth[chosen]
-
-
-def _require_possible(dataset: Path, temperature: float, points: int) -> None:
-    """Refuse a temperature that no softmax can be used with."""
-    # It is 0 where every point is right, infinite where no class of the truth is known.
-    lowest, highest = TEMPERATURES
-    if not lowest <= temperature <= highest:
-        found = f"the best temperature for {points} points is {temperature:g}"
-        expected = f"one between {lowest:g} and {highest:g}"
-        raise TrainingError(dataset, found, expected, "use more scans, or other weights")
 
 
 def _tempered(logits: Tensor, truth: Tensor, temperature: float) -> dict[str, float]:

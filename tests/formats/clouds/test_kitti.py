@@ -1,31 +1,30 @@
 # SPDX-License-Identifier: MIT
+"""Files without header: scans in any number of columns, labels, and what cannot be either."""
+
 import gzip
+import io
 import re
 import struct
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scans import make_scan
 
 from salsanext_cli import read_scan
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, LabelError
 from salsanext_cli.formats import kitti
-from salsanext_cli.formats.kitti import evident_count, read_labels
+from salsanext_cli.formats.kitti import (
+    COUNTS,
+    encode_bin,
+    evident_count,
+    read_bin,
+    read_labels,
+    write_labels,
+)
 from salsanext_cli.results.layout import find_scans
-
-
-def five_columns(count, seed=0):
-    random = np.random.default_rng(seed)
-    columns = [random.normal(0, 20, (count, 3)), random.integers(0, 256, (count, 1))]
-    return np.hstack([*columns, random.integers(0, 32, (count, 1))]).astype("<f4")
-
-
-def test_bytes_are_little_endian_x_y_z_intensity(tmp_path):
-    path = tmp_path / "s.bin"
-    path.write_bytes(struct.pack("<8f", 1, -2, 3, 0.5, 4, 5, -6, 0.25))
-    scan = kitti.read_bin(path)
-    assert scan.points.tolist() == [[1, -2, 3], [4, 5, -6]]
-    assert scan.intensity.tolist() == [0.5, 0.25]
-    assert kitti.encode_bin(scan) == path.read_bytes()
 
 
 @pytest.mark.parametrize("name", ["s.bin.gz", "S.BIN.GZ", "s.pcd.bin.gz"])
@@ -36,7 +35,6 @@ def test_compressed_files_are_read_as_the_others(tmp_path, name):
     scan = read_scan(tmp_path / name)
     np.testing.assert_array_equal(scan.points, table[:, :3])
     np.testing.assert_array_equal(scan.intensity, table[:, 3])
-    assert (scan.ring is None) == (width == 4)
     assert [file.stem for file in find_scans(tmp_path)] == ["S" if name[0] == "S" else "s"]
 
 
@@ -55,21 +53,13 @@ def test_compressed_files_that_are_damaged_or_too_large(tmp_path, monkeypatch):
             read_scan(path)
 
 
-@pytest.mark.parametrize("size", [1, 15, 17, 16 * 9 + 8])
-def test_truncated_scan_is_named_with_its_size(tmp_path, size):
-    path = tmp_path / "s.bin"
-    path.write_bytes(bytes(size))
-    with pytest.raises(FormatError, match=f"{size} bytes") as caught:
-        kitti.read_bin(path)
-    assert caught.value.subject == str(path)
-    assert "multiple of 16" in caught.value.expected
-
-
 @pytest.mark.parametrize("count", [40, 41, 42, 43])
 @pytest.mark.parametrize(("columns", "suffix"), [(5, ".bin"), (4, ".pcd.bin")])
 def test_another_number_of_columns_is_recognised(tmp_path, count, columns, suffix):
     path = tmp_path / f"s{suffix}"
-    path.write_bytes(five_columns(count, seed=count)[:, :columns].tobytes())
+    random = np.random.default_rng(count)
+    table = [random.normal(0, 20, (count, 3)), *random.integers(0, (256, 32), (1, count, 2))]
+    path.write_bytes(np.hstack(table).astype("<f4")[:, :columns].tobytes())
     with pytest.raises(FormatError, match=rf"suffix {'.pcd.bin' if columns == 5 else '.bin'}"):
         kitti.read_bin(path)
 
@@ -130,3 +120,209 @@ def test_no_real_scan_in_another_order_is_refused(real_data):
             assert evident_count(rows.ravel(), count) is None, path
             assert evident_count(rows.ravel(), 9 - count) in {count, None}, path
         assert evident_count(shuffled.ravel(), 9 - count) == count, path
+
+
+@given(hnp.arrays(np.uint32, st.integers(0, 50)))
+def test_labels_survive_the_round_trip(tmp_path_factory, raw):
+    path = tmp_path_factory.mktemp("label") / "s.label"
+    write_labels(path, raw)
+    assert path.read_bytes() == b"".join(struct.pack("<I", value) for value in raw.tolist())
+    np.testing.assert_array_equal(read_labels(path, len(raw)), raw)
+    with pytest.raises(LabelError, match=f"{len(raw)} labels? · expected {len(raw) + 53}"):
+        read_labels(path, len(raw) + 53)
+    path.write_bytes(path.read_bytes() + b"cut")
+    with pytest.raises(FormatError, match=f"{4 * len(raw) + 3} bytes"):
+        read_labels(path)
+
+
+@pytest.mark.parametrize("kind", ["<u4", "<u2", "u1"])
+def test_labels_of_one_two_or_four_bytes(tmp_path, kind):
+    path = tmp_path / "s.label"
+    raw = np.arange(100, dtype=kind)
+    path.write_bytes(raw.tobytes())
+    read = read_labels(path, 100)
+    assert read.dtype == np.uint32
+    np.testing.assert_array_equal(read, raw)
+    with pytest.raises(LabelError, match=r"\d+ labels · expected 99"):
+        read_labels(path, 99)
+    if raw.itemsize < 4:
+        path.write_bytes(np.arange(25 * raw.itemsize, dtype="<u4").tobytes())
+        with pytest.raises(LabelError, match=r"\d+ labels · expected 100"):
+            read_labels(path, 100)
+        path.write_bytes(bytes(100 * raw.itemsize))
+        assert not read_labels(path, 100).any()
+    path.write_bytes(raw.tobytes())
+    # Without the number of points they are four.
+    assert len(read_labels(path)) == raw.nbytes // 4
+
+
+SCAN = make_scan(3000)
+TABLE = np.column_stack([SCAN.points, SCAN.intensity])
+RING = np.arange(3000)[:, None] % 64
+
+
+def npy(table):
+    with io.BytesIO() as file:
+        np.save(file, table)
+        return file.getvalue()
+
+
+LINES = "".join(f"{x:.3f} {y:.3f} {z:.3f} {i:.2f}\n" for x, y, z, i in TABLE).encode()
+OTHERS = {
+    "empty": (b"", "is empty"),
+    "text": (LINES[: len(LINES) // 16 * 16], r"is text .* rename it to \.csv"),
+    "a short text": ("Grüße aus Köln!\n".encode() * 16, "is text"),
+    "ply": (b"ply\nformat binary_little_endian 1.0\n" + bytes(16 * 99), r"is a \.ply file"),
+    "npy": (npy(TABLE), r"is a \.npy file"),
+    "gzip": (gzip.compress(encode_bin(SCAN)), r"is a \.bin\.gz file"),
+    "float64": (TABLE.astype("<f8").tobytes(), "holds float64"),
+    "float64, decimals": (TABLE.astype("<f8").round(3).tobytes(), "holds float64"),
+    "float64, dyadic": (np.rint(TABLE.astype("<f8") * 128) / 128, "holds float64"),
+    "float64, five columns": (np.hstack([TABLE, RING]).astype("<f8").tobytes(), "holds float64"),
+    "millimetres as int32": ((TABLE * 1000).astype("<i4").tobytes(), "no coordinates in metres"),
+    "big endian": (TABLE.astype(">f4").tobytes(), "no coordinates in metres"),
+    "random": (np.random.default_rng(0).bytes(48_000), "no coordinates in metres"),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("columns", [(), ("x", "y", "z", "intensity")])
+def test_what_cannot_be_points(tmp_path, name, columns):
+    content, message = OTHERS[name]
+    path = tmp_path / "s.bin"
+    path.write_bytes(content if isinstance(content, bytes) else content.tobytes())
+    with pytest.raises(FormatError, match=message) as caught:
+        read_bin(path, columns=columns)
+    assert "\n" not in str(caught.value)
+
+
+UNUSUAL = {
+    "nothing measured": np.zeros((500, 4)),
+    "two thirds zeros": np.where(np.random.default_rng(1).random((3000, 1)) < 2 / 3, 0, TABLE),
+    "one plane": TABLE * [1, 1, 0, 1],
+    "millimetres": TABLE * 1000,
+    "UTM": TABLE + [5e5, 5.6e6, 0, 0],
+    "one point": TABLE[:1],
+}
+
+
+@pytest.mark.parametrize("name", UNUSUAL)
+def test_what_may_be_points_is_read(tmp_path, name):
+    path = tmp_path / "s.bin"
+    table = UNUSUAL[name].astype("<f4")
+    path.write_bytes(table.tobytes())
+    np.testing.assert_array_equal(read_bin(path).points, table[:, :3])
+
+
+def test_any_columns(tmp_path):
+    path = tmp_path / "s.bin"
+    table = np.hstack([RING, TABLE[:, 3:] * 255, TABLE[:, :3], -TABLE[:, :2]]).astype("<f4")
+    path.write_bytes(table.tobytes())
+    names = ("ring", "intensity", "x", "y", "z", "_", "_")
+    scan = read_bin(path, columns=names, intensity_scale=255)
+    np.testing.assert_array_equal(scan.points, SCAN.points)
+    np.testing.assert_allclose(scan.intensity, SCAN.intensity, rtol=1e-6)
+    with pytest.raises(FormatError, match=r"holds 7 columns · expected 9 float32 per point · name"):
+        read_bin(path, columns=(*names, "_", "_"))
+    path.write_bytes(table.tobytes()[:-4])
+    with pytest.raises(FormatError, match=r"83996 bytes · expected a multiple of 28 \(7 float32"):
+        read_bin(path, columns=names)
+    path.write_bytes(SCAN.points.tobytes())
+    assert not read_bin(path, columns=("x", "y", "z")).intensity.any()
+
+
+VLP16_DEG = [-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15]
+"""Elevations in the order of firing: every other beam looks up."""
+BEAMS = 16
+
+
+def scan(turns=1800, beams=VLP16_DEG, seed=0):
+    """Simulate x, y, z of a scanner above flat ground, firing all beams at an azimuth."""
+    random = np.random.default_rng(seed)
+    azimuth, elevation = np.repeat(np.linspace(-np.pi, np.pi, turns), len(beams)), np.radians(beams)
+    elevation = np.tile(elevation, turns)
+    walls = random.uniform(5, 60, len(azimuth))
+    down = np.minimum(1.8 / np.maximum(np.sin(-elevation), 1e-3), 40)
+    ranges = np.where(elevation < 0, down, walls) * random.normal(1, 0.02, len(azimuth))
+    flat = ranges * np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), ranges * np.sin(elevation)], 1)
+
+
+def others(points, seed=1):
+    """Return columns that programs write beside the coordinates, by name."""
+    random, count = np.random.default_rng(seed), len(points)
+    normals = random.normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return {
+        "fraction": random.random(count) ** 2,
+        "byte": random.integers(0, 256, count),
+        "decibel": -30 * random.random(count),
+        "ring": np.arange(count) % BEAMS,
+        "time": np.arange(count) * 1e-6,
+        "one": np.ones(count),
+        "zero": np.zeros(count),
+        **{f"normal{i}": normals[:, i] for i in range(3)},
+        **{f"colour{i}": random.integers(0, 256, count) for i in range(3)},
+    }
+
+
+def table(names, points):
+    found = others(points)
+    return np.column_stack([points, *(found[name] for name in names)]).astype(np.float32)
+
+
+NORMALS, COLOURS = ("normal0", "normal1", "normal2"), ("colour0", "colour1", "colour2")
+RECORDS = (
+    (),
+    ("fraction",),
+    ("decibel",),
+    ("ring", "fraction"),
+    ("fraction", "time"),
+    ("byte", "time", "ring", "zero", "zero"),
+    ("fraction", *COLOURS, "time"),
+    ("one", *NORMALS, "zero", "fraction", *["zero"] * 3),
+    ("fraction", *["zero"] * 12),
+)
+
+
+def in_both_orders(rows):
+    """Return the values of rows in their order, and shuffled."""
+    return rows.ravel(), np.random.default_rng(2).permutation(rows).ravel()
+
+
+@pytest.mark.parametrize("names", RECORDS, ids="-".join)
+def test_a_wrong_number_of_columns_is_noticed_and_the_right_one_never(names):
+    rows = table(names, scan())
+    count = rows.shape[1]
+    # Zeros are points without a return where the coordinates lie in the right columns.
+    padded = names[1:2] == ("zero",)
+    for values in in_both_orders(rows):
+        assert evident_count(values, count) is None
+        for expected in {4, 5} if padded else {*range(3, 8), 16}:
+            # A multiple has every second point.
+            if expected % count:
+                assert evident_count(values, expected) == count, expected
+
+
+@pytest.mark.parametrize("lost", [0.0, np.nan])
+def test_points_without_a_return_change_nothing(lost):
+    rows = table(("byte",), scan())
+    rows[np.random.default_rng(3).random(len(rows)) < 0.7] = lost
+    for values in in_both_orders(rows):
+        assert evident_count(values, 4) is None
+        assert evident_count(values, 5) == 4
+
+
+def test_few_points_are_enough_or_nothing_is_said():
+    points = np.random.default_rng(4).permutation(scan())
+    for names in RECORDS:
+        for count in (25, 50, 200):
+            values = table(names, points[:count]).ravel()
+            assert evident_count(values, 3 + len(names)) is None, names
+            assert evident_count(values, 4) in {None, 3 + len(names)}, names
+
+
+@given(hnp.arrays("<u4", st.integers(0, 300)), st.sampled_from([*COUNTS, 40]))
+def test_any_bytes_have_some_number_of_columns_or_none(content, expected):
+    found = evident_count(content.view("<f4"), expected)
+    assert found is None or (found in COUNTS and found != expected)

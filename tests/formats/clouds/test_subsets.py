@@ -124,7 +124,7 @@ def test_what_cannot_be_kept_is_refused(tmp_path):
 
 
 def test_real_files(real_data, tmp_path):
-    """Compressed and organised clouds, padding, bytes: points and rings read are those kept."""
+    """Compressed and organised clouds, padding, bytes: points read are those kept."""
     for path in sorted((real_data / "data/sensors/pcd").iterdir()):
         scan = read_scan(path)
         keep = np.random.default_rng(0).random(len(scan)) < 0.4

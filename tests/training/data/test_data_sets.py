@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from scans import SMALL, make_scan, write_sequence
+from scans import SMALL, make_scan, write_bin, write_sequence
 from shallow import shallow, weights  # noqa: F401
 
 from salsanext_cli import (
@@ -23,12 +23,11 @@ from salsanext_cli import (
 )
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
 from salsanext_cli.fitting.scan_fit import with_image_statistics
-from salsanext_cli.formats.kitti import write_bin
 from salsanext_cli.geometry.network_input import (
     match_intensity,
     with_filled_gaps,
 )
-from salsanext_cli.measures.scores import Confusion, scores
+from salsanext_cli.measures.scores import scores
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.training.data.dataset import Samples, SamplingPlan
 from salsanext_cli.training.data.sources import (
@@ -212,7 +211,7 @@ def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
         truth = space.to_train(read_labels(file.label_path))
         np.add.at(expected, (truth, predicted), 1)
     assert expected.sum() == 4500
-    wanted = scores(Confusion(20, expected), space)
+    wanted = scores(expected, space)
     row = validate(network, Source(files, space, network.sensor))
     assert (row["accuracy"], row["miou"]) == (wanted.accuracy, wanted.iou_mean_present)
     np.testing.assert_equal(

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: MIT
+"""Input of a network: normalisation, intensity matched to that of training, rows filled."""
+
 import re
 from dataclasses import replace
 from itertools import pairwise
@@ -9,15 +11,44 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scans import SMALL, make_scan
 
-from salsanext_cli import Scan, project, sensor
+from salsanext_cli import Scan, Sensor, project, sensor
 from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
 from salsanext_cli.geometry.network_input import (
+    FILLED_ROWS,
+    MAX_GAP,
     dependence,
+    fill_rows,
+    fills_rows,
     intensity_quantiles,
     match_intensity,
-    without_intensity,
+    normalise,
+    row_gaps,
+    why_no_intensity,
+    with_filled_gaps,
 )
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
+
+
+def test_closed_form_and_empty_pixels():
+    tilted = Sensor("s", 1, -1, 1, 2, means=(1, 2, 3, 4, 5), stds=(1, 2, 4, 8, 16))
+    channels = np.zeros((5, 1, 2), np.float32)
+    channels[:, 0, 1] = (3, 4, 5, 6, 7)
+    normal = normalise(channels, tilted)
+    assert normal.dtype == np.float32
+    assert normal[:, 0, 1].tolist() == [2, 1, 0.5, 0.25, 0.125]
+    assert not normal[:, 0, 0].any()
+    assert channels[0, 0, 1] == 3, "the argument is left alone"
+
+
+@pytest.mark.real
+def test_published_network_input(real_image, golden):
+    """Float16, and the published range may differ by 1 in its last bit."""
+    published = np.load(golden / "network_input.npy")
+    ours = normalise(real_image.channels, sensor("hdl64")).astype(np.float16)
+    assert (ours == published).mean() > 0.9999
+    np.testing.assert_allclose(ours, published, rtol=2**-10, atol=2**-17 / 12.32)
+    assert not ours[:, real_image.channels[0] == 0].any()
+
 
 TARGET = tuple(np.linspace(0.1, 0.9, INTENSITY_LEVELS) ** 2)
 
@@ -77,13 +108,12 @@ RINGS = np.round(np.degrees(np.arcsin(Z / RANGES)) + 25).astype(int)
 IDS = np.random.default_rng(1).permutation(64)
 
 
-@pytest.mark.parametrize(
-    ("intensity", "reason"),
-    [
+def test_what_is_no_intensity():
+    for intensity, reason in (
         (STREET.intensity, "^$"),
         (np.floor(3 * STREET.intensity), "^$"),
         (STREET.intensity / RANGES**2, "^$"),
-        (np.zeros(4000), "all points have the same"),
+        (np.zeros(4000), "100% of the points have the same"),
         (STREET.intensity > 0.975, "9[78]% of the points have the same"),
         (np.full(4000, np.nan), "100% of the points have no intensity: NaN or above"),
         (np.where(STREET.intensity < 0.3, np.inf, STREET.intensity), "(28|29|3.)% of the points"),
@@ -92,10 +122,8 @@ IDS = np.random.default_rng(1).permutation(64)
         (IDS[RINGS], "follow the elevation"),
         (np.arctan2(Y, X) % 1, "follow the azimuth"),
         (np.arange(4000) * 1e-6, "follow the order"),
-    ],
-)
-def test_what_is_no_intensity(intensity, reason):
-    assert re.search(reason, without_intensity(STREET.points, np.asarray(intensity, np.float32)))
+    ):
+        assert re.search(reason, why_no_intensity(STREET.points, np.asarray(intensity, np.float32)))
 
 
 @pytest.mark.real
@@ -111,11 +139,11 @@ def test_every_real_intensity_is_one_and_no_other_column(real_data):
         scan = read_scan(path, of)
         image = project(scan, of).channels
         points, intensity = image[1:4, image[0] > 0].T, image[4, image[0] > 0]
-        if without_intensity(scan.points, scan.intensity) or without_intensity(points, intensity):
+        if why_no_intensity(scan.points, scan.intensity) or why_no_intensity(points, intensity):
             without.add(path.name)
         ranges = np.linalg.norm(points, axis=1)
         for other in (ranges, np.round(np.degrees(np.arcsin(points[:, 2] / ranges)))):
-            assert "follow" in without_intensity(points, other)
+            assert "follow" in why_no_intensity(points, other)
     assert without <= {"ascii_rgb_normals.ply", "float64_xyz_only.ply"}
 
 
@@ -142,3 +170,58 @@ def test_the_scale_does_not_matter(scale):
     occupied = matched[0][0] > 0
     found = np.quantile(matched[1][4][occupied], np.linspace(0, 1, INTENSITY_LEVELS))
     np.testing.assert_allclose(found, TARGET, atol=2e-3)
+
+
+def image(share, height=24, width=30, seed=0):
+    """Return a range image with a share of its pixels occupied."""
+    random = np.random.default_rng(seed)
+    channels = random.uniform(0.5, 9, (5, height, width)).astype(np.float32)
+    return channels * (random.random((height, width)) < share)
+
+
+def column_gaps(ranges):
+    """Return the places in gaps of one column, pixel by pixel."""
+    full = [row for row, distance in enumerate(ranges) if distance > 0]
+    return [
+        row
+        for above, below in pairwise(full)
+        for row in range(above + 1, below)
+        if below - above - 1 <= MAX_GAP
+    ]
+
+
+@pytest.mark.parametrize("share", [0.02, 0.2, 0.5, 0.9, 1.0])
+def test_gaps_are_those_of_each_column(share):
+    images = [image(share, seed=seed) for seed in range(3)]
+    gaps = sum(len(column_gaps(column)) for one in images for column in one[0].T)
+    occupied = sum(int((one[0] > 0).sum()) for one in images)
+    assert row_gaps(images) == round(gaps / (gaps + occupied), 4)
+
+
+@pytest.mark.parametrize("height", [1, 2, 24])
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.4, 1.0])
+def test_empty_pixels_take_the_next_point_below(height, share):
+    given = image(share, height)
+    before = given.copy()
+    filled = fill_rows(given)
+    np.testing.assert_array_equal(given, before)
+    for row, column in np.ndindex(given.shape[1:]):
+        rows = range(row, min(row + FILLED_ROWS + 1, height))
+        source = next((r for r in rows if given[0, r, column] > 0), row)
+        np.testing.assert_array_equal(filled[:, row, column], given[:, source, column])
+
+
+def test_gaps_are_filled_where_training_had_fewer():
+    for own, trained, filled in (
+        (0.4, 0.1, True),
+        (0.15, 0.1, False),
+        (0.4, 0.4, False),
+        (None, 0.1, False),
+        (0.4, None, False),
+    ):
+        sensors = [replace(SMALL, row_gaps=gaps) for gaps in (own, trained)]
+        assert fills_rows(*sensors) is filled
+        given = image(0.4)
+        np.testing.assert_array_equal(
+            with_filled_gaps(given, *sensors), fill_rows(given) if filled else given
+        )

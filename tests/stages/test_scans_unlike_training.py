@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: MIT
-"""Stages with the intensity of the scans at hand matched to that of training."""
+"""Stages with scans unlike those of training: their intensity is matched, their gaps are filled."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scans import SMALL, labels_below, write_sequence, write_weights
+from scans import SMALL, labels_below, share_alike, write_bin, write_sequence, write_weights
 
-from salsanext_cli import Scan, project, read_scan
+from salsanext_cli import Scan, knn_refine, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError
-from salsanext_cli.formats.kitti import write_bin
-from salsanext_cli.geometry.network_input import intensity_quantiles
+from salsanext_cli.geometry.network_input import fill_rows, intensity_quantiles, row_gaps
 from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
@@ -41,25 +41,17 @@ def scaled(world, folder, scale):
     return changed(world, folder, ["00", "08"], lit(lambda scan: scale * scan.intensity))
 
 
-def share_alike(one, other):
-    pairs = [(np.frombuffer(one[n], "<u4"), np.frombuffer(other[n], "<u4")) for n in one]
-    return np.mean([(a == b).mean() for a, b in pairs])
-
-
 def test_labels_do_not_depend_on_the_scale_of_the_files(knowing, tmp_path):
     run(knowing)
-    plain = labels_below(knowing.out)
     large = scaled(knowing, tmp_path / "large", 65535)
     run(knowing, tmp_path / "matched", large)
     raw = replace(knowing, network=replace(knowing.network, intensity="raw"))
     run(raw, tmp_path / "raw", large)
-    assert share_alike(plain, labels_below(tmp_path / "matched")) > 0.999
-    assert share_alike(plain, labels_below(tmp_path / "raw")) < 0.95
+    assert share_alike(knowing.out, tmp_path / "matched") > 0.999
+    assert share_alike(knowing.out, tmp_path / "raw") < 0.95
 
 
 def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, tmp_path):
-    from salsanext_cli.parallel.options import Shard
-
     run(knowing)
     steps = tmp_path / "steps"
     project_scans(knowing.data, steps, sensor=SMALL)
@@ -127,19 +119,14 @@ def test_odd_scans_leave_the_others_as_they_are(knowing, tmp_path, odd, is_label
     for number in range(2):
         seed = 50 + number
         write_sequence(knowing.data / "sequences/08", [f"{seed}"], count=4000, seed=seed)
-    run(knowing, selection=ScanSelection(sequences=("08",)), source=without(knowing, tmp_path))
+    (tmp_path / "one/sequences").mkdir(parents=True)
+    (tmp_path / "one/sequences/08").symlink_to(knowing.data / "sequences/08")
+    run(knowing, selection=ScanSelection(sequences=("08",)), source=tmp_path / "one")
     expected = labels_below(knowing.out)
     run(knowing, tmp_path / "odd", changed(knowing, tmp_path / "data", ["00"], odd))
     found = labels_below(tmp_path / "odd")
     assert expected.items() <= found.items()
     assert (len(expected), len(found)) == (4, 4 + is_labelled)
-
-
-def without(world, folder):
-    """Return a data set of the sequence 08 only."""
-    (folder / "one/sequences").mkdir(parents=True)
-    (folder / "one/sequences/08").symlink_to(world.data / "sequences/08")
-    return folder / "one"
 
 
 def test_what_is_no_intensity_is_taken_for_none(knowing, tmp_path):
@@ -188,3 +175,26 @@ def test_range_images_without_intensity_are_doubted_as_their_scans_are(knowing, 
     outcome = predict_range_images(steps, steps, settings=knowing.network)
     (warning,) = outcome.summary.warnings()
     assert (warning["code"], len(warning["scans"])) == ("no-intensity", 3)
+
+
+def test_the_network_sees_no_gaps(world, tmp_path):
+    """Of scans of fewer beams, with weights that know the gaps of their training."""
+    weights = write_weights(tmp_path / "knowing.safetensors", sensor=replace(SMALL, row_gaps=0.1))
+    for file in sorted(world.data.rglob("*.bin")):
+        scan = read_scan(file)
+        rows = project(scan, SMALL).pixel_of_point // SMALL.width
+        write_bin(file, scan.take(np.flatnonzero(rows % 2)))
+        labels = file.parents[1] / "labels" / f"{file.stem}.label"
+        labels.write_bytes(np.fromfile(labels, "<u4")[rows % 2 == 1].tobytes())
+    knowing = replace(world, network=replace(world.network, weights=weights))
+    assert run(knowing).done == 3
+    scans = [read_scan(path) for path in sorted(knowing.data.rglob("*.bin"))]
+    images = [project(scan, SMALL) for scan in scans]
+    recorded = StageRecords(knowing.out).settings("predict")["sensor"]
+    assert recorded["row_gaps"] == row_gaps(image.channels for image in images) > 0.3
+    network = knowing.network.load()
+    space = network.card.space
+    for image, content in zip(images, labels_below(knowing.out).values(), strict=True):
+        full = replace(image, channels=fill_rows(image.channels))
+        labels = knn_refine(image, network.probabilities(full).argmax(0), space.class_count)
+        np.testing.assert_array_equal(np.frombuffer(content, "<u4"), space.to_raw(labels))

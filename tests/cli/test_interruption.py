@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 from command_line import python
 
+from salsanext_cli.cli.interruption import ARRIVED, interruptible
 from salsanext_cli.errors import MissingDependency
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.locks import locked
 from salsanext_cli.files.optional_packages import import_open3d
-from salsanext_cli.interruption import ARRIVED, interruptible
 
 SIGNALS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 
@@ -111,7 +111,7 @@ def test_the_same_signal_twice_does_not_interrupt_tidying_up(tmp_path: Path) -> 
 COMMAND = """
 import os, signal, sys, time, typer
 from salsanext_cli.cli.console import guarded
-from salsanext_cli.interruption import end_on_signals
+from salsanext_cli.cli.interruption import end_on_signals
 end_on_signals()
 class Figure:
     def __del__(self):
@@ -142,7 +142,7 @@ def test_a_signal_that_comes_again_later_ends_at_once() -> None:
 def test_a_library_that_an_endless_import_has_broken_is_not_called_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("salsanext_cli.interruption.WAIT_S", 0.1)
+    monkeypatch.setattr("salsanext_cli.cli.interruption.WAIT_S", 0.1)
     (tmp_path / "open3d.py").write_text(
         "import os, time\n"
         f"os.kill(os.getpid(), {signal.SIGINT:d})\n"

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: MIT
+"""Ground and origin of scans of streets."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scans import SMALL
-from streets import street_points
 
 from salsanext_cli import Scan, project
 from salsanext_cli.fitting.mounting_fit import (
@@ -18,6 +21,27 @@ from salsanext_cli.geometry.projection import in_sensor_frame, upright_rotation
 
 HEIGHT = 1.7
 PLACES = [(1.3, 0, 1.9), (-1.1, 0.4, 0.9)]
+
+
+def street_points(azimuth, elevation, height, farthest, noise):
+    """Return the points (N, 3) that rays in some directions (radians) hit.
+
+    `farthest` bounds their ranges, in metres, and `noise` (N,) is added to these. The nearer of the
+    walls has most of them.
+    """
+    rays = np.stack(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        axis=1,
+    )
+    with np.errstate(divide="ignore"):
+        ground = np.where(rays[:, 2] < 0, -height / rays[:, 2], np.inf)
+        wall = np.where(rays[:, 1] > 0, 6, -9) / rays[:, 1]
+    ranges = np.minimum(np.minimum(ground, wall), farthest) + noise
+    return (rays * ranges[:, None]).astype(np.float32)
 
 
 def street(beams: int, height: float = HEIGHT, seed: int = 0) -> Scan:
@@ -41,6 +65,51 @@ def objects(beams: int) -> Scan:
 def moved(scan, place):
     """Return the scan in a frame in which the sensor is at a place."""
     return Scan((scan.points + np.array(place)).astype(np.float32), scan.intensity)
+
+
+DIRECTION = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1)
+
+
+@pytest.mark.parametrize("height", [0.8, 1.7, 3.0])
+def test_the_ground_of_a_street_and_not_its_walls(height):
+    found = find_ground(street(0, height).points)
+    assert found.height == pytest.approx(height, abs=0.05)
+    assert found.tilt_deg < 2
+    assert 0.1 < found.share < 1
+
+
+@given(DIRECTION)
+def test_in_any_orientation(up):
+    """Of a sensor that turns about an axis of its frame, or near one."""
+    axis = np.zeros(3)
+    axis[np.abs(up).argmax()] = np.sign(up[int(np.abs(up).argmax())])
+    points = street(0).points @ upright_rotation(axis)
+    found = find_ground(points.astype(np.float32))
+    assert found.up @ axis > 0.99
+    assert found.height == pytest.approx(1.7, abs=0.05)
+
+
+def test_where_there_is_none():
+    for points in (
+        np.zeros((0, 3)),
+        np.zeros((500, 3)),
+        np.random.default_rng(0).normal(size=(20, 3)) * 10,
+        np.full((500, 3), 5.0),
+    ):
+        assert find_ground(points.astype(np.float32)) is None
+
+
+def test_what_is_ahead_stays_ahead():
+    """Hanging, lying, leaning sensors, and the frames of cameras, whose z is ahead and y down."""
+    for up, ahead in (
+        ((0, 0, 2), (1, 0, 0)),
+        ((0.01, -0.02, -1), (1, 0, 0)),
+        ((0, 1, 0), (1, 0, 0)),
+        ((0, -1, 0.1), (0, 0, 1)),
+        ((1, 0, 0), (0, 0, 1)),
+        ((0.3, 0, 1), (1, 0, 0)),
+    ):
+        assert upright_rotation(np.array(up, float))[0] @ ahead > 0.95
 
 
 @pytest.mark.parametrize("beams", [16, 64])
