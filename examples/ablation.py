@@ -16,7 +16,7 @@ import torch
 
 import salsanext_cli as sn
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.network.complexity import PAPERS, multiply_accumulates, parameter_count
+from salsanext_cli.network.complexity import multiply_accumulates, paper_figures, parameter_count
 from salsanext_cli.network.registry import build
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
@@ -79,7 +79,7 @@ def row(rung: str, scores: Iterable[float]) -> str:
     architecture, lovasz = LADDER[rung]
     with torch.device("meta"):
         module = build({"name": architecture}).eval()
-    paper = PAPERS["salsanext" if lovasz else architecture]
+    paper = paper_figures()["salsanext" if lovasz else architecture]
     printed = (paper.miou_pixels, paper.miou)
     ious = [f"{score:.1f} ({theirs})" for score, theirs in zip(scores, printed, strict=True)]
     parameters = f"{parameter_count(module) / 1e6:.2f} ({paper.parameters})"

@@ -46,7 +46,7 @@ read_anew = loading._read_module
 
 
 @pytest.fixture(autouse=True, scope="module")
-def narrow() -> Iterator[None]:
+def narrow(full_weights: Path) -> Iterator[None]:  # Written before, since it has all channels
     with narrow_salsanext(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(loading, "_read_module", read_once)
         yield

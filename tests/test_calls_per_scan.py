@@ -22,8 +22,8 @@ from salsanext_cli.results.selection import scans_of
 
 PACKAGE = str(Path(salsanext_cli.__file__).parent)
 CONSTANT_PER_SCAN = 10
-"""Calls beyond twice as many that are let pass, for each scan of the smaller run: plots look for
-free places, and that depends on what is drawn. Of a quadratic step there are `scans` times more."""
+"""Calls beyond twice as many that are let pass, for each scan of the smaller run: what is drawn
+depends on the values. Of a quadratic step there are `scans` times more."""
 
 
 def calls(run: Callable[[], object]) -> Counter[str]:

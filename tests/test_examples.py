@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT
 """The examples run, and do what they say."""
 
+import ast
+import importlib
 import json
 import re
 import runpy
@@ -29,6 +31,18 @@ def load(name: str) -> Callable[..., None]:
     """Return the function `main` of an example, which is not part of any package."""
     main: Callable[..., None] = runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]
     return main
+
+
+def test_what_scripts_import_is_there():
+    """Most of them are run by `make test-slow` only."""
+    for folder in ("examples", "benchmarks", "docs"):
+        for path in sorted((EXAMPLES.parent / folder).glob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+                if isinstance(node, ast.ImportFrom) and "salsanext_cli" in (node.module or ""):
+                    module = importlib.import_module(str(node.module))
+                    for name in (alias.name for alias in node.names):
+                        if not hasattr(module, name):
+                            importlib.import_module(f"{node.module}.{name}")
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import UsageError, first_few
 
-FEWEST_MERGED_CLASSES = 2
+MIN_MERGED_CLASSES = 2
 """Classes that merging must leave, "unlabelled" and other ignored ones aside."""
 
 
@@ -91,7 +91,7 @@ def contradiction(own: LabelSpace, merged: LabelSpace) -> str:
         return f"{own.names[split[0]]} is split into {' and '.join(names)}"
     left = {_targets(own, merged, i)[0] for i in every if not own.ignored[i]}
     count = len({k for k in left if not merged.ignored[k]})
-    if count < FEWEST_MERGED_CLASSES and not own.fits(merged):
+    if count < MIN_MERGED_CLASSES and not own.fits(merged):
         few = first_few([merged.names[k] for k in sorted(left)])
         return f"all {len(every)} classes become {few}"
     return ""

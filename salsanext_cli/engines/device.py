@@ -90,7 +90,9 @@ def _openvino_fails() -> str:
     """Return why OpenVINO cannot compute on this CPU, empty if it can."""
     try:
         openvino_core().get_property("CPU", "FULL_DEVICE_NAME")
-    except (MissingDependency, *OPENVINO_ERRORS) as error:
+    except MissingDependency as error:
+        return error.found
+    except OPENVINO_ERRORS as error:
         return f"does not start: {error_text(error)}"
     return ""
 

@@ -100,10 +100,12 @@ def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":
 
     from salsanext_cli.network.weights import read_weights
 
-    module, _ = read_weights(file)
-    if fingerprint(file) != sha256:
-        raise replaced(file)
-    return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    # Tensors of inference could not be copied into another module, which others may ask for.
+    with torch.inference_mode(False):
+        module, _ = read_weights(file)
+        if fingerprint(file) != sha256:
+            raise replaced(file)
+        return module.to(device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def replaced(file: Path) -> WeightsError:

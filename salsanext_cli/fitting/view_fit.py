@@ -17,7 +17,7 @@ MIN_RANGE_M = 1.0
 """Range below which only housing and mount were seen, of four vehicles; the street began at 1.3."""
 SHARE_OF_HEIGHT = 0.8
 """Largest minimum range, as a share of the height above the ground: a low sensor sees its floor."""
-MIN_HEIGHT_M = 0.1  # Least height of a sensor above what can be the ground that it stands on
+MIN_SENSOR_HEIGHT_M = 0.1  # Least height of a sensor above what can be the ground that it stands on
 FARTHEST_M = 3.0  # Farthest body of a vehicle that is sought
 MIN_SCANS = 5
 AZIMUTHS, ELEVATIONS = 120, 120  # Cells around, and from straight down to straight up
@@ -51,7 +51,7 @@ def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
     height = float(np.median(heights)) if heights else None
     if least is None:
         least = MIN_RANGE_M
-        if height is not None and height >= MIN_HEIGHT_M:
+        if height is not None and height >= MIN_SENSOR_HEIGHT_M:
             least = round(min(least, SHARE_OF_HEIGHT * height), DIGITS)
     if box is None:
         box = _ego_box(upright, height) if height is not None and len(scans) >= MIN_SCANS else ()

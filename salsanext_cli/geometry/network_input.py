@@ -73,7 +73,7 @@ def match_intensity(channels: Float, source: Sequence[float], target: Sequence[f
     """Return a range image (5, H, W) with the quantiles of its intensity mapped to others."""
     # Linearly between; a value at which several quantiles lie becomes the mean of theirs, so that
     # `NO_INTENSITY` makes everything the mean of the target. That is what becomes of an image
-    # `why_no_intensity`, whatever the source. Empty pixels stay 0.
+    # without intensity, whatever the source. Empty pixels stay 0.
     occupied = np.flatnonzero(channels[0] > 0)
     if why_no_intensity(*_pixels(channels, occupied[sample_places(len(occupied), SAMPLE)])):
         source = NO_INTENSITY

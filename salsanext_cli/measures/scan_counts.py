@@ -217,7 +217,7 @@ def count_scan(
         )
         # Points without a measurement are a group of their own.
         groups[DISTANCE] = band[scored] % (len(BAND_NAMES) + 1), len(BAND_NAMES) + 1
-    values: dict[str, Float] = {}
+    values, derived = dict[str, Float](), dict[str, Float]()
     if present(path := output_path(out, scan.sequence, SOFTMAX, scan.stem)):
         counts.files[SOFTMAX] = 1
         softmax = read_softmax(path, scored, space, merging)
@@ -229,7 +229,7 @@ def count_scan(
         if of_scan.points[0]:
             error = reliability(of_scan.counts[:, 0], SCAN_BINS).error
             counts.calibration_errors.append(error)
-        values = {kind: derive(softmax) for kind, derive in OF_SOFTMAX.items()}
+        derived = {kind: derive(softmax) for kind, derive in OF_SOFTMAX.items()}
     for kind in UNCERTAINTY:
         folder = f"uncertainty/{kind}"
         if present(path := output_path(out, scan.sequence, folder, scan.stem)):
@@ -240,10 +240,13 @@ def count_scan(
         rejected = ~labelled
         if rejection.kind in values:
             rejected = rejection.of_points(values[rejection.kind], rejected)
-        values = {kind: np.where(rejected, np.nan, each) for kind, each in values.items()}
         kept = int(labelled.sum()), int((labelled & wrong).sum())
         counts.kept[scan.name] = len(labelled), *kept
         counts.calibrated = int(is_among(rejection.chosen_on, len(truth), read))
+    # Of merged classes the files do not tell the confidence.
+    values = derived | values if merging is None else values | derived
+    if rejection:
+        values = {kind: np.where(rejected, np.nan, each) for kind, each in values.items()}
     for kind, of_points in values.items():
         for name, group in groups.items():
             counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)

@@ -39,7 +39,7 @@ MAX_SHARE = 0.75
 FEW_CLASSES = 10
 MAX_SHARE_OF_FEW = 0.85
 """The same of so many classes or fewer, as `coarse` has; 0.67 or less with right settings."""
-FEWEST_CLASSES = 5
+MIN_CLASSES = 5
 """Of fewer, one may take nearly all of a scan. Both numbers include the class "unlabelled"."""
 MIN_CONFIDENCE = 0.575
 """Least usual mean of the largest probabilities of a scan; that of streets was 0.58 or more."""
@@ -98,7 +98,7 @@ class ScanSummary:
 def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Iterator[Finding]:
     """Doubt labels by the number of points of each class (C,) and their mean probability."""
     few = space.class_count <= FEW_CLASSES
-    if space.class_count >= FEWEST_CLASSES:
+    if space.class_count >= MIN_CLASSES:
         total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1
         most = MAX_SHARE_OF_FEW if few else MAX_SHARE
         if total >= MIN_CHECKED_POINTS and points[largest] > most * total:

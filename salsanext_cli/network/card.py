@@ -205,7 +205,11 @@ def _of_safetensors(path: Path) -> dict[str, str]:
 def _of_onnx(path: Path) -> dict[str, str]:
     # Of all frontends, that of ONNX alone says what is wrong, and nothing on the terminal.
     frontend = import_openvino().frontend.FrontEndManager().load_by_framework("onnx")
-    model, place = frontend.convert(frontend.load(path)), ["framework", KEY]
+    try:
+        model, place = frontend.convert(frontend.load(path)), ["framework", KEY]
+    except RuntimeError as error:
+        # Its text names places in its own source.
+        raise FormatError(path, "no ONNX file that OpenVINO reads, or a cut one") from error
     return {KEY: model.get_rt_info(place).astype(str)} if model.has_rt_info(place) else {}
 
 

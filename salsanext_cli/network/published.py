@@ -85,17 +85,20 @@ def _read_torch_file(path: Path) -> Any:
     """Return what was given to `torch.save`, `Ignored` for classes that torch refuses."""
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise WeightsError(path, "neither a file nor a link to one", "a file of torch.save")
+    try:
+        # In memory: of a file, torch reserves as many bytes as a damaged length says.
+        content = path.read_bytes()
+    except OSError as error:
+        raise WeightsError(path, f"cannot be read: {reason(error)}") from error
     ignored: list[str] = []
     while True:
         stand_ins = [(STAND_INS.get(name, Ignored), name) for name in ignored]
         try:
             with warnings.catch_warnings(), torch.serialization.safe_globals(stand_ins):  # type: ignore[arg-type]
                 warnings.simplefilter("ignore")
-                # From memory: of a file, torch reserves as many bytes as a damaged length says.
-                content = BytesIO(path.read_bytes())
-                return torch.load(content, map_location="cpu", weights_only=True)  # noqa: TID251
-        except OSError as error:
-            raise WeightsError(path, f"cannot be read: {reason(error)}") from error
+                return torch.load(  # noqa: TID251
+                    BytesIO(content), map_location="cpu", weights_only=True
+                )
         except UNREADABLE as error:
             unknown = UNKNOWN_NAME.search(str(error))
             name = unknown[1] if unknown else ""

@@ -131,23 +131,36 @@ def screen_colours(space: LabelSpace) -> Colours:
     """Return the colours of the classes in pictures, plots and pages, (C, 3).
 
     They are those of the label space, dark ones lightened. If two of these differ by less than
-    `MIN_DIFFERENCE`, each class gets one of `APART`, those nearest to their own first; of more
-    classes than these, the others keep their own. A class keeps its own too if that is far
-    enough from all.
+    `MIN_DIFFERENCE`, each class gets one of `APART`, those nearest to their own first. A class
+    keeps its own if that is far enough from all.
     """
     own = on_dark(space.colours)
     first, second = np.triu_indices(len(own), 1)
     if (colour_difference(own[first], own[second]) >= MIN_DIFFERENCE).all():
         return own
-    colours, differences = own.copy(), colour_difference(own[:, None], APART)
-    for _ in own[: len(APART)]:
+    apart = _spread(len(own))
+    colours, differences = own.copy(), colour_difference(own[:, None], apart)
+    for _ in own:
         i, closest = np.unravel_index(differences.argmin(), differences.shape)
-        colours[i] = APART[closest]
+        colours[i] = apart[closest]
         differences[i] = differences[:, closest] = np.inf
     for each, colour in enumerate(own):
         if colour_difference(colour, np.delete(colours, each, axis=0)).min() >= MIN_DIFFERENCE:
             colours[each] = colour
     return colours
+
+
+def _spread(count: int) -> Colours:
+    """Return `APART`, and up to a count those of a grid that differ most from all before."""
+    apart = APART
+    if count > len(apart):
+        grid = on_dark(36 * np.indices((8, 8, 8)).reshape(3, -1).T)
+        nearest = colour_difference(grid[:, None], apart).min(axis=1)
+        for _ in range(count - len(apart)):
+            most = grid[nearest.argmax()]
+            apart = np.concatenate([apart, most[None]])
+            nearest = np.minimum(nearest, colour_difference(grid, most))
+    return apart
 
 
 def _linear(colours: npt.NDArray[Any]) -> Values:

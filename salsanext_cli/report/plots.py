@@ -53,6 +53,7 @@ PLOT_PX = 720, 560
 LEFT, TOP, WIDTH = 80, 60, 600
 HEIGHT, HEIGHT_ABOVE = 430, 330
 """Height of the main axes, and of those that have a legend or other axes below them."""
+NAME_PX, LINE_PX = 90, 13  # Room for the name of a class
 BELOW_PX = 90
 """Height in pixels of the axes below them, which show the distribution of the points."""
 
@@ -304,7 +305,14 @@ def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
 
 
 def _name_dots(axes: Axes, dots: Ratios, names: Sequence[str]) -> None:
-    """Write a name to the right of each dot (N, 2)."""
+    """Write a name to the right of each dot (N, 2), above those that it would lie on."""
     style: dict[str, Any] = {"size": 9, "color": DARK, "va": "center", "parse_math": False}
-    for dot, name in zip(dots, names, strict=True):
-        axes.annotate(name, dot, (7, 0), textcoords="offset points", **style)
+    places, written = axes.transData.transform(dots), list[tuple[float, float]]()
+    for i in np.argsort(places[:, 1]):
+        x, y = places[i]
+        for other_x, other_y in written:  # From the lowest
+            if abs(x - other_x) < NAME_PX and y < other_y + LINE_PX:
+                y = other_y + LINE_PX
+        written = sorted([*written, (x, y)], key=lambda place: place[1])
+        beside = 10, y - places[i, 1]
+        axes.annotate(names[i], dots[i], beside, textcoords="offset pixels", **style)

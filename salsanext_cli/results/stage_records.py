@@ -119,7 +119,7 @@ class StageRecords:
     root: Path
 
     def record(self, stage: str) -> StageRecord | None:
-        """Return the record of a stage, None if it did not run here; read anew if it changed."""
+        """Return the record of a stage, shared by all that ask; None if it did not run here."""
         path = self.root / f"{stage}.json"
         return _read_record(path, stage, identity(path))
 

@@ -147,9 +147,9 @@ def evaluate(
     outcome = run_over_scans(count, scans, options, on_result=apart.add)
     counts = apart.scored()
     if not counts.scans:
-        found = f"no predictions for any of {counted(len(counts.missing), 'scan')}"
         if outcome.failures:
-            found = f"no scan could be compared, as {outcome.failures[0].reason}"
+            raise NoInputError(out, f"no scan could be compared, as {outcome.failures[0].reason}")
+        found = f"no predictions for any of {counted(len(counts.missing), 'scan')}"
         remedy = "run `salsanext predict` first, or say where they are: salsanext eval OUT"
         raise NoInputError(out, found, remedy=remedy)
     panoptic = None

@@ -94,7 +94,12 @@ def test_engines():
 
 
 @pytest.mark.parametrize(
-    "error", [ImportError("No module named 'openvino'"), AttributeError("no attribute 'Core'")]
+    "error",
+    [
+        ImportError("No module named 'openvino'"),
+        AttributeError("no attribute 'Core'"),
+        MissingDependency("openvino", "cannot be imported: libfoo.so", remedy="install it again"),
+    ],
 )
 def test_where_openvino_does_not_start_torch_computes_and_it_is_said_once(
     fresh, monkeypatch, caplog, error
@@ -105,6 +110,7 @@ def test_where_openvino_does_not_start_torch_computes_and_it_is_said_once(
     monkeypatch.setattr(device, "openvino_core", fail)
     assert choose_engine("auto", "cpu") == choose_engine("auto", "cpu") == "torch"
     assert caplog.text.count("computing with torch, which is slower") == 1
+    assert caplog.text.count("install it again") == 0
     with pytest.raises(MissingDependency, match="--engine torch"):
         choose_engine("openvino", "cpu")
 

@@ -101,6 +101,13 @@ def test_another_dropout_rate_shares_the_weights(tmp_path, trained):
     np.testing.assert_array_equal(other.probabilities(image), network.probabilities(image))
 
 
+def test_a_network_first_needed_in_inference_can_be_copied(weights):
+    network = load_network(weights, "cpu", engine="openvino")
+    with torch.inference_mode():
+        assert not network.module.training
+    assert [layer.rate for layer in dropouts(with_dropout(network, 0.4).module)]
+
+
 def test_threads_may_share_a_network(weights):
     network = load_network(weights, "cpu", engine="openvino")
     images = [project(make_scan(seed=seed), SMALL) for seed in range(4)]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Signals while the command line is being imported end it quietly, with the status for them.
 
-What comes before the handlers, in the first three file operations of `cli/`, is Python's.
+What comes before the handlers, in the first five file operations of `cli/`, is Python's.
 """
 
 import os
@@ -27,7 +27,7 @@ COMMAND = "import sys; from salsanext_cli.__main__ import main; sys.argv.append(
     ("steps", "number"),
     [
         ((17,), signal.SIGTERM),
-        *(pytest.param(range(4, 27, 2), number, marks=pytest.mark.slow) for number in SAID),
+        *(pytest.param(range(6, 29, 2), number, marks=pytest.mark.slow) for number in SAID),
     ],
 )
 def test_a_signal_among_the_imports(steps: Sequence[int], number: signal.Signals) -> None:

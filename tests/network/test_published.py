@@ -2,6 +2,7 @@
 """Checkpoints as the published code saves them, and files that only look like it."""
 
 import os
+import tracemalloc
 from collections import OrderedDict, defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -155,6 +156,18 @@ def test_rubbish_is_refused(tmp_path, content):
     path.write_bytes(cut_off if content is None else content)
     with pytest.raises(WeightsError, match=r"SalsaNext · "):
         read_published(path)
+
+
+def test_a_damaged_length_reserves_no_memory(tmp_path):
+    path = tmp_path / "SalsaNext"
+    path.write_bytes(b"X\xff\xff\xff\x7f" + bytes(100))
+    tracemalloc.start()
+    try:
+        with pytest.raises(WeightsError, match="SalsaNext"):
+            read_published(path)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 24
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.fixture

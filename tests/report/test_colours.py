@@ -145,9 +145,9 @@ def test_up_to_32_classes_of_any_colours_can_be_told_apart(own):
     np.testing.assert_array_equal(colours, screen_of(own))
 
 
-def test_of_more_classes_32_are_told_apart():
-    colours = screen_of(np.zeros((43, 3)))
-    assert len(np.unique(colours, axis=0)) == 32
+def test_many_classes_differ_as_much_as_they_can():
+    assert apart(screen_of(np.zeros((43, 3)))) > 10
+    assert len(np.unique(screen_of(np.zeros((255, 3))), axis=0)) == 255
 
 
 def counts() -> Counts:

@@ -16,6 +16,13 @@ def written(tmp_path: Path) -> OwnedFolder:
     return OwnedFolder(tmp_path / "out")
 
 
+def test_damaged_findings_are_named(tmp_path: Path) -> None:
+    for content in ('{"scans": []}', '{"scans": {"08/0": 3}}', '{"scans": {"08/0": [["few"]]}}'):
+        (tmp_path / "predict.warnings.json").write_text(content)
+        with pytest.raises(OutputError, match=r"predict\.warnings\.json"):
+            OwnedFolder(tmp_path, "predict").findings()
+
+
 @pytest.mark.parametrize(
     "name", ["a.label", "deep/er/ü ä.npy", "tab\tline\nend", "b\udcffad", "%41"]
 )

@@ -105,7 +105,7 @@ def test_no_scores_without_a_scan_that_can_be_compared_or_labels_of_a_sequence(w
         world.evaluate()
 
 
-def test_rings_of_distance(world):
+def test_distance_bands(world):
     world.add("000000", [CAR, CAR], [CAR, CAR], distance=5)
     world.add("000001", [CAR, CAR], [CAR, ROAD], distance=35)
     world.add("000002", [CAR], None)

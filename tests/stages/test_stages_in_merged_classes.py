@@ -122,6 +122,10 @@ def test_full_predictions_and_their_probabilities_are_merged_by_eval(world):
     scores = found.uncertainty.calibration.scores
     assert scores.brier == pytest.approx(brier / points, rel=1e-4)
     assert scores.points == points
+    # Each file of `least_confidence` is of a class before merging; the sums tell that of merged.
+    kinds = (each.uncertainty.kinds["least_confidence"].classes.values() for each in (full, found))
+    before, after = (sum(each.mean * each.points for each in classes) for classes in kinds)
+    assert after < before
 
 
 def test_labels_of_other_raw_ids_count_where_the_names_of_the_classes_are_the_same(coarse):
