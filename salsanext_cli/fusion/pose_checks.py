@@ -182,7 +182,7 @@ def _better_reading(poses: Poses, read: ReadPoints) -> str | None:
         @ poses
         @ np.linalg.inv(CAMERA),
         "have w first in their quaternions, not last": with_w_first(poses),
-        # Steps between poses that scale alike have places of another unit.
+        # The last 1 is scaled too, which cancels in the step from one pose to another.
         "are in centimetres": poses * [1, 1, 1, 0.01],
         "are in millimetres": poses * [1, 1, 1, 0.001],
     }

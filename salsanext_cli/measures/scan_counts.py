@@ -51,7 +51,7 @@ from salsanext_cli.sensors.sensor import Sensor
 
 SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of its confidence
 OF_SOFTMAX = {"least_confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
-"""Uncertainties that come from the probabilities, where no file has them."""
+"""Uncertainties that come from the probabilities, where no file has them or classes are merged."""
 EVALUATED_KINDS = (*dict.fromkeys((*OF_SOFTMAX, *UNCERTAINTY)),)
 """Every kind of uncertainty, in the order in which they are reported."""
 SCORES_OF_SCAN = ("points", "accuracy", "iou_mean_present")

@@ -181,11 +181,8 @@ def read_card(path: Path) -> WeightsCard:
     metadata_of, kind = _of_safetensors, "a .safetensors file"
     remedy = "convert a published checkpoint with `salsanext import-weights`"
     if path.suffix == ONNX_SUFFIX:
-        metadata_of, kind, remedy = (
-            _of_onnx,
-            "an ONNX file",
-            "write it with `salsanext export-onnx`",
-        )
+        metadata_of, kind = _of_onnx, "an ONNX file"
+        remedy = "write it with `salsanext export-onnx`"
     try:
         with reading(path), refusing_damage(path, kind):
             metadata = metadata_of(path)

@@ -19,7 +19,7 @@ from salsanext_cli.records import CHANNELS
 
 @dataclass(frozen=True, slots=True)
 class PaperFigures:
-    """Figures of a paper, as text, so that every digit is its own; None if not known for sure."""
+    """Receptive field of a network, and what a paper prints, every digit; None if not known."""
 
     # Height and width of the window of the image that a pixel's logits depend on
     receptive_field: Sequence[int]

@@ -120,8 +120,11 @@ def train(
             kept, sources = run / CLASS_COUNTS, [first, *others]
             validated = evenly_spaced(scored.files, recipe.validation_scans)
             counts = class_counts(kept, sources, scored, validated, jobs, recipe.also)
-            if strict and (doubts := counts.warnings):
-                codes = [f"{d['code']} in {counted(len(d['scans']), 'scan')}" for d in doubts]
+            if strict and counts.warnings:
+                codes = [
+                    f"{warning['code']} in {counted(len(warning['scans']), 'scan')}"
+                    for warning in counts.warnings
+                ]
                 remedy = "mend the scans or leave them out, or train without --strict"
                 raise TrainingError(dataset, f"doubtful scans: {', '.join(codes)}", "none", remedy)
             begin(run, settings, overwrite=overwrite)
