@@ -38,7 +38,7 @@ def make_scan(count: int = 1500, seed: int = 0) -> Scan:
     random = np.random.default_rng(seed)
     azimuth = random.uniform(-np.pi, np.pi, count)
     elevation = np.radians(random.uniform(-25, 3, count))
-    wall = 6 + 4 * np.sin(3 * azimuth + seed) + random.normal(0, 0.05, count)
+    wall = 12 + 8 * np.sin(3 * azimuth + seed) + random.normal(0, 0.05, count)
     ground = -1.7 / np.minimum(np.sin(elevation), -1e-3)
     distance = np.minimum(wall / np.cos(elevation), ground)
     flat = distance * np.cos(elevation)

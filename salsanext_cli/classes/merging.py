@@ -63,7 +63,8 @@ class ClassMerging:
         merged = np.zeros(shape, probabilities.dtype)
         for target, of_class in zip(self.targets, probabilities, strict=True):
             merged[target] += of_class
-        return merged
+        # Rounded sums may exceed 1.
+        return np.minimum(merged, 1, out=merged)
 
 
 def is_merged(merged: LabelSpace, own: LabelSpace) -> bool:

@@ -81,7 +81,8 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
         found["sensor"] = recorded_view(summary.sensor)
         found["largest_classes"] = summary.largest_classes()
         found["ego_share"] = round(summary.ego_share, 4)
-        found["expected_accuracy"] = summary.expected_accuracy()
+        expected = summary.expected_accuracy()
+        found["expected_accuracy"] = expected and expected.to_dict()
         found["warnings"] = summary.warnings()
     return found
 
@@ -100,8 +101,7 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
             )
         yield from warning_lines(summary.warnings())
         if expected := summary.expected_accuracy():
-            right, deviation = (100 * share for share in expected)
-            yield f"expect {right:.0f} ± {deviation:.0f} % right (no labels; from the confidence)"
+            yield expected.text
         if largest := summary.largest_classes():
             shares = ", ".join(f"{name} {100 * share:.1f} %" for name, share in largest.items())
             yield f"largest classes: {shares}"

@@ -52,6 +52,12 @@ class RecordedSettings(dict[str, Any]):
         """Return a setting that is itself a mapping."""
         return RecordedSettings(self._as(dict, key, "a JSON object"), self.path)
 
+    def number(self, key: str) -> float:
+        """Return a setting that is a number."""
+        if type(value := self[key]) not in (int, float):
+            raise self._wrong(f"settings have {key} {value!r}", "a number")
+        return float(value)
+
     def numbers(self, key: str) -> tuple[float, ...]:
         """Return a setting that is two numbers or more."""
         value = self._as(list, key, "two numbers or more")

@@ -110,6 +110,8 @@ MEDIAN_RANGES_M = (0.3, 250.0)
 """Least and largest median range of a scan in metres; real scans had 4 to 32."""
 USUAL_RANGES_M = (60.0, 300.0)
 """Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
+MIN_FAR_M = 15.0
+"""Least usual 99 % quantile of ranges; streets had 27 m or more, a room and a hall 8 and 9 m."""
 MAX_VIEW_DEG = 120.0  # Largest usual field of view; that of sensors was 90° or less
 MIN_MEASURED = 0.4
 """Least usual share of the points with a measurement; organised clouds had 0.55 or more."""
@@ -120,10 +122,13 @@ MIN_SHARE_OF_GROUND = 0.15
 SECTORS = 64
 MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
+FEW_SECTORS = 0.1
+"""Least share of a sensor that looks one way; solid-state ones had 0.14 or more."""
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
 AUTO = "--sensor auto, or "
 UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
+TRAIN_HERE = "expect worse labels, or `salsanext train` weights on scans of such places"
 ORIGIN = "say by `origin` in a sensor file where the sensor is, or train weights for that height"
 
 
@@ -245,6 +250,9 @@ def _of_units(ranges: Double, measured: float, sensor: Sensor) -> Iterator[Findi
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
         found = f"a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
         yield Finding("units", found, UNITS)
+    if far < MIN_FAR_M:
+        found = f"99% of the points lie within {far:.0f} m, as in a room"
+        yield Finding("indoor", found, TRAIN_HERE)
     if (view := sensor.fov_up - sensor.fov_down) > MAX_VIEW_DEG:
         yield Finding("wide-view", f"a field of view of {view:.0f}°", UNITS)
     if measured < MIN_MEASURED:
@@ -261,7 +269,8 @@ def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Fin
     turns = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi) + 0.5
     around = float((np.bincount((turns * SECTORS).astype(int) % SECTORS) > 0).sum()) / SECTORS
     if around < MIN_SECTORS:
-        yield Finding("part-of-circle", f"points in {around:.0%} of the directions around", TRAIN)
+        code = "part-of-circle" if around >= FEW_SECTORS else "few-directions"
+        yield Finding(code, f"points in {around:.0%} of the directions around", TRAIN)
     downwards = sensor.fov_up - np.degrees(np.arcsin(sines))
     rows = (downwards * (sensor.height / (sensor.fov_up - sensor.fov_down))).astype(int)
     per_row = np.bincount(rows.clip(0, sensor.height - 1), minlength=sensor.height)

@@ -27,6 +27,7 @@ from salsanext_cli.fitting.scan_checks import (
     ScanTraits,
 )
 from salsanext_cli.geometry.network_input import INTENSITY_FACTOR
+from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.output_run import OutputRun
@@ -122,7 +123,8 @@ class RunSummary:
     looked_at: set[str] = field(default_factory=set)  # Names of the scans that were added
     rejected_points: int = 0  # Number of points unlabelled for their error
     ego_shares: list[float] = field(default_factory=list)  # Of the points of scans, of the vehicle
-    confidences: list[float] = field(default_factory=list)  # Means of scans
+    # Mean of the largest probabilities of the points, 0…1, by name of the scan
+    confidences: dict[str, float] = field(default_factory=dict)
     accuracy: Mapping[str, float] = field(default_factory=dict)  # As in `WeightsCard`
     first: ScanFile | None = None  # First scan of the run, whose data set may describe others
 
@@ -143,7 +145,8 @@ class RunSummary:
         self.looked_at.add(scan.file.name)
         self.rejected_points += scan.rejected_points
         self.ego_shares.append(scan.check.ego_share)
-        self.confidences += [scan.confidence] if 0 < scan.confidence < 1 else []
+        if not math.isnan(scan.confidence):
+            self.confidences[scan.file.name] = scan.confidence
         for finding in scan.check.findings:
             self.add_finding(scan.file, finding)
         if scan.check.traits is not None:
@@ -203,14 +206,10 @@ class RunSummary:
         """Share of the points, 0…1, of housing and vehicle, over the scans of this run."""
         return sum(self.ego_shares) / max(len(self.ego_shares), 1)
 
-    def expected_accuracy(self) -> tuple[float, float] | None:
-        """Return the accuracy that the mean confidence lets expect, 0…1, and its deviation."""
-        if not self.accuracy or not self.confidences:
-            return None
-        # Rounded, since the order of the scans is that of the workers.
-        mean = round(math.fsum(self.confidences) / len(self.confidences), 6)
-        logit = self.accuracy["slope"] * math.log(mean / (1 - mean)) + self.accuracy["offset"]
-        return round(1 / (1 + math.exp(-logit)), 4), self.accuracy["deviation"]
+    def expected_accuracy(self) -> ExpectedAccuracy | None:
+        """Return the accuracy to expect of the scans of this run, None if the weights lack it."""
+        warnings = {code: [name for name, _ in given] for code, given in self.findings.items()}
+        return expected_accuracy(self.accuracy, self.confidences, warnings)
 
     def largest_classes(self) -> dict[str, float]:
         """Return the share of the points, 0…1, of the largest predicted classes, by name."""

@@ -173,13 +173,12 @@ def predict_scans(
         log.warning("--reject risk: %s", OTHER_VIEW)
     temperature = network.card.temperature
     recorded = settings.record(network) | {"temperature": temperature, "knn": asdict(knn)}
-    recorded |= {} if reject is None else {"reject": reject}
+    recorded |= {"accuracy": network.card.accuracy} if reject is None else {"reject": reject}
     recorded |= {"promised": risk} if risk else {}
     recorded |= {} if reject_by == "error" else {"reject_by": reject_by}
     recorded |= {"objects": True} if "objects" in extras else {}
     summary = RunSummary.of_scans(scans, network.sensor, network.space)
-    if reject is None:
-        summary.accuracy = network.card.accuracy
+    summary.accuracy = recorded.get("accuracy", {})
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import torch
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
@@ -53,6 +54,19 @@ def test_facts_of_semantic_kitti():
     assert (train.dtype, raw.dtype) == (np.uint8, np.uint32)
     # Red, green, blue
     assert space.colours[[1, 9, 15]].tolist() == [[100, 150, 245], [255, 0, 255], [0, 175, 0]]
+
+
+def test_merged_probabilities_of_a_confident_network_are_at_most_1():
+    logits = 12 * np.random.default_rng(0).normal(size=(20, 32768)).astype(np.float32)
+    softmax = torch.softmax(torch.from_numpy(logits), dim=0).numpy()
+    space, coarse = label_space(), label_space("coarse")
+    merged = ClassMerging.between(space, coarse).add(softmax)
+    exact = np.zeros(merged.shape)
+    for raw, train_id in space.learning_map.items():
+        if space.learning_map_inv[train_id] == raw:
+            exact[coarse.learning_map[raw]] += softmax[train_id]
+    np.testing.assert_allclose(merged, exact, rtol=1e-5, atol=1e-7)
+    assert merged.max() <= 1
 
 
 @given(st.sampled_from(sorted(label_space().learning_map)), st.integers(0, 2**16 - 1))

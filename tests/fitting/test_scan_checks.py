@@ -18,6 +18,7 @@ QUANTILES = tuple(np.linspace(0, 1, INTENSITY_LEVELS))
 TRAINED = replace(SMALL, intensity_quantiles=QUANTILES)
 STREET = make_scan(4000)
 LEVEL = np.abs(STREET.points[:, 2]) < 0.01 * np.linalg.norm(STREET.points, axis=1)
+NARROW = STREET.points[:, 0] > 8 * np.abs(STREET.points[:, 1])
 AHEAD = STREET.points[:, 0] > np.abs(STREET.points[:, 1])
 
 
@@ -73,6 +74,8 @@ def test_what_is_doubtful():
         (moved(scale=30), "units"),
         (Scan(STREET.points[LEVEL], STREET.intensity[LEVEL]), "sparse"),
         (mostly_missing(), "not-measured"),
+        (moved(scale=0.4), "indoor"),
+        (Scan(STREET.points[NARROW], STREET.intensity[NARROW]), "few-directions"),
         (Scan(STREET.points[AHEAD], STREET.intensity[AHEAD]), "part-of-circle"),
         (Scan(STREET.points, np.zeros_like(STREET.intensity)), "no-intensity"),
         (Scan(STREET.points, np.linalg.norm(STREET.points, axis=1)), "no-intensity"),

@@ -14,12 +14,13 @@ from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.report.page.run_results import expected_of_run
 from salsanext_cli.results.layout import LEAST_CONFIDENCE, find_scans, output_path
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
-from salsanext_cli.stages.report import report
+from salsanext_cli.stages.report import read_run, report
 from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.tuning import error
 from salsanext_cli.training.tuning.risk import _left_out, exceeds
@@ -271,7 +272,9 @@ def test_a_run_says_how_many_labels_it_expects_to_be_right(world: World, tmp_pat
         for file in find_scans(world.data)
     ]
     assert summary is not None
-    assert summary.expected_accuracy() == (pytest.approx(1 - np.mean(doubts), abs=1e-3), 0.05)
+    estimate = summary.expected_accuracy()
+    assert estimate.accuracy == pytest.approx(1 - np.mean(doubts), abs=1e-3)
+    assert expected_of_run(world.out, read_run(world.out)[0].rows) == estimate
     plain = predict_scans(world.data, tmp_path / "plain", settings=world.network).summary
     assert plain is not None
     assert plain.expected_accuracy() is None

@@ -27,6 +27,7 @@ from salsanext_cli.report.page.run_results import (
     RunResults,
     ScanRow,
     ShownScan,
+    expected_of_run,
     facts_of_run,
     leading_kind,
 )
@@ -96,7 +97,9 @@ def html_of(
     for i, each in enumerate(shown):
         blocks.append(script_data(f"cloud-{i}", escaped(encode_cloud(each, space, sensor, scales))))
     comparison = _comparison(compared, space) if compared else ""
-    facts = facts_of_run(out, sensor)
+    facts = [*facts_of_run(out, sensor)]
+    if expected := expected_of_run(out, run.rows):
+        facts.append(("Without labels", expected.text))
     warnings = [*run.warnings(), *failures]
     return Template(_part("page.html")).substitute(
         title=_text("/".join(out.absolute().parts[-2:])),  # The folder above often says more.

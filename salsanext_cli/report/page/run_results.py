@@ -26,6 +26,7 @@ from salsanext_cli.files.reading import present, reading, refusing_damage
 from salsanext_cli.fitting.view_fit import view_text
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.objects import BOX
+from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.histograms import lack_of_confidence
 from salsanext_cli.measures.risk_control import (
     RISK_BOUND_EXCEEDED,
@@ -39,7 +40,7 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
 )
-from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.network.card import FITTED, default_weights, read_card
 from salsanext_cli.results.layout import ERROR, PREDICTION_STAGES, ScanFile, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
@@ -299,6 +300,23 @@ def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
         yield "Uncertainty", ", ".join([str(settings.get("method")), *given])
     if records.owner(ERROR) == "predict":
         yield "Uncertainty", "probability of error, of predict --error"
+
+
+def expected_of_run(out: Path, rows: Sequence[ScanRow]) -> ExpectedAccuracy | None:
+    """Estimate the accuracy of labels that `predict` wrote; None for those of other stages."""
+    records = StageRecords(out)
+    settings = records.settings("predict")
+    if not (settings and settings.get("accuracy")) or records.owner("predictions") != "predict":
+        return None
+    recorded = settings.table("accuracy")
+    line = {key: recorded.number(key) for key in FITTED["accuracy"]}
+    means = {row.file.name: row.uncertainty.get("least_confidence", math.nan) for row in rows}
+    confidences = {name: 1 - mean for name, mean in means.items() if not math.isnan(mean)}
+    warnings: dict[str, list[str]] = {}
+    for name, findings in OwnedFolder(out, "predict").findings().items():
+        for code, *_ in findings:
+            warnings.setdefault(code, []).append(name)
+    return expected_accuracy(line, confidences, warnings)
 
 
 def _weights(records: StageRecords) -> str:

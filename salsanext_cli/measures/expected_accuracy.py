@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: MIT
+"""Accuracy to expect of a run without labels, from the mean confidence of its scans."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from salsanext_cli.errors import counted
+
+DEVIATIONS = 2.0
+"""Half the width of the interval, in root mean squares of the differences between expected and
+measured accuracy. Of the ten labelled drives in docs/safety.md, each judged by the root mean square
+of the nine others, nine lie in it."""
+OF_RUN = ("mixed-sensors",)
+"""Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
+WITHHELD_FOR = (
+    *OF_RUN,
+    *("few-directions", "few-points", "height", "indoor", "low-confidence", "not-measured"),
+    *("one-class", "out-of-view", "sparse", "tilted", "units", "upside-down", "wide-view"),
+)
+"""Warnings about scans that are unlike those of the ten drives. Solid-state sensors, which only get
+`part-of-circle`, had the expected accuracy within 3 points."""
+EDGE = 1e-6  # Mean confidences closer to 0 or 1 have no useful logit
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedAccuracy:
+    """Accuracy to expect of some scans of a run, or the warnings that forbid an estimate."""
+
+    accuracy: float | None  # Share of the points, 0…1; None if it is withheld
+    interval: tuple[float, float] | None  # Holds for nine of ten drives, 0…1
+    scans: int  # Number of scans that the estimate is about
+    withheld: Mapping[str, int]  # Number of the other scans by code of the warning
+
+    @property
+    def text(self) -> str:
+        """One line for people."""
+        reasons = ", ".join(
+            f"{code} in {counted(count, 'scan')}" for code, count in self.withheld.items()
+        )
+        if self.interval is None:
+            return f"accuracy not estimated: {reasons}"
+        low, high = math.floor(100 * self.interval[0]), math.ceil(100 * self.interval[1])
+        others = f"; not estimated for the others: {reasons}" if reasons else ""
+        scans = f" of {counted(self.scans, 'scan')}" if reasons else ""
+        return f"expected accuracy{scans}: {low} to {high} %, from the confidence{others}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        interval = None if self.interval is None else list(self.interval)
+        return {
+            "accuracy": self.accuracy,
+            "interval": interval,
+            "scans": self.scans,
+            "withheld": dict(self.withheld),
+        }
+
+
+def expected_accuracy(
+    line: Mapping[str, float],
+    confidences: Mapping[str, float],
+    warnings: Mapping[str, Collection[str]],
+) -> ExpectedAccuracy | None:
+    """Estimate the accuracy of a run by a line through logits of confidence and accuracy.
+
+    Parameters
+    ----------
+    line : mapping
+        `slope`, `offset` and `deviation` as in `WeightsCard.accuracy`; empty if unknown.
+    confidences : mapping
+        Mean of the largest probabilities of the points of each scan, 0…1, by name.
+    warnings : mapping
+        Names of the scans that have a warning, by its code.
+
+    Returns
+    -------
+    ExpectedAccuracy or None
+        None without a line or without scans.
+    """
+    if not line or not confidences:
+        return None
+    withheld = {code: {*warnings.get(code, ())} & confidences.keys() for code in WITHHELD_FOR}
+    counts = {code: len(names) for code, names in sorted(withheld.items()) if names}
+    unlike = set().union(*withheld.values())
+    if any(code in counts for code in OF_RUN):
+        unlike = set(confidences)
+    usual = [confidence for name, confidence in confidences.items() if name not in unlike]
+    if not usual:
+        return ExpectedAccuracy(None, None, 0, counts)
+    # Rounded, since the order of the scans is that of the workers.
+    mean = min(max(round(math.fsum(usual) / len(usual), 6), EDGE), 1 - EDGE)
+    logit = line["slope"] * math.log(mean / (1 - mean)) + line["offset"]
+    accuracy = (1 + math.tanh(logit / 2)) / 2  # The logistic function, without overflow
+    margin = DEVIATIONS * line["deviation"]
+    interval = (round(max(accuracy - margin, 0), 4), round(min(accuracy + margin, 1), 4))
+    return ExpectedAccuracy(round(accuracy, 4), interval, len(usual), counts)

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: MIT
+"""Accuracy to expect without labels: the interval, and the scans that it does not cover."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from salsanext_cli.measures.expected_accuracy import DEVIATIONS, WITHHELD_FOR, expected_accuracy
+from salsanext_cli.network.card import default_weights, read_card
+
+LINE = {"slope": 1.0, "offset": 0.0, "deviation": 0.05}
+SAFETY = Path(__file__).parents[2] / "docs/safety.md"
+SHARES = st.floats(0, 1)
+
+
+def test_the_interval_holds_for_nine_of_the_ten_drives_of_the_docs():
+    table = SAFETY.read_text().split("| mean confidence | expected | right |")[1].split("\n\n")[0]
+    rows = re.findall(r"\| ([\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", table, re.M)
+    confidences, expected, right = np.array(rows, float).T
+    assert len(rows) == 10
+    line = read_card(default_weights()).accuracy
+    for confidence, stated in zip(confidences, expected, strict=True):
+        estimate = expected_accuracy(line, {"a": confidence / 100}, {})
+        assert 100 * estimate.accuracy == pytest.approx(stated, abs=0.1)
+    misses = np.abs(expected - right)
+    others = [np.sqrt(np.mean(np.square(np.delete(misses, i)))) for i in range(10)]
+    assert sum(misses <= DEVIATIONS * np.array(others)) == 9
+    assert line["deviation"] == pytest.approx(np.sqrt(np.mean(misses**2)) / 100, abs=1e-3)
+
+
+@given(st.dictionaries(st.text(max_size=3), SHARES, min_size=1), SHARES)
+def test_the_estimate_is_a_share_within_its_interval(confidences, deviation):
+    line = {"slope": 1e3, "offset": -3.0, "deviation": deviation}
+    estimate = expected_accuracy(line, confidences, {})
+    low, high = estimate.interval
+    assert 0 <= low <= estimate.accuracy <= high <= 1
+    assert estimate.scans == len(confidences)
+
+
+def test_the_mean_confidence_of_the_usual_scans_decides():
+    confidences = {"a": 0.8, "b": 0.6, "c": 0.1}
+    estimate = expected_accuracy(LINE, confidences, {"tilted": ["c"], "part-of-circle": ["a"]})
+    assert estimate.accuracy == pytest.approx(0.7, abs=1e-4)
+    assert estimate.interval == pytest.approx((0.6, 0.8), abs=1e-4)
+    assert (estimate.scans, estimate.withheld) == (2, {"tilted": 1})
+
+
+@pytest.mark.parametrize("code", WITHHELD_FOR)
+def test_nothing_is_estimated_for_scans_unlike_the_labelled_drives(code):
+    estimate = expected_accuracy(LINE, {"a": 0.8}, {code: ["a"]})
+    assert estimate.to_dict() == {
+        "accuracy": None,
+        "interval": None,
+        "scans": 0,
+        "withheld": {code: 1},
+    }
+
+
+def test_one_scan_of_another_sensor_forbids_the_estimate_of_the_run():
+    estimate = expected_accuracy(LINE, {"a": 0.8, "b": 0.8}, {"mixed-sensors": ["b"]})
+    assert (estimate.accuracy, estimate.withheld) == (None, {"mixed-sensors": 1})
+
+
+def test_without_a_line_or_scans_there_is_no_estimate():
+    assert expected_accuracy({}, {"a": 0.8}, {}) is None
+    assert expected_accuracy(LINE, {}, {}) is None
+
+
+def test_certain_labels_are_no_error():
+    for confidence in (0.0, 1.0):
+        estimate = expected_accuracy(LINE, {"a": confidence}, {})
+        assert math.isclose(estimate.accuracy, confidence, abs_tol=1e-3)
