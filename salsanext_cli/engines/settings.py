@@ -183,7 +183,7 @@ def recorded_view(sensor: "Sensor") -> dict[str, Any]:
     """Return what labels depend on of a sensor, and its name, as plain data."""
     from salsanext_cli.sensors.sensor import NOISE
 
-    return {key: value for key, value in sensor.to_dict().items() if key not in NOISE}
+    return sensor.to_dict(NOISE)
 
 
 def with_columns(sensor: "Sensor", columns: str | None) -> "Sensor":

@@ -35,45 +35,15 @@ from salsanext_cli.geometry.projection import (
     in_sensor_frame,
     measured_ranges,
 )
+from salsanext_cli.geometry.scan_traits import (
+    MIN_TRAIT_POINTS,
+    ScanTraits,
+    share_around,
+    sines_of,
+    upper_intensity,
+)
 from salsanext_cli.records import Double, Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
-
-NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)
-"""Elevations between which points are counted. Below them every beam meets the ground, wherever the
-sensor is; above, it may meet the sky."""
-VIEW = (0.01, 0.99)  # Quantiles of the elevation that describe a view
-MIN_CHECKED_POINTS = 100  # Fewest points of which a check says something
-
-
-@dataclass(frozen=True, slots=True)
-class ScanTraits:
-    """Traits of the sensor in one scan, estimated from a sample of its points.
-
-    Points between two nodes count for both by their distance, so that a beam that lies at one, or
-    is measured a little higher or lower, makes no difference.
-    """
-
-    points: int  # Number of points with a measurement
-    fov_up: float  # Elevations in degrees that few points lie above and below
-    fov_down: float
-    # Number of points around each of `NODES_DEG` but the last, which counts none
-    below: tuple[float, ...]
-    bright: float  # Upper intensity; 0 if unknown
-
-    @classmethod
-    def of(cls, sines: Float, bright: float, per_point: float) -> ScanTraits:
-        """Return the traits by the sines of elevation (M,) of points that stand for more each."""
-        elevations = np.degrees(np.arcsin(sines))
-        down, up = np.quantile(elevations, VIEW)
-        hats = np.eye(len(NODES_DEG))[:-1]
-        below = [np.interp(elevations, NODES_DEG, hat).sum() * per_point for hat in hats]
-        return cls(
-            points=round(len(sines) * per_point),
-            fov_up=round(float(up), 2),
-            fov_down=round(float(down), 2),
-            below=tuple(round(float(count), 1) for count in below),
-            bright=round(bright, 6),
-        )
 
 
 class Finding(NamedTuple):
@@ -89,7 +59,7 @@ class ScanCheck:
     """Result of a check: reasons to doubt the scan, and traits of its sensor."""
 
     findings: tuple[Finding, ...] = ()
-    # None of a scan of fewer than `MIN_CHECKED_POINTS` points with a measurement
+    # None of a scan of fewer than `MIN_TRAIT_POINTS` points with a measurement
     traits: ScanTraits | None = None
     ego_share: float = 0.0  # Share of the points on the housing of the sensor or its vehicle, 0…1
 
@@ -117,7 +87,6 @@ MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
 """Least usual share of the rows with points, more than a tenth of the average; those had 0.47."""
 MIN_SHARE_OF_GROUND = 0.15
 """Least share of the near points on a ground that gives reason to doubt."""
-SECTORS = 64
 MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
@@ -125,12 +94,6 @@ AUTO = "--sensor auto, or "
 UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
 ORIGIN = "say by `origin` in a sensor file where the sensor is, or train weights for that height"
-
-
-def upper_intensity(intensity: Float) -> float:
-    """Return the upper intensity of those that are numbers, 0 without any."""
-    finite = intensity[np.isfinite(intensity)]
-    return float(np.quantile(finite, BRIGHT)) if len(finite) else 0.0
 
 
 def intensity_findings(
@@ -167,7 +130,7 @@ def intensity_findings(
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
     """Check the intensity of a range image (5, H, W); its view was checked by `project`."""
     occupied = channels[:, channels[0] > 0]
-    if occupied.shape[1] < MIN_CHECKED_POINTS:
+    if occupied.shape[1] < MIN_TRAIT_POINTS:
         return UNCHECKED
     reason, bright = why_no_intensity(occupied[1:4].T, occupied[4]), upper_intensity(occupied[4])
     return ScanCheck(tuple(intensity_findings(bright, reason, sensor, trained)))
@@ -188,7 +151,7 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     """
     some = in_sensor_frame(few_points(scan), sensor)
     ranges, measured = measured_ranges(some.points)
-    if len(some) < len(scan) and measured.sum() < MIN_CHECKED_POINTS:
+    if len(some) < len(scan) and measured.sum() < MIN_TRAIT_POINTS:
         some = in_sensor_frame(scan, sensor)
         ranges, measured = measured_ranges(some.points)
     _require_metres(path, len(scan), ranges[measured])
@@ -197,12 +160,12 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     if len(own):
         some = some.take(np.delete(np.arange(len(some)), own))
         ranges, measured = measured_ranges(some.points)
-    if (count := int(measured.sum())) < MIN_CHECKED_POINTS:
+    if (count := int(measured.sum())) < MIN_TRAIT_POINTS:
         few = f"{counted(count, 'point')} with a measurement, too few to check"
         return ScanCheck((Finding("few-points", few, "give whole scans"),), None, ego_share)
     share, ranges = count / len(some), ranges[measured]
     some = Scan(some.points[measured], some.intensity[measured])
-    sines = _sines(some.points)
+    sines = sines_of(some.points)
     reason = why_no_intensity(some.points, some.intensity)
     named = trained is None or sensor.name not in (FITTED_NAME, trained.name)
     fit = AUTO + FIT if named else FIT
@@ -214,15 +177,16 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
         findings += intensity_findings(bright, reason, sensor, trained)
-    traits = ScanTraits.of(sines, bright, len(scan) * (1 - ego_share) * share / count)
+    per_point = len(scan) * (1 - ego_share) * share / count
+    traits = ScanTraits.of(some.points, bright, per_point, sensor)
     return ScanCheck(tuple(findings), traits, ego_share)
 
 
 def _require_metres(path: Path, count: int, ranges: Double) -> None:
-    if count >= MIN_CHECKED_POINTS and not len(ranges):
+    if count >= MIN_TRAIT_POINTS and not len(ranges):
         found = f"none of its {count} points is a measurement"
         raise FormatError(path, found, "finite coordinates around the sensor")
-    if len(ranges) < MIN_CHECKED_POINTS:
+    if len(ranges) < MIN_TRAIT_POINTS:
         return
     median, (least, most) = float(np.median(ranges)), MEDIAN_RANGES_M
     if not least <= median <= most:
@@ -232,12 +196,6 @@ def _require_metres(path: Path, count: int, ranges: Double) -> None:
             "coordinates in metres, with the sensor at the origin",
             "convert millimetres or centimetres; take the sensor's place off map coordinates",
         )
-
-
-def _sines(points: Float) -> Float:
-    """Return the sines of elevation of points (N, 3), (N,)."""
-    ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
-    return (points[:, 2] / np.maximum(ranges, np.finfo(np.float32).tiny)).clip(-1, 1)
 
 
 def _of_units(ranges: Double, measured: float, sensor: Sensor) -> Iterator[Finding]:
@@ -258,9 +216,7 @@ def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Fin
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
         found = f"{outside:.0%} of the points lie outside the view of {view}"
         yield Finding("out-of-view", found, fit)
-    turns = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi) + 0.5
-    around = float((np.bincount((turns * SECTORS).astype(int) % SECTORS) > 0).sum()) / SECTORS
-    if around < MIN_SECTORS:
+    if (around := share_around(scan.points)) < MIN_SECTORS:
         yield Finding("part-of-circle", f"points in {around:.0%} of the directions around", TRAIN)
     downwards = sensor.fov_up - np.degrees(np.arcsin(sines))
     rows = (downwards * (sensor.height / (sensor.fov_up - sensor.fov_down))).astype(int)

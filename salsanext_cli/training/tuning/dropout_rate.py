@@ -63,11 +63,12 @@ def fit_dropout(
     candidates = [with_dropout(network, rate) for rate in rates]
     sums, points = np.zeros(len(rates)), 0
     for number, file in enumerate(scans.files):
-        labelled = read_labelled_image(file, network, scans.space)
-        noise = labelled.of_points(aleatoric(network, labelled.image))
+        fitted, labelled = read_labelled_image(file, network, scans.space)
+        noise = labelled.of_points(aleatoric(fitted, labelled.image))
         points += len(labelled.truth)
         masks = scan_seed(seed, file.sequence, file.stem)
         for index, candidate in enumerate(candidates):
+            candidate = candidate.for_sensor(fitted.sensor)
             sampled = sample(candidate, labelled.image, samples=samples, seed=masks)
             variance = labelled.of_points(sampled.variance) + noise
             probabilities = labelled.of_points(sampled.probabilities)
