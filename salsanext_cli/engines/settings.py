@@ -20,6 +20,10 @@ DEFAULT_WEIGHTS = Path("default")
 """Name of the weights of the package; a file of that name needs an absolute path."""
 COLUMNS_HELP = "Columns of files that do not name them, such as x,y,z,intensity,ring; _ for others."
 COLUMNS_DEFAULT = "those of the sensor, else x,y,z,intensity"
+OTHER_IMAGES = (
+    "sensor %s has range images of another size or normalisation than the weights were trained on, "
+    "which costs accuracy: leave height, width, means and stds out of its file"
+)
 
 log = logging.getLogger(__name__)
 
@@ -137,12 +141,18 @@ class NetworkSettings:
 
     def announce(self, network: "Network") -> None:
         """Log what computes, and on what the default weights were trained."""
+        from salsanext_cli.sensors.sensor import OF_IMAGES
+
         default = self.weights in (None, DEFAULT_WEIGHTS)
         name = f"default weights ({network.card.summary()})" if default else self.weights
         merged = f", merged into the classes of {network.space.name}" if network.merging else ""
         library, precision = network.engine.library, network.engine.precision
         computing = f"on {network.device} by {library} in {precision}"
         log.log(NOTICE, "%s %s%s", name, computing, merged)
+        if any(
+            getattr(network.sensor, key) != getattr(network.card.sensor, key) for key in OF_IMAGES
+        ):
+            log.log(NOTICE, OTHER_IMAGES, network.sensor.name)
 
     def resolved(self, network: "Network") -> "NetworkSettings":
         """Log what computes, and return the settings for workers: all the same, same weights."""

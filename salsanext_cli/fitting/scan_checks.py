@@ -43,7 +43,7 @@ from salsanext_cli.geometry.scan_traits import (
     upper_intensity,
 )
 from salsanext_cli.records import Double, Float, Scan
-from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
+from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor, presets
 
 
 class Finding(NamedTuple):
@@ -68,6 +68,7 @@ UNCHECKED = ScanCheck()
 
 MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
+APART = "label it by itself, into a folder of its own"
 SCALE_IT = "set intensity_scale in a file for --sensor"
 NAME_IT = (
     "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or its "
@@ -90,10 +91,14 @@ MIN_SHARE_OF_GROUND = 0.15
 MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
-AUTO = "--sensor auto, or "
+AUTO = "--sensor auto"
+ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
 UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
-ORIGIN = "say by `origin` in a sensor file where the sensor is, or train weights for that height"
+ORIGIN = (
+    "if the sensor is not there, write its place as `origin` into the file of `salsanext inspect "
+    "SCANS --fit sensor.toml`, then --sensor sensor.toml; else expect worse labels"
+)
 
 
 def intensity_findings(
@@ -110,7 +115,7 @@ def intensity_findings(
         return
     if bright < 0 and not matched:
         found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}: negative"
-        remedy = "name another column: --columns, or --intensity none"
+        remedy = "name another column: --columns" + ", or --intensity none" * bool(can_match)
         yield Finding("intensity-scale", found, remedy)
         return
     quantiles = matched or trained.intensity_quantiles
@@ -123,8 +128,8 @@ def intensity_findings(
         doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
     if doubtful:
         found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {of}"
-        other = "run it apart, or " if matched else "--intensity auto, or " * bool(can_match)
-        yield Finding("intensity-scale", found, f"{other}{SCALE_IT}")
+        scale = "--intensity auto, or " * bool(can_match) + SCALE_IT
+        yield Finding("intensity-scale", found, APART if matched else scale)
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
@@ -167,8 +172,9 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     some = Scan(some.points[measured], some.intensity[measured])
     sines = sines_of(some.points)
     reason = why_no_intensity(some.points, some.intensity)
-    named = trained is None or sensor.name not in (FITTED_NAME, trained.name)
-    fit = AUTO + FIT if named else FIT
+    fit = FIT if sensor is trained else ALONE
+    if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
+        fit = AUTO
     findings = [
         *_of_units(ranges, share, sensor),
         *_of_view(some, sines, sensor, fit),
@@ -204,10 +210,11 @@ def _of_units(ranges: Double, measured: float, sensor: Sensor) -> Iterator[Findi
         found = f"a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
         yield Finding("units", found, UNITS)
     if (view := sensor.fov_up - sensor.fov_down) > MAX_VIEW_DEG:
-        yield Finding("wide-view", f"a field of view of {view:.0f}°", UNITS)
+        found = f"the sensor has a field of view of {view:.0f}°"
+        yield Finding("wide-view", found, "correct fov_up and fov_down, or --sensor auto")
     if measured < MIN_MEASURED:
         found = f"{1 - measured:.0%} of the points are no measurements"
-        yield Finding("not-measured", found, "leave them out, or name the columns: --columns")
+        yield Finding("not-measured", found, "if they should be, name the columns: --columns")
 
 
 def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
@@ -240,4 +247,4 @@ def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
         on_it = abs(ground.height) < TOLERANCE_M
         height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"
         found = f"the origin of the points is {height} the ground"
-        yield Finding("height", found, f"{fit}; or {ORIGIN}")
+        yield Finding("height", found, ORIGIN)

@@ -112,6 +112,9 @@ PLACES = 400  # Places of a view of given extent that are tried
 NEARLY = 0.999
 """Share of the most points in a view at which another is as good; of these, the middle one."""
 MIN_VIEW_DEG = 1.0
+LOWER_DEG, UPPER_DEG = (-60.0, 5.0), (-5.0, 60.0)
+"""Bounds of the edges of a field of view that is fitted; rotating sensors had ±52° or less, around
+the horizon. Others are no view of one place, such as that of an accumulated cloud."""
 MIN_VIEW_POINTS = 1000
 
 
@@ -127,7 +130,9 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
         return sensor
     elevations = np.degrees(np.arcsin(np.sort(sines)))
     lower, upper = _view(elevations, sensor.fov_up - sensor.fov_down)
-    if upper - lower < MIN_VIEW_DEG:
+    if upper - lower < MIN_VIEW_DEG or not (LOWER_DEG[0] <= lower <= LOWER_DEG[1]):
+        return sensor
+    if not UPPER_DEG[0] <= upper <= UPPER_DEG[1]:
         return sensor
     return replace(sensor, name=FITTED_NAME, fov_up=round(upper, 2), fov_down=round(lower, 2))
 
