@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scans import SMALL
 
 from salsanext_cli import Scan, project
+from salsanext_cli.fitting import mounting_fit
 from salsanext_cli.fitting.mounting_fit import (
     USUAL_HEIGHT_M,
     find_ground,
@@ -149,6 +150,29 @@ def test_a_sensor_on_the_ground_is_at_the_usual_height():
 @pytest.mark.parametrize("beams", [0, 32])
 def test_scans_of_robots_cars_and_masts_stay_where_they_are(beams, height):
     assert fit_mounting([street(beams, height)], SMALL) == SMALL
+
+
+def test_a_sensor_on_the_floor_stays_where_its_beams_come_from():
+    """Hardly a point of it is above the floor."""
+    floor = street(64, 0.1)
+    low = np.flatnonzero(floor.points[:, 2] < 0.2)
+    rest = np.flatnonzero(floor.points[:, 2] >= 0.3)[: len(low) // 40]
+    repeated = np.concatenate([np.tile(low, 30), np.tile(rest, 30)])
+    assert fit_mounting([floor.take(repeated)], SMALL) == SMALL
+
+
+def test_a_place_that_is_hardly_sharper_than_the_origin_is_not_the_sensor(monkeypatch):
+    """As of clouds that were accumulated on the way of a sensor."""
+    points = moved(objects(32), (0.9, 0, 1.7)).points
+    assert find_origin(points) is not None
+    at_origin = mounting_fit.sharpness(points.astype(np.float64), np.zeros(3))
+
+    def sharpness(points, place):
+        return at_origin if not place.any() else 1.4 * at_origin
+
+    monkeypatch.setattr(mounting_fit, "MIN_SHARPNESS", 1.3 * at_origin)
+    monkeypatch.setattr(mounting_fit, "sharpness", sharpness)
+    assert find_origin(points) is None
 
 
 def test_points_without_a_measurement_get_none_in_another_frame():
