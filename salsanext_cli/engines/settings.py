@@ -20,10 +20,7 @@ DEFAULT_WEIGHTS = Path("default")
 """Name of the weights of the package; a file of that name needs an absolute path."""
 COLUMNS_HELP = "Columns of files that do not name them, such as x,y,z,intensity,ring; _ for others."
 COLUMNS_DEFAULT = "those of the sensor, else x,y,z,intensity"
-OTHER_IMAGES = (
-    "sensor %s has range images of another size or normalisation than the weights were trained on, "
-    "which costs accuracy: leave height, width, means and stds out of its file"
-)
+OTHER_IMAGES = "images of %s have not the size and normalisation of training, which costs accuracy"
 
 log = logging.getLogger(__name__)
 
@@ -149,10 +146,9 @@ class NetworkSettings:
         library, precision = network.engine.library, network.engine.precision
         computing = f"on {network.device} by {library} in {precision}"
         log.log(NOTICE, "%s %s%s", name, computing, merged)
-        if any(
-            getattr(network.sensor, key) != getattr(network.card.sensor, key) for key in OF_IMAGES
-        ):
-            log.log(NOTICE, OTHER_IMAGES, network.sensor.name)
+        own, trained = network.sensor, network.card.sensor
+        if any(getattr(own, key) != getattr(trained, key) for key in OF_IMAGES):
+            log.log(NOTICE, OTHER_IMAGES, own.name)
 
     def resolved(self, network: "Network") -> "NetworkSettings":
         """Log what computes, and return the settings for workers: all the same, same weights."""

@@ -38,7 +38,6 @@ from salsanext_cli.geometry.projection import (
 from salsanext_cli.geometry.scan_traits import (
     MIN_TRAIT_POINTS,
     ScanTraits,
-    share_around,
     sines_of,
     upper_intensity,
 )
@@ -88,6 +87,7 @@ MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
 """Least usual share of the rows with points, more than a tenth of the average; those had 0.47."""
 MIN_SHARE_OF_GROUND = 0.15
 """Least share of the near points on a ground that gives reason to doubt."""
+SECTORS = 64
 MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
@@ -184,7 +184,7 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     if trained is not None:
         findings += intensity_findings(bright, reason, sensor, trained)
     per_point = len(scan) * (1 - ego_share) * share / count
-    traits = ScanTraits.of(some.points, bright, per_point, sensor)
+    traits = ScanTraits.of(sines, bright, per_point, sensor)
     return ScanCheck(tuple(findings), traits, ego_share)
 
 
@@ -223,7 +223,9 @@ def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Fin
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
         found = f"{outside:.0%} of the points lie outside the view of {view}"
         yield Finding("out-of-view", found, fit)
-    if (around := share_around(scan.points)) < MIN_SECTORS:
+    turns = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi) + 0.5
+    around = float((np.bincount((turns * SECTORS).astype(int) % SECTORS) > 0).sum()) / SECTORS
+    if around < MIN_SECTORS:
         yield Finding("part-of-circle", f"points in {around:.0%} of the directions around", TRAIN)
     downwards = sensor.fov_up - np.degrees(np.arcsin(sines))
     rows = (downwards * (sensor.height / (sensor.fov_up - sensor.fov_down))).astype(int)

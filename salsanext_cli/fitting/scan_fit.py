@@ -24,7 +24,7 @@ from salsanext_cli.geometry.network_input import (
     row_gaps,
 )
 from salsanext_cli.geometry.projection import project
-from salsanext_cli.geometry.scan_traits import groups_of, sensor_of, traits_of, usual_traits
+from salsanext_cli.geometry.scan_traits import kinds_of, sensor_of
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import evenly_spaced
@@ -107,13 +107,6 @@ class ScanSample:
     def _read(self, file: ScanFile | Scan) -> tuple[ScanFile | Scan, Scan]:
         return file, file if isinstance(file, Scan) else read_scan(file.path, self.sensor)
 
-    def part(self, indices: Sequence[int]) -> "ScanSample":
-        """Return a sample of some of the scans that could be read."""
-        read = [self.read[index] for index in indices]
-        part = ScanSample([file for file, _ in read], self.sensor, self.image_of)
-        part.read = read
-        return part
-
     def images(self, sensor: Sensor) -> list[Float]:
         """Range images (5, H, W) float32, for a view, of the scans that would get labels."""
         if (view := sensor.view()) != self._view:
@@ -192,32 +185,20 @@ def _by_sensor(fit: Fit, sample: ScanSample, sensor: Sensor, earlier: Sensor | N
         usual = [each.traits for each in known.members]
         kinds = [known.members.index(sensor_of(scan, known)) for _, scan in sample.read]
     else:
-        traits = [traits_of(scan) for _, scan in sample.read]
-        groups = iter(groups_of([each for each in traits if each]))
-        kinds = [next(groups) if each else 0 for each in traits]
-        usual = [
-            usual_traits([t for t, each in zip(traits, kinds, strict=True) if t and each == kind])
-            for kind in range(max(kinds, default=0) + 1)
-        ]
+        kinds, usual = kinds_of([scan for _, scan in sample.read])
     if len(usual) < 2:
         return fit(sample, sensor, earlier)
     fits = []
     for kind, of_kind in enumerate(usual):
-        part = sample.part([i for i, each in enumerate(kinds) if each == kind])
-        _announce(part, kind, len(usual))
+        files = [file for (file, _), each in zip(sample.read, kinds, strict=True) if each == kind]
+        scans, name = counted(len(files), "scan"), getattr(next(iter(files), None), "name", "none")
+        log.log(NOTICE, "sensor %d of %d: %s, such as %s", kind + 1, len(usual), scans, name)
+        part = ScanSample(files, sample.sensor, sample.image_of)
         own = sensor.members[kind] if sensor.others else sensor
         before = earlier.members[kind] if earlier and earlier.others else earlier
         fits.append(replace(fit(part, own, before), traits=of_kind))
     alike = len({replace(each, traits=()) for each in fits}) == 1
     return replace(fits[0], traits=()) if alike else replace(fits[0], others=tuple(fits[1:]))
-
-
-def _announce(part: ScanSample, kind: int, count: int) -> None:
-    """Log which scans of a sample are those of one of several sensors."""
-    if part.files:
-        first, scans = part.files[0], counted(len(part.files), "scan")
-        name = first.name if isinstance(first, ScanFile) else "a scan"
-        log.log(NOTICE, "sensor %d of %d: %s looked at, such as %s", kind + 1, count, scans, name)
 
 
 def fitted_view(

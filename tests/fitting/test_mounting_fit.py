@@ -161,18 +161,16 @@ def test_a_sensor_on_the_floor_stays_where_its_beams_come_from():
     assert fit_mounting([floor.take(repeated)], SMALL) == SMALL
 
 
-def test_a_place_that_is_hardly_sharper_than_the_origin_is_not_the_sensor(monkeypatch):
-    """As of clouds that were accumulated on the way of a sensor."""
-    points = moved(objects(32), (0.9, 0, 1.7)).points
-    assert find_origin(points) is not None
-    at_origin = mounting_fit.sharpness(points.astype(np.float64), np.zeros(3))
+@pytest.mark.parametrize(("sharpest", "is_found"), [(1.5, False), (1.8, False), (2.4, True)])
+def test_a_place_must_be_clearly_sharper_than_the_origin(monkeypatch, sharpest, is_found):
+    """It hardly is in clouds that were accumulated on the way of a sensor."""
 
-    def sharpness(points, place):
-        return at_origin if not place.any() else 1.4 * at_origin
+    def sharpness(_, place):
+        return sharpest - 0.1 * np.linalg.norm(place - (0.9, 0, 1.7)) if place.any() else 1.3
 
-    monkeypatch.setattr(mounting_fit, "MIN_SHARPNESS", 1.3 * at_origin)
     monkeypatch.setattr(mounting_fit, "sharpness", sharpness)
-    assert find_origin(points) is None
+    points = moved(objects(32), (0.9, 0, 1.7)).points
+    assert (find_origin(points) is not None) == is_found
 
 
 def test_points_without_a_measurement_get_none_in_another_frame():

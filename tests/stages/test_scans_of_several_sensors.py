@@ -75,8 +75,8 @@ def test_each_is_labelled_as_in_a_folder_of_its_own(mixed, network, apart, tmp_p
     caplog.set_level("INFO")
     outcome = predict_scans(mixed, out, settings=network)
     assert labels_below(out) == apart
-    assert "sensor 1 of 2: 3 scans looked at, such as mixed/0" in caplog.text
-    assert "sensor 2 of 2: 2 scans looked at, such as mixed/1" in caplog.text
+    assert "sensor 1 of 2: 3 scans, such as mixed/0" in caplog.text
+    assert "sensor 2 of 2: 2 scans, such as mixed/1" in caplog.text
     assert "mixed-sensors" not in outcome.summary.findings
     assert predict_scans(mixed, out, settings=network).skipped == 5
     few = UncertaintyMethod(samples=2, aleatoric="none")

@@ -67,6 +67,7 @@ class TuningScans:
 class LabelledImage:
     """Range image of a whole scan, and its M points that have a pixel and one class that counts."""
 
+    network: Network  # For the sensor of the scan
     image: RangeImage
     points: Indices  # (M,): their indices in the scan
     truth: TrainIds  # (M,) uint8
@@ -95,10 +96,8 @@ def labelled_scans(
     return scans, space
 
 
-def read_labelled_image(
-    file: ScanFile, network: Network, space: LabelSpace
-) -> tuple[Network, LabelledImage]:
-    """Read a scan with its labels and project it; return the network for its sensor too."""
+def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:
+    """Read a scan with its labels and project it."""
     scan, targets = read_labelled(file, space, network.sensor, class_sets([space]))
     network = network.for_sensor(sensor_of(scan, network.sensor))
     image = project(scan, network.sensor)
@@ -107,4 +106,4 @@ def read_labelled_image(
     points = np.flatnonzero(is_scored & seen)
     several = int(((targets >= space.class_count) & seen).sum())
     share = several / max(len(points) + several, 1)
-    return network, LabelledImage(image, points, targets[points], share)
+    return LabelledImage(network, image, points, targets[points], share)
