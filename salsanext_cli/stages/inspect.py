@@ -134,7 +134,7 @@ def _require_fit(name: str, found: Survey, seen: Sensor | None) -> None:
     """Refuse to fit a sensor to scans of several, or that do not show its field of view."""
     if seen and seen.others:
         remedy = "put the scans of each sensor into a folder of their own, and fit each"
-        raise NoInputError(name, f"scans of {len(seen.members)} sensors", "of one", remedy)
+        raise NoInputError(name, f"scans of {len(seen.members)} sensors", "one sensor", remedy)
     measured = found.points - found.invalid
     up, down = found.field_of_view()
     if measured < MIN_POINTS_OF_FIT or up - down < MIN_FIELD_OF_VIEW_DEG:

@@ -162,6 +162,18 @@ def test_inspect_writes_the_sensor_that_predict_fits(mixed, tmp_path, narrow_def
     assert one == other
 
 
+def test_images_unlike_those_of_training_are_named(tmp_path, narrow_default):
+    """As of a file that `inspect --fit --height 8` wrote for weights to be trained."""
+    write_bin(tmp_path / "one/0.bin", level(0))
+    for height, is_named in ((8, True), (SMALL.height, False)):
+        file, out = tmp_path / f"{height}.toml", tmp_path / f"out-{height}"
+        file.write_text(replace(SMALL, height=height).to_toml())
+        line = ["predict", str(tmp_path / "one"), str(out), "--engine", "torch"]
+        result = CliRunner().invoke(app, [*line, "--sensor", str(file)])
+        assert result.exit_code == 0, result.stderr
+        assert ("costs accuracy" in result.stderr) == is_named
+
+
 def test_images_of_a_mixed_folder_without_results_are_upright(mixed):
     seen = fitted_view(find_scans(mixed), SMALL)
     assert [each.name for each in seen.members] == ["small", "fitted"]
