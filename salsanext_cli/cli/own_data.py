@@ -38,7 +38,7 @@ def inspect(
 ) -> None:
     """Summarise a set of scans; fit a sensor to them.
 
-    Example: salsanext inspect my/scans --fit my-sensor.toml --height 32 --width 1024
+    Example: salsanext inspect my/scans --fit my-sensor.toml
     """
     from salsanext_cli.fitting.view_fit import view_text
     from salsanext_cli.report.tables import survey_tables

@@ -93,7 +93,8 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
         sensor = summary.sensor
         from salsanext_cli.fitting.view_fit import ego_text, view_text
 
-        yield f"sensor: {sensor.name}, {sensor.height}×{sensor.width}, {view_text(sensor)}"
+        for each in sensor.members:
+            yield f"sensor: {each.name}, {each.height}×{each.width}, {view_text(each)}"
         if share := summary.ego_share:
             yield (
                 f"unlabelled: about {100 * share:.1f} % of the points, of the sensor's housing and "

@@ -285,7 +285,10 @@ class Network:
         self, channels: Sequence[Float], temperature: float | None = None
     ) -> list[Float]:
         """Return the softmax (C, H, W) of range images (5, H, W), as `Engine.outputs` does."""
-        inputs = [self.input(each) for each in channels]
+        return self.softmax([self.input(each) for each in channels], temperature)
+
+    def softmax(self, inputs: Sequence[Float], temperature: float | None = None) -> list[Float]:
+        """Return the softmax (C, H, W) of inputs (1, 5, H, W), as `Engine.outputs` does."""
         softmax = self.engine.outputs(inputs, temperature or self.card.temperature)
         return [self.merged(each) for each in softmax]
 

@@ -2,7 +2,7 @@
 """The way of a scan: read, checked, projected, through the network, refined on the points."""
 
 from collections.abc import Generator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from salsanext_cli.classes.label_space import TrainIds
@@ -12,6 +12,7 @@ from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.options import KnnParameters
 from salsanext_cli.records import CHANNELS, Float, RangeImage, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
@@ -27,6 +28,7 @@ class ProjectedScan:
     scan: Scan  # N points
     image: RangeImage  # H × W pixels
     check: ScanCheck  # Reasons to doubt the scan
+    sensor: Sensor  # Sensor that was fitted to the scan, and to others of its kind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,19 +41,26 @@ class LabelledScan(ProjectedScan):
 
 def label_scan(
     file: ScanFile, network: Network, knn: KnnParameters = KnnParameters()
-) -> Generator[RangeImage | None, Float | None, LabelledScan]:
-    """Label a scan: yields its range image, for which a softmax may be sent, and None after it."""
-    projected = project_for(network, file)
-    softmax = yield projected.image
+) -> Generator[Float | None, Float | None, LabelledScan]:
+    """Label a scan: yields its input, for which a softmax may be sent, and None after it."""
+    network, projected = project_for(network, file)
+    given = network.input(projected.image.channels)
+    softmax = yield given
     if softmax is None:
-        softmax = network.probabilities(projected.image, file.path)
+        (softmax,) = network.softmax([given])
     yield None
     return labelled(projected, softmax, network, knn)
 
 
-def project_for(network: Network, file: ScanFile, scan: Scan | None = None) -> ProjectedScan:
-    """Read, check and project a scan that a network is to label; `scan`: if it was read."""
-    return project_scan(file, network.sensor, network.card.sensor, scan)
+def project_for(
+    network: Network, file: ScanFile, scan: Scan | None = None
+) -> tuple[Network, ProjectedScan]:
+    """Read, check and project a scan; return the network for its sensor too.
+
+    `scan`: if it was read.
+    """
+    projected = project_scan(file, network.sensor, network.card.sensor, scan)
+    return network.for_sensor(projected.sensor), projected
 
 
 def project_scan(
@@ -59,8 +68,9 @@ def project_scan(
 ) -> ProjectedScan:
     """Read, check and project a scan; `trained` is the sensor of weights that are to label it."""
     scan = read_scan(file.path, sensor) if scan is None else scan
+    sensor = sensor_of(scan, sensor)
     check = check_scan(file.path, scan, sensor, trained)
-    return ProjectedScan(file, scan, project(scan, sensor), check)
+    return ProjectedScan(file, scan, project(scan, sensor), check, sensor)
 
 
 def labelled(
@@ -69,8 +79,8 @@ def labelled(
     """Return a projected scan with the labels that follow from its pixels' softmax (C, H, W)."""
     network.engine.require_finite(softmax, projected.file.path)
     labels = network.labels(projected.image, softmax, knn)
-    scan = projected.scan
-    return LabelledScan(projected.file, scan, projected.image, projected.check, softmax, labels)
+    own = {each.name: getattr(projected, each.name) for each in fields(ProjectedScan)}
+    return LabelledScan(**own, softmax=softmax, labels=labels)
 
 
 def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> tuple[Path, Float]:
@@ -88,13 +98,14 @@ def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> 
     """Return the network's sensor with the columns of the scans; refuse another geometry."""
     if projected is None:
         raise UsageError(folder, "holds no range images", "the output folder of `project`")
-    wanted = replace(wanted, columns=projected.columns)
-    normalised = replace(projected, means=wanted.means, stds=wanted.stds)
-    if changed := differences(normalised.view(), wanted.view()):
+    fits = [replace(each, columns=projected.columns) for each in wanted.members]
+    images = [replace(each, means=wanted.means, stds=wanted.stds) for each in projected.members]
+    pairs = zip(images, fits, strict=False)
+    if changed := next(filter(None, (differences(a.view(), b.view()) for a, b in pairs)), ""):
         raise UsageError(
             folder,
             f"range images of {projected.name}, {projected.height}×{projected.width}: {changed}",
             "those that the weights or --sensor say",
             "project again, or give the sensor that was projected with",
         )
-    return wanted
+    return replace(fits[0], others=tuple(fits[1:]))

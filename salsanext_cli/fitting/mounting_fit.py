@@ -139,9 +139,12 @@ ASIDE_M = (-1.5, 1.5)
 """Box in which the sensor is sought, above the origin of the files, ahead of it and to its left."""
 STEP_OF_HEIGHT_M, STEP_M, LAST_STEP_M = 0.05, 0.25, 0.01
 MIN_SHARPNESS = 1.4
-"""Least sharpness of a comb: sensors of 32 to 128 beams had 1.8 to 20 at their place, clouds of
-no single sensor 1.1 anywhere. A Livox, whose points are no cones, had 1.1 at its place, and more
-only at an edge of the box."""
+"""Least sharpness of a comb: sensors of 32 to 128 beams had 1.8 to 20 at their place; a Livox,
+whose points are no cones, had 1.1."""
+MIN_SHARPNESS_ELSEWHERE, MIN_GAIN = 1.6, 1.5
+"""The same at another place than the origin, and the least factor between it and that at the
+origin. Of clouds of no single sensor, some place had up to 1.4, and 1.1 times the origin's; sensors
+had 2.4 or more, and twice as much."""
 MIN_POINTS_OF_ORIGIN = 1000
 
 
@@ -153,7 +156,8 @@ def find_origin(points: Float) -> tuple[float, float, float] | None:
         doubles[(distances > least) & (distances < DISTANCES_M[1])]
         for least in (DISTANCES_M[0], FAR_M)
     )
-    if len(near) >= MIN_POINTS_OF_ORIGIN and sharpness(near, np.zeros(3)) > MIN_SHARPNESS:
+    at_origin = sharpness(near, np.zeros(3)) if len(near) >= MIN_POINTS_OF_ORIGIN else 0.0
+    if at_origin > MIN_SHARPNESS:
         return 0.0, 0.0, 0.0
     if len(far) < MIN_POINTS_OF_ORIGIN:
         return None
@@ -163,10 +167,10 @@ def find_origin(points: Float) -> tuple[float, float, float] | None:
     while step > LAST_STEP_M:
         place = _sharpest(near, place + step * _grid(*[(-1, 0, 1)] * 3))
         step /= 2
-    sharpest = sharpness(near, place)
+    sharp = sharpness(near, place) > max(MIN_SHARPNESS_ELSEWHERE, MIN_GAIN * at_origin)
     x, y, z = place.tolist()
     inside = AHEAD_M[0] < x < AHEAD_M[1] and ASIDE_M[0] < y < ASIDE_M[1]
-    return (x, y, z) if inside and sharpest > MIN_SHARPNESS else None
+    return (x, y, z) if inside and sharp else None
 
 
 def _steps(edges: tuple[float, float]) -> Double:
@@ -250,9 +254,10 @@ def _place(
 ) -> tuple[float, float, float] | None:
     """Return the place of the sensor in upright scans whose origin is at a height, if known."""
     upright = [in_sensor_frame(scan, sensor) for scan in scans[:SCANS_OF_ORIGIN]]
-    points = np.concatenate([_finite(few_points(scan, POINTS_OF_ORIGIN)) for scan in upright])
-    if height is not None:
-        points = points[points[:, 2] > MIN_HEIGHT_M - height]
+    # The ground is left out before points are drawn: near it, it has most of them.
+    above = -np.inf if height is None else MIN_HEIGHT_M - height
+    rest = [scan.take(np.flatnonzero(scan.points[:, 2] > above)) for scan in upright]
+    points = np.concatenate([_finite(few_points(scan, POINTS_OF_ORIGIN)) for scan in rest])
     if (place := find_origin(points)) is not None:
         return place
     flat = np.ptp(points[:, 2]) < MIN_THICKNESS_M if len(points) else True

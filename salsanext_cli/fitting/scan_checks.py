@@ -35,45 +35,14 @@ from salsanext_cli.geometry.projection import (
     in_sensor_frame,
     measured_ranges,
 )
+from salsanext_cli.geometry.scan_traits import (
+    MIN_TRAIT_POINTS,
+    ScanTraits,
+    sines_of,
+    upper_intensity,
+)
 from salsanext_cli.records import Double, Float, Scan
-from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
-
-NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)
-"""Elevations between which points are counted. Below them every beam meets the ground, wherever the
-sensor is; above, it may meet the sky."""
-VIEW = (0.01, 0.99)  # Quantiles of the elevation that describe a view
-MIN_CHECKED_POINTS = 100  # Fewest points of which a check says something
-
-
-@dataclass(frozen=True, slots=True)
-class ScanTraits:
-    """Traits of the sensor in one scan, estimated from a sample of its points.
-
-    Points between two nodes count for both by their distance, so that a beam that lies at one, or
-    is measured a little higher or lower, makes no difference.
-    """
-
-    points: int  # Number of points with a measurement
-    fov_up: float  # Elevations in degrees that few points lie above and below
-    fov_down: float
-    # Number of points around each of `NODES_DEG` but the last, which counts none
-    below: tuple[float, ...]
-    bright: float  # Upper intensity; 0 if unknown
-
-    @classmethod
-    def of(cls, sines: Float, bright: float, per_point: float) -> ScanTraits:
-        """Return the traits by the sines of elevation (M,) of points that stand for more each."""
-        elevations = np.degrees(np.arcsin(sines))
-        down, up = np.quantile(elevations, VIEW)
-        hats = np.eye(len(NODES_DEG))[:-1]
-        below = [np.interp(elevations, NODES_DEG, hat).sum() * per_point for hat in hats]
-        return cls(
-            points=round(len(sines) * per_point),
-            fov_up=round(float(up), 2),
-            fov_down=round(float(down), 2),
-            below=tuple(round(float(count), 1) for count in below),
-            bright=round(bright, 6),
-        )
+from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor, presets
 
 
 class Finding(NamedTuple):
@@ -89,7 +58,7 @@ class ScanCheck:
     """Result of a check: reasons to doubt the scan, and traits of its sensor."""
 
     findings: tuple[Finding, ...] = ()
-    # None of a scan of fewer than `MIN_CHECKED_POINTS` points with a measurement
+    # None of a scan of fewer than `MIN_TRAIT_POINTS` points with a measurement
     traits: ScanTraits | None = None
     ego_share: float = 0.0  # Share of the points on the housing of the sensor or its vehicle, 0…1
 
@@ -98,6 +67,7 @@ UNCHECKED = ScanCheck()
 
 MAX_USUAL_INTENSITY = 2.0
 """Largest upper intensity of the scale 0…1, where that of training is not known."""
+APART = "label it by itself, into a folder of its own"
 SCALE_IT = "set intensity_scale in a file for --sensor"
 NAME_IT = (
     "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or its "
@@ -125,17 +95,15 @@ MIN_SECTORS = 0.6
 FEW_SECTORS = 0.1
 """Least share of a sensor that looks one way; solid-state ones had 0.14 or more."""
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
-AUTO = "--sensor auto, or "
+AUTO = "--sensor auto"
+ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
 UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
 TRAIN_HERE = "expect worse labels, or `salsanext train` weights on scans of such places"
-ORIGIN = "say by `origin` in a sensor file where the sensor is, or train weights for that height"
-
-
-def upper_intensity(intensity: Float) -> float:
-    """Return the upper intensity of those that are numbers, 0 without any."""
-    finite = intensity[np.isfinite(intensity)]
-    return float(np.quantile(finite, BRIGHT)) if len(finite) else 0.0
+ORIGIN = (
+    "if the sensor is not there, write its place as `origin` into the file of `salsanext inspect "
+    "SCANS --fit sensor.toml`, then --sensor sensor.toml; else expect worse labels"
+)
 
 
 def intensity_findings(
@@ -152,7 +120,7 @@ def intensity_findings(
         return
     if bright < 0 and not matched:
         found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}: negative"
-        remedy = "name another column: --columns, or --intensity none"
+        remedy = "name another column: --columns" + ", or --intensity none" * bool(can_match)
         yield Finding("intensity-scale", found, remedy)
         return
     quantiles = matched or trained.intensity_quantiles
@@ -165,14 +133,14 @@ def intensity_findings(
         doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
     if doubtful:
         found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {of}"
-        other = "run it apart, or " if matched else "--intensity auto, or " * bool(can_match)
-        yield Finding("intensity-scale", found, f"{other}{SCALE_IT}")
+        scale = "--intensity auto, or " * bool(can_match) + SCALE_IT
+        yield Finding("intensity-scale", found, APART if matched else scale)
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
     """Check the intensity of a range image (5, H, W); its view was checked by `project`."""
     occupied = channels[:, channels[0] > 0]
-    if occupied.shape[1] < MIN_CHECKED_POINTS:
+    if occupied.shape[1] < MIN_TRAIT_POINTS:
         return UNCHECKED
     reason, bright = why_no_intensity(occupied[1:4].T, occupied[4]), upper_intensity(occupied[4])
     return ScanCheck(tuple(intensity_findings(bright, reason, sensor, trained)))
@@ -193,7 +161,7 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     """
     some = in_sensor_frame(few_points(scan), sensor)
     ranges, measured = measured_ranges(some.points)
-    if len(some) < len(scan) and measured.sum() < MIN_CHECKED_POINTS:
+    if len(some) < len(scan) and measured.sum() < MIN_TRAIT_POINTS:
         some = in_sensor_frame(scan, sensor)
         ranges, measured = measured_ranges(some.points)
     _require_metres(path, len(scan), ranges[measured])
@@ -202,15 +170,16 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     if len(own):
         some = some.take(np.delete(np.arange(len(some)), own))
         ranges, measured = measured_ranges(some.points)
-    if (count := int(measured.sum())) < MIN_CHECKED_POINTS:
+    if (count := int(measured.sum())) < MIN_TRAIT_POINTS:
         few = f"{counted(count, 'point')} with a measurement, too few to check"
         return ScanCheck((Finding("few-points", few, "give whole scans"),), None, ego_share)
     share, ranges = count / len(some), ranges[measured]
     some = Scan(some.points[measured], some.intensity[measured])
-    sines = _sines(some.points)
+    sines = sines_of(some.points)
     reason = why_no_intensity(some.points, some.intensity)
-    named = trained is None or sensor.name not in (FITTED_NAME, trained.name)
-    fit = AUTO + FIT if named else FIT
+    fit = FIT if sensor is trained else ALONE
+    if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
+        fit = AUTO
     findings = [
         *_of_units(ranges, share, sensor),
         *_of_view(some, sines, sensor, fit),
@@ -219,15 +188,16 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
         findings += intensity_findings(bright, reason, sensor, trained)
-    traits = ScanTraits.of(sines, bright, len(scan) * (1 - ego_share) * share / count)
+    per_point = len(scan) * (1 - ego_share) * share / count
+    traits = ScanTraits.of(sines, bright, per_point, sensor)
     return ScanCheck(tuple(findings), traits, ego_share)
 
 
 def _require_metres(path: Path, count: int, ranges: Double) -> None:
-    if count >= MIN_CHECKED_POINTS and not len(ranges):
+    if count >= MIN_TRAIT_POINTS and not len(ranges):
         found = f"none of its {count} points is a measurement"
         raise FormatError(path, found, "finite coordinates around the sensor")
-    if len(ranges) < MIN_CHECKED_POINTS:
+    if len(ranges) < MIN_TRAIT_POINTS:
         return
     median, (least, most) = float(np.median(ranges)), MEDIAN_RANGES_M
     if not least <= median <= most:
@@ -239,12 +209,6 @@ def _require_metres(path: Path, count: int, ranges: Double) -> None:
         )
 
 
-def _sines(points: Float) -> Float:
-    """Return the sines of elevation of points (N, 3), (N,)."""
-    ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
-    return (points[:, 2] / np.maximum(ranges, np.finfo(np.float32).tiny)).clip(-1, 1)
-
-
 def _of_units(ranges: Double, measured: float, sensor: Sensor) -> Iterator[Finding]:
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
@@ -254,10 +218,11 @@ def _of_units(ranges: Double, measured: float, sensor: Sensor) -> Iterator[Findi
         found = f"99% of the points lie within {far:.0f} m, as in a room"
         yield Finding("indoor", found, TRAIN_HERE)
     if (view := sensor.fov_up - sensor.fov_down) > MAX_VIEW_DEG:
-        yield Finding("wide-view", f"a field of view of {view:.0f}°", UNITS)
+        found = f"the sensor has a field of view of {view:.0f}°"
+        yield Finding("wide-view", found, "correct fov_up and fov_down, or --sensor auto")
     if measured < MIN_MEASURED:
         found = f"{1 - measured:.0%} of the points are no measurements"
-        yield Finding("not-measured", found, "leave them out, or name the columns: --columns")
+        yield Finding("not-measured", found, "if they should be, name the columns: --columns")
 
 
 def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
@@ -293,4 +258,4 @@ def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
         on_it = abs(ground.height) < TOLERANCE_M
         height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"
         found = f"the origin of the points is {height} the ground"
-        yield Finding("height", found, f"{fit}; or {ORIGIN}")
+        yield Finding("height", found, ORIGIN)

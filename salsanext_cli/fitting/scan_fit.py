@@ -5,7 +5,7 @@ import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,6 +24,7 @@ from salsanext_cli.geometry.network_input import (
     row_gaps,
 )
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.scan_traits import kinds_of, sensor_of
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import evenly_spaced
@@ -94,12 +95,17 @@ class ScanSample:
         self._images: list[Float] = []
 
     @cached_property
+    def read(self) -> list[tuple[ScanFile | Scan, Scan]]:
+        """Files that could be read, each with its scan."""
+        return _usable(self._read, self.files)
+
+    @property
     def scans(self) -> list[Scan]:
         """Scans that could be read; none if there are range images instead."""
-        return [] if self.image_of else _usable(self._read, self.files)
+        return [] if self.image_of else [scan for _, scan in self.read]
 
-    def _read(self, file: ScanFile | Scan) -> Scan:
-        return file if isinstance(file, Scan) else read_scan(file.path, self.sensor)
+    def _read(self, file: ScanFile | Scan) -> tuple[ScanFile | Scan, Scan]:
+        return file, file if isinstance(file, Scan) else read_scan(file.path, self.sensor)
 
     def images(self, sensor: Sensor) -> list[Float]:
         """Range images (5, H, W) float32, for a view, of the scans that would get labels."""
@@ -130,11 +136,21 @@ def fit_scans(
     settings: NetworkSettings, network: Network, sample: ScanSample, earlier: Sensor | None = None
 ) -> Network:
     """Return the network, as loaded, for the scans; what was fitted for `earlier` results stays."""
-    method, trained = _method(settings, network), network.card.sensor
+
+    def fit(part: ScanSample, sensor: Sensor, before: Sensor | None) -> Sensor:
+        return _fit_of_network(settings, network.for_sensor(sensor), part, before)
+
+    return network.for_sensor(_by_sensor(fit, sample, network.sensor, earlier))
+
+
+def _fit_of_network(
+    settings: NetworkSettings, network: Network, sample: ScanSample, earlier: Sensor | None
+) -> Sensor:
+    """Return the sensor of a network with what is fitted to scans of one sensor."""
+    method, trained, sensor = _method(settings, network), network.card.sensor, network.sensor
     if sample.image_of is None:
-        view = fitted_view(sample, network.sensor, earlier, view=settings.fits_view)
-        network = network.for_sensor(view)
-    known = [sensor for sensor in (earlier, settings.named_sensor()) if sensor]
+        sensor = _fitted_view(sample, sensor, earlier, view=settings.fits_view)
+    known = [each for each in (earlier, settings.named_sensor()) if each]
     quantiles: tuple[float, ...] = ()
     if method == "none":
         quantiles = NO_INTENSITY
@@ -145,24 +161,60 @@ def fit_scans(
         told = [
             each.intensity_quantiles for each in known if each.intensity_quantiles not in others
         ]
-        quantiles = told[0] if told else intensity_quantiles(sample.images(network.sensor))
+        quantiles = told[0] if told else intensity_quantiles(sample.images(sensor))
     gaps = None
     if trained.row_gaps is not None:
         shares = [each.row_gaps for each in known if each.row_gaps not in (None, trained.row_gaps)]
-        gaps = shares[0] if shares else row_gaps(sample.images(network.sensor))
-    seen = replace(network.sensor, intensity_quantiles=quantiles, row_gaps=gaps)
-    network = network.for_sensor(seen)
+        gaps = shares[0] if shares else row_gaps(sample.images(sensor))
+    seen = replace(sensor, intensity_quantiles=quantiles, row_gaps=gaps)
     if fills_rows(seen, trained):
         log.log(NOTICE, "gaps between rows, %.0f %% of their pixels, are filled", 100 * (gaps or 0))
-    return network
+    return seen
+
+
+Fit = Callable[[ScanSample, Sensor, Sensor | None], Sensor]
+"""Fits a sensor to a sample of its scans; what was fitted for earlier results stays."""
+
+
+def _by_sensor(fit: Fit, sample: ScanSample, sensor: Sensor, earlier: Sensor | None) -> Sensor:
+    """Return the sensor that is fitted to the scans of most, with the others, each to its own."""
+    known = earlier if earlier and earlier.others else sensor
+    if not known.others and (earlier or sample.image_of or len(sample.files) < 2):
+        return fit(sample, sensor, earlier)
+    if known.others:  # Those of earlier results, or of range images
+        usual = [each.traits for each in known.members]
+        kinds = [known.members.index(sensor_of(scan, known)) for _, scan in sample.read]
+    else:
+        kinds, usual = kinds_of([scan for _, scan in sample.read])
+    if len(usual) < 2:
+        return fit(sample, sensor, earlier)
+    fits = []
+    for kind, of_kind in enumerate(usual):
+        files = [file for (file, _), each in zip(sample.read, kinds, strict=True) if each == kind]
+        scans, name = counted(len(files), "scan"), getattr(next(iter(files), None), "name", "none")
+        log.log(NOTICE, "sensor %d of %d: %s, such as %s", kind + 1, len(usual), scans, name)
+        part = ScanSample(files, sample.sensor, sample.image_of)
+        own = sensor.members[kind] if sensor.others else sensor
+        before = earlier.members[kind] if earlier and earlier.others else earlier
+        fits.append(replace(fit(part, own, before), traits=of_kind))
+    alike = len({replace(each, traits=()) for each in fits}) == 1
+    return replace(fits[0], traits=()) if alike else replace(fits[0], others=tuple(fits[1:]))
 
 
 def fitted_view(
-    scans: Scans | ScanSample, sensor: Sensor, earlier: Sensor | None = None, *, view: bool = True
+    scans: Scans, sensor: Sensor, earlier: Sensor | None = None, *, view: bool = True
 ) -> Sensor:
-    """Return the sensor as `fit_view` fits it to scans, evenly spaced, and say so."""
-    # Without `view`, only as `fit_ego` does. That of earlier results in the same folder stays.
-    sample = scans if isinstance(scans, ScanSample) else ScanSample(scans, sensor)
+    """Return the sensor as `fit_view` fits it to scans, evenly spaced, and say so.
+
+    Without `view`, only as `fit_ego` does. That of earlier results in the same folder stays.
+    """
+    return _by_sensor(partial(_fitted_view, view=view), ScanSample(scans, sensor), sensor, earlier)
+
+
+def _fitted_view(
+    sample: ScanSample, sensor: Sensor, earlier: Sensor | None, *, view: bool
+) -> Sensor:
+    """Do what `fitted_view` does for the scans of one sensor."""
     sought = [name for name in EGO if getattr(sensor, name) is None]
     if not (view or sought):
         return sensor

@@ -112,6 +112,9 @@ PLACES = 400  # Places of a view of given extent that are tried
 NEARLY = 0.999
 """Share of the most points in a view at which another is as good; of these, the middle one."""
 MIN_VIEW_DEG = 1.0
+EDGE_DEG, BEYOND_DEG = 60.0, 5.0
+"""Farthest edge of a field of view, and angle between the horizon and one that lies beyond it, that
+are fitted; rotating sensors had 52° and 0°. Accumulated clouds are seen from no single place."""
 MIN_VIEW_POINTS = 1000
 
 
@@ -127,7 +130,8 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
         return sensor
     elevations = np.degrees(np.arcsin(np.sort(sines)))
     lower, upper = _view(elevations, sensor.fov_up - sensor.fov_down)
-    if upper - lower < MIN_VIEW_DEG:
+    beyond = max(upper, -lower) > EDGE_DEG or max(lower, -upper) > BEYOND_DEG
+    if beyond or upper - lower < MIN_VIEW_DEG:
         return sensor
     return replace(sensor, name=FITTED_NAME, fov_up=round(upper, 2), fov_down=round(lower, 2))
 

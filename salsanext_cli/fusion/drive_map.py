@@ -137,7 +137,7 @@ class MapTask:
         columns["part"] = np.full(len(placed), self.drive.parts[index], np.int32)
         labels = self.space.to_train(columns["label"], strict=False)
         is_shown = measured_ranges(cloud.scan.points)[1] & (labels > 0)
-        image = project(cloud.scan, sensor)
+        image = project(cloud.scan, cloud.sensor or sensor)
         ranges = np.where(image.point_of_pixel >= 0, image.channels[0], np.float32(np.nan))
         columns = {name: values[is_shown] for name, values in columns.items()}
         return MapScan(columns, ranges.ravel())

@@ -22,6 +22,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_probabilities
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
+from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.calibration import SCAN_BINS, reliability
 from salsanext_cli.measures.histograms import (
     Histogram,
@@ -210,7 +211,8 @@ def count_scan(
     true_class, wrong = truth[scored], (predicted != truth)[scored]
     groups: dict[str, tuple[npt.NDArray[Any], int]] = {CLASS: (true_class, space.class_count)}
     if cloud is not None:
-        band = band_of_point((in_sensor_frame(cloud, sensor) if sensor else cloud).points)
+        seen = in_sensor_frame(cloud, sensor_of(cloud, sensor)) if sensor else cloud
+        band = band_of_point(seen.points)
         counts.bands = tuple(
             confusion_matrix(truth[band == i], predicted[band == i], space.class_count)
             for i in range(len(BAND_NAMES))

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -14,19 +13,12 @@ from operator import itemgetter
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.label_scan import LabelledScan
-from salsanext_cli.fitting.scan_checks import (
-    MIN_CHECKED_POINTS,
-    UNCHECKED,
-    Finding,
-    ScanCheck,
-    ScanTraits,
-)
-from salsanext_cli.geometry.network_input import INTENSITY_FACTOR
+from salsanext_cli.fitting.scan_checks import UNCHECKED, Finding, ScanCheck
+from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, groups_of
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.results.layout import ScanFile
@@ -48,13 +40,6 @@ USUAL = (
     "of the default weights, 0.58 or more is usual in streets: the place, the sensor or its "
     "settings may be others"
 )
-DENSITY_FACTOR = 1.5
-"""Least factor between the numbers of points that two sensors have around an elevation; scans of
-one sensor had up to 1.27, the two most similar sensors 1.77."""
-POINTS_FACTOR = 4.0  # The same for all their points, of which the sky leaves more or less
-MIN_SHARE = 0.02
-"""Points around an elevation, as a share of those of the largest scan, up to which they do not
-count."""
 APART = "put the scans of each sensor into a folder of their own"
 LOOK = "look at them: `salsanext export-ply OUT`"
 log = logging.getLogger(__name__)
@@ -102,7 +87,7 @@ def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Ite
     if space.class_count >= MIN_CLASSES:
         total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1
         most = MAX_SHARE_OF_FEW if few else MAX_SHARE
-        if total >= MIN_CHECKED_POINTS and points[largest] > most * total:
+        if total >= MIN_TRAIT_POINTS and points[largest] > most * total:
             found = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
             yield Finding("one-class", found, LOOK)
     if not few and confidence < MIN_CONFIDENCE:
@@ -225,43 +210,15 @@ def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:
 
 
 def mixed_sensors(traits: Mapping[ScanFile, ScanTraits]) -> dict[ScanFile, Finding]:
-    """Return the scans of other sensors than most, with the reason."""
-    # Scans differ if a gap of `DENSITY_FACTOR` divides them when all are sorted by one trait; a gap
-    # of the other factors for all points and for the intensity.
-    files = sorted(traits)
-    if len(files) < 2:
-        return {}
-    least = MIN_SHARE * max(traits[file].points for file in files)
-    below = np.maximum([traits[file].below for file in files], least)
-    points = np.array([traits[file].points for file in files])
-    bright = np.array([traits[file].bright for file in files])
-    columns = [_groups(column, DENSITY_FACTOR) for column in below.T]
-    columns += [_groups(points, POINTS_FACTOR), _groups(bright, INTENSITY_FACTOR)]
-    keys = list(zip(*(column.tolist() for column in columns), strict=True))
-    # Of equally many, those of the first scan.
-    usual = Counter(keys).most_common(1)[0][0]
-    others = [file for file, key in zip(files, keys, strict=True) if key != usual]
-    first = files[keys.index(usual)]
-    usual_scan = f"{first.name} ({_description(traits[first])})"
-    findings = {}
-    for file in others:
-        own = f"seems to be of another sensor ({_description(traits[file])})"
-        found = f"{own} than the others of the run, such as {usual_scan}"
-        findings[file] = Finding("mixed-sensors", found, APART)
+    """Return the scans of other sensors than most with the same fit, and the reason."""
+    findings: dict[ScanFile, Finding] = {}
+    for sensor in dict.fromkeys(traits[file].sensor for file in sorted(traits)):
+        files = [file for file in sorted(traits) if traits[file].sensor == sensor]
+        groups = groups_of([traits[file] for file in files])
+        first = files[groups.index(0)]
+        for file, group in zip(files, groups, strict=True):
+            if group:
+                own = f"seems to be of another sensor ({traits[file]})"
+                found = f"{own} than the others, such as {first.name} ({traits[first]})"
+                findings[file] = Finding("mixed-sensors", found, APART)
     return findings
-
-
-def _groups(values: npt.NDArray[Any], factor: float) -> Counts:
-    """Return the groups (F,), from 0, of values that gaps of a factor divide; 0 is unknown."""
-    groups = np.zeros(len(values), np.int64)
-    known = np.flatnonzero(values > 0)
-    order = known[np.argsort(values[known], kind="stable")]
-    gaps = values[order][1:] > factor * values[order][:-1]
-    groups[order[1:]] = np.cumsum(gaps)
-    return groups
-
-
-def _description(traits: ScanTraits) -> str:
-    view = f"{traits.fov_up:+.0f}° to {traits.fov_down:+.0f}°"
-    bright = f", intensities to {traits.bright:.2g}" if traits.bright else ""
-    return f"{traits.points:,} points, {view}{bright}"

@@ -238,7 +238,7 @@ class NetworkTask:
     settings: NetworkSettings  # Resolved: what the workers load
     # The same, loaded in this process; it is not sent to others
     network: Network | None = field(default=None, compare=False)
-    # Whether it yields the range image when that is read, and takes the softmax that is sent in
+    # Whether it yields the input of the network, and takes the softmax that is sent in
     takes_softmax: bool = False
     # Scans computed together; by default one on a CPU, as many as keep it busy on a GPU
     batch: int | None = None
@@ -304,18 +304,18 @@ def softmax_in_batches(
     """Attempt so many scans at a time, their softmax computed together if memory suffices."""
     waiting = iter(files)
     while batch := tuple(islice(waiting, size)):
-        begun, images = [], []
+        begun, inputs = [], []
         for file in batch:
             steps = begin(file)
-            _, image, error = _step(file, steps)
+            _, given, error = _step(file, steps)
             if error:
                 yield file, None, error
             else:
                 begun.append((file, steps))
-                images.append(image.channels)
+                inputs.append(given)
         softmax: Sequence[Float | None] = [None] * len(begun)
         with suppress(MemoryError):
-            softmax = network.pixel_probabilities(images)
+            softmax = network.softmax(inputs)
         for (file, steps), of_image in zip(begun, softmax, strict=True):
             computed = _step(file, steps, of_image)
             yield computed if computed[2] else _step(file, steps)

@@ -98,7 +98,7 @@ def change_picture(
     heading = f"{pair.file.name}   {percent(changed(pair.turned))} % changed"
     heading += "   trained on" * pair.trained_on
     legend = [*legend_of(space, *train.values()), *CHANGES.items()]
-    points = in_sensor_frame(before.scan, sensor).points
+    points = in_sensor_frame(before.scan, before.sensor or sensor).points
     return scan_picture(printable(heading), points, views, legend=legend)
 
 

@@ -79,7 +79,7 @@ def picture_of_results(
     strips: Collection[str],
 ) -> bytes:
     """Draw a scan and its results, as a PNG: `views` from above and `strips`, of `COLOURINGS`."""
-    columns = scalar_columns(results, space)
+    columns, sensor = scalar_columns(results, space), results.sensor or sensor
     image = project(results.scan, sensor)
     shown = dict.fromkeys((*views, *strips))
     of_views: dict[str, Colours] = {}

@@ -20,6 +20,7 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_uncertainty
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
+from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import (
@@ -257,6 +258,7 @@ class ResultFolder(StageRecords):
         the truth, and that to show it in.
         """
         scan = read_scan(file.path, sensor)
+        sensor = sensor and sensor_of(scan, sensor)
         count = len(scan)
         label = _labels(self._path(file, "label"), count)
         rejection, rejected = self.rejection(), None

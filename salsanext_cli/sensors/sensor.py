@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import cache, partial
 from importlib import resources
@@ -37,7 +37,7 @@ UNUSED_COLUMN = "_"
 
 SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
 SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
-NO_VIEW = ("name", *NOISE, "intensity_quantiles", "row_gaps")
+NO_VIEW = ("name", *NOISE, "intensity_quantiles", "row_gaps", "traits")
 OF_IMAGES = ("height", "width", "means", "stds")
 """Fields that a network depends on, not a sensor: size and normalisation of its images."""
 OF_DEVICE = ("name", "intensity_scale", *NOISE)
@@ -45,7 +45,10 @@ OF_DEVICE = ("name", "intensity_scale", *NOISE)
 UP = (0.0, 0.0, 1.0)  # Direction of the z axis, away from the ground
 ORIGIN = (0.0, 0.0, 0.0)
 FITTED_NAME = "fitted"  # Name of a sensor whose view or mounting was found from scans
-OPTIONAL = ("columns", "up", "origin", "intensity_quantiles", "row_gaps", "min_range", "ego_box")
+OPTIONAL = (
+    *("columns", "up", "origin", "intensity_quantiles", "row_gaps", "min_range", "ego_box"),
+    *("traits", "others"),
+)
 """Fields that are written only where a sensor has another value than their default."""
 
 
@@ -93,6 +96,11 @@ class Sensor:
         Box around what the sensor sees of its own vehicle, in its own frame, upright: least x, y,
         z, largest x, y, z in metres. Points in it are no measurements. Empty if it sees nothing of
         it, None if that is to be found.
+    traits : tuple of float
+        Traits of the scans that it was fitted to, where scans of several sensors are labelled
+        together (`geometry.scan_traits`).
+    others : tuple of Sensor
+        Sensors that were fitted to the other scans then.
     """
 
     name: str
@@ -113,6 +121,8 @@ class Sensor:
     row_gaps: float | None = None
     min_range: float | None = None
     ego_box: tuple[float, ...] | None = None
+    traits: tuple[float, ...] = ()
+    others: tuple[Sensor, ...] = ()
 
     def __post_init__(self) -> None:
         subject = f"sensor {shortened(self.name)}"
@@ -130,12 +140,17 @@ class Sensor:
             expected = f"at most {MAX_PIXELS} pixels, such as 64×{MAX_PIXELS // 64}"
             raise UsageError(subject, found, expected)
 
-    def to_dict(self) -> dict[str, Any]:
+    @property
+    def members(self) -> tuple[Sensor, ...]:
+        """The sensor alone, and the others."""
+        return replace(self, others=()), *self.others
+
+    def to_dict(self, without: Collection[str] = ()) -> dict[str, Any]:
         """Return plain data that `from_dict` accepts, without the defaults of `OPTIONAL`."""
-        values = asdict(self)
+        values = asdict(self) | {"others": tuple(each.to_dict(without) for each in self.others)}
         optional = [each for each in fields(self) if each.name in OPTIONAL]
         usual = [each.name for each in optional if values[each.name] == each.default]
-        return {key: value for key, value in values.items() if key not in usual}
+        return {k: value for k, value in values.items() if k not in usual and k not in without}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "sensor") -> Sensor:
@@ -148,7 +163,10 @@ class Sensor:
         values: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
         }
-        return cls(**values)
+        others = values.pop("others", ())
+        if not (isinstance(others, tuple) and all(isinstance(each, Mapping) for each in others)):
+            raise UsageError(source, f"others {quoted(others)}", "a list of sensors")
+        return cls(**values, others=tuple(cls.from_dict(each, source) for each in others))
 
     def to_toml(self, *, images: bool = True) -> str:
         """Return a TOML file that `sensor` reads; size and normalisation only with `images`."""
@@ -160,7 +178,7 @@ class Sensor:
 
     def view(self) -> dict[str, Any]:
         """Return plain data of the view of a network: all but name, noise and measured shares."""
-        return {key: value for key, value in self.to_dict().items() if key not in NO_VIEW}
+        return self.to_dict(NO_VIEW)
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
         """Return the same sensor with another image size."""
@@ -228,6 +246,8 @@ POSSIBLE: dict[str, tuple[Callable[[Any], bool], str]] = {
     "row_gaps": (partial(_is_in, least=0, most=1), "a share"),
     "min_range": (partial(_is_in, least=0), "a range in metres"),
     "ego_box": (is_box, BOX_EXPECTED),
+    "traits": (are_numbers, "numbers"),
+    "others": (lambda others: all(not each.others for each in others), "sensors of one kind each"),
 }
 """Test and description of the possible values of each field of a sensor, its default aside."""
 

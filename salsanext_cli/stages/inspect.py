@@ -11,8 +11,7 @@ from salsanext_cli.errors import NoInputError, counted
 from salsanext_cli.files.atomic import require_absent, write_bytes
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.scan_checks import check_scan
-from salsanext_cli.fitting.scan_fit import EGO, ScanSample
-from salsanext_cli.fitting.view_fit import fit_view
+from salsanext_cli.fitting.scan_fit import EGO, fitted_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import project, without_ego
@@ -41,7 +40,7 @@ class Inspection:
     space: LabelSpace  # Names of the classes
     failures: tuple[Failure, ...]  # Scans that could not be read, or cannot be right
     warnings: list[dict[str, Any]]  # Reasons to doubt scans, as `RunSummary.warnings` lists them
-    # Sensor with the view that `--sensor auto` takes for these scans, after a fit
+    # Sensor that `predict` fits to these scans
     seen: Sensor | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -56,13 +55,12 @@ class Inspection:
         }
 
     def fitted_sensor(self, name: str, *, images: bool = True) -> Sensor:
-        """Return the sensor with the normalisation of these scans, and their view or `seen`."""
-        _require_fit(name, self.total)
-        view = _with_field_of_view(self.sensor, self.total)
+        """Return the sensor for weights to be trained on images of these scans, or `seen`."""
+        _require_fit(name, self.total, self.seen)
         if self.seen and not images:
-            view = replace(view, fov_up=self.seen.fov_up, fov_down=self.seen.fov_down)
+            return replace(self.seen, name=name)
         return replace(
-            view,
+            _with_field_of_view(self.sensor, self.total),
             name=name,
             means=tuple(round(mean, 4) for mean in self.total.means),
             stds=tuple(round(std, 4) for std in self.total.stds),
@@ -81,10 +79,9 @@ def inspect(
     """Survey scans, over range images of a sensor, and check them; to fit, read them twice."""
     scans = select_scans(source, selection, space)
     if fit:
-        some = ScanSample(find_scans(source), sensor).scans
         weights = read_card(default_weights()).sensor
         seen = replace(sensor, fov_up=weights.fov_up, fov_down=weights.fov_down)
-        seen = fit_view(some, seen)
+        seen = fitted_view(find_scans(source), seen)
         of_seen = {name: getattr(seen, name) for name in ("up", "origin", *EGO)}
         sensor = replace(sensor, **of_seen)
         # Only the view of this pass counts, so its checks would be against a wrong one.
@@ -133,8 +130,11 @@ def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[Survey, ScanSummary]:
     return counts, ScanSummary(file, check)
 
 
-def _require_fit(name: str, found: Survey) -> None:
-    """Refuse to fit a sensor to scans that do not show its field of view."""
+def _require_fit(name: str, found: Survey, seen: Sensor | None) -> None:
+    """Refuse to fit a sensor to scans of several, or that do not show its field of view."""
+    if seen and seen.others:
+        remedy = "put the scans of each sensor into a folder of their own, and fit each"
+        raise NoInputError(name, f"scans of {len(seen.members)} sensors", "one sensor", remedy)
     measured = found.points - found.invalid
     up, down = found.field_of_view()
     if measured < MIN_POINTS_OF_FIT or up - down < MIN_FIELD_OF_VIEW_DEG:

@@ -13,6 +13,7 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import pixels_from_points, project
+from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -34,7 +35,8 @@ def refine_scan(
 ) -> ScanSummary:
     """Refine the labels of one scan: its pixel labels, or those of a folder of point labels."""
     output.require_replaceable(file)
-    image = project(read_scan(file.path, sensor), sensor)
+    scan = read_scan(file.path, sensor)
+    image = project(scan, sensor_of(scan, sensor))
     if labels is None:
         path = output.path(file, "pixel_labels")
         pixel_labels: TrainIds = read_array(path, "uint8", (sensor.height, sensor.width))

@@ -36,10 +36,12 @@ from salsanext_cli.fitting.scan_fit import (
     labels_depend_on,
     network_of_run,
 )
+from salsanext_cli.formats import read_scan
 from salsanext_cli.fusion.top_classes import top_classes
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.geometry.projection import points_from_pixels
+from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.risk_control import promise
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
@@ -169,7 +171,8 @@ def predict_scans(
     if ERROR in extras:
         error_model(network)
     network = network_of_run(settings, network, found, out, overwrite=options.overwrite)
-    if "view" in risk and is_other_view(risk["view"], network.sensor):
+    seen = network.sensor.members
+    if "view" in risk and any(is_other_view(risk["view"], each) for each in seen):
         log.warning("--reject risk: %s", OTHER_VIEW)
     temperature = network.card.temperature
     recorded = settings.record(network) | {"temperature": temperature, "knn": asdict(knn)}
@@ -216,6 +219,9 @@ def _chosen_threshold(
 def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> ScanSteps:
     """Label the pixels of a range image that `project` wrote into a folder, in steps; check it."""
     output.require_replaceable(file)
+    if network.sensor.others:
+        scan = read_scan(file.path, network.sensor)
+        network = network.for_sensor(sensor_of(scan, network.sensor))
     path, image = range_image(file, folder, network.sensor)
     yield
     (probabilities,) = network.pixel_probabilities([image])
@@ -304,7 +310,7 @@ def label(
     network = weights
     if not isinstance(network, Network):
         network = fit_network(load_network(weights), [scan])  # type: ignore[arg-type]
-    projected = project_for(network, IN_MEMORY, scan)
+    network, projected = project_for(network, IN_MEMORY, scan)
     softmax = network.probabilities(projected.image, IN_MEMORY.path)
     done = labelled(projected, softmax, network, KnnParameters())
     RunSummary(network.sensor).add(ScanSummary.of_scan(done, network.space))

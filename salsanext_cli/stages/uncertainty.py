@@ -40,7 +40,7 @@ def uncertainty_scan(
 ) -> ScanSteps:
     """Estimate the uncertainty of one scan's points, in steps; the last yields numbers about it."""
     output.require_replaceable(file)
-    projected = project_for(network, file)
+    network, projected = project_for(network, file)
     image, check = projected.image, projected.check
     yield
     estimate = method.estimate(network, image, file)

@@ -35,7 +35,7 @@ def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> 
     """Describe a scan by what the network makes of it."""
     # The masks of dropout are the same for every scan: between masks the mutual information varies
     # more than between scans of one drive.
-    projected = project_for(network, file)
+    network, projected = project_for(network, file)
     image = projected.image
     filled = image.point_of_pixel >= 0
     if not filled.any():
@@ -53,7 +53,7 @@ def label_sampled(
     file: ScanFile, network: Network, samples: int, seed: int
 ) -> tuple[LabelledScan, Float]:
     """Label a scan by the mean softmax of passes; also return their information (H, W), nats."""
-    projected = project_for(network, file)
+    network, projected = project_for(network, file)
     estimate = _estimate(file, projected.image, network, samples, seed)
     scan = labelled(projected, estimate.probabilities, network, KnnParameters())
     return scan, estimate.uncertainty.mutual_information

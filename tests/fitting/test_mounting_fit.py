@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scans import SMALL
 
 from salsanext_cli import Scan, project
+from salsanext_cli.fitting import mounting_fit
 from salsanext_cli.fitting.mounting_fit import (
     USUAL_HEIGHT_M,
     find_ground,
@@ -149,6 +150,27 @@ def test_a_sensor_on_the_ground_is_at_the_usual_height():
 @pytest.mark.parametrize("beams", [0, 32])
 def test_scans_of_robots_cars_and_masts_stay_where_they_are(beams, height):
     assert fit_mounting([street(beams, height)], SMALL) == SMALL
+
+
+def test_a_sensor_on_the_floor_stays_where_its_beams_come_from():
+    """Hardly a point of it is above the floor."""
+    floor = street(64, 0.1)
+    low = np.flatnonzero(floor.points[:, 2] < 0.2)
+    rest = np.flatnonzero(floor.points[:, 2] >= 0.3)[: len(low) // 40]
+    repeated = np.concatenate([np.tile(low, 30), np.tile(rest, 30)])
+    assert fit_mounting([floor.take(repeated)], SMALL) == SMALL
+
+
+@pytest.mark.parametrize(("sharpest", "is_found"), [(1.5, False), (1.8, False), (2.4, True)])
+def test_a_place_must_be_clearly_sharper_than_the_origin(monkeypatch, sharpest, is_found):
+    """It hardly is in clouds that were accumulated on the way of a sensor."""
+
+    def sharpness(_, place):
+        return sharpest - 0.1 * np.linalg.norm(place - (0.9, 0, 1.7)) if place.any() else 1.3
+
+    monkeypatch.setattr(mounting_fit, "sharpness", sharpness)
+    points = moved(objects(32), (0.9, 0, 1.7)).points
+    assert (find_origin(points) is not None) == is_found
 
 
 def test_points_without_a_measurement_get_none_in_another_frame():

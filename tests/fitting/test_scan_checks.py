@@ -8,7 +8,7 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, project
 from salsanext_cli.errors import FormatError
-from salsanext_cli.fitting.scan_checks import check_scan
+from salsanext_cli.fitting.scan_checks import ALONE, check_scan
 from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
 from salsanext_cli.geometry.network_input import NO_INTENSITY, intensity_quantiles
@@ -91,12 +91,47 @@ def test_views_that_are_doubtful():
     assert "wide-view" in codes(STREET, replace(SMALL, fov_up=75.0, fov_down=-75.0))
 
 
-def test_remedies_name_what_was_not_tried_yet():
+FITTED = replace(SMALL, name="fitted")
+
+
+def remedies(scan, of, trained=TRAINED):
+    return {f.code: f.remedy for f in check_scan(Path("s.bin"), scan, of, trained).findings}
+
+
+def test_a_wrong_view_that_was_named_is_mended_by_a_fit():
     named = replace(SMALL, name="mine", fov_up=-8.0)
-    for of, auto in ((named, True), (replace(named, name="fitted"), False)):
-        (found,) = check_scan(Path("s.bin"), STREET, of, TRAINED).findings
-        assert found.remedy.startswith("--sensor auto") == auto
-        assert "--fit" in found.remedy
+    assert remedies(STREET, named)["out-of-view"] == "--sensor auto"
+    assert codes(STREET, fit_view([STREET], TRAINED)) == []
+    plain = replace(SMALL, fov_up=-8.0)
+    assert "inspect SCANS --fit" in remedies(STREET, plain, plain)["out-of-view"]
+    assert codes(STREET, fit_view([STREET], plain)) == []
+
+
+@pytest.mark.parametrize("of", [FITTED, replace(TRAINED, min_range=1.0)])
+@pytest.mark.parametrize("degrees", [12, 25])
+def test_an_odd_scan_of_a_run_is_mended_by_a_run_of_its_own(of, degrees):
+    """Nothing that `inspect --fit` writes would, since the others are as fitted."""
+    odd = leaning(degrees)
+    assert remedies(odd, of)["tilted"] == ALONE
+    assert codes(odd, fit_view([odd], TRAINED)) == []
+
+
+def test_a_place_that_was_not_found_is_mended_by_its_origin():
+    odd = moved(shift=(0, 0, 1.2))
+    found = fit_view([odd], TRAINED)
+    assert "`origin`" in remedies(odd, found)["height"]
+    assert "height" not in codes(odd, replace(found, origin=(0.0, 0.0, 1.2)))
+    image, expected = project(odd, replace(SMALL, origin=(0.0, 0.0, 1.2))), project(STREET, SMALL)
+    assert (image.pixel_of_point == expected.pixel_of_point).mean() > 0.99
+
+
+def test_no_remedy_is_given_that_weights_refuse():
+    decibels = Scan(STREET.points, -40 * STREET.intensity - 1)
+    unknown = remedies(decibels, SMALL, SMALL)["intensity-scale"]
+    assert "--intensity none" not in unknown
+    assert "--intensity none" in remedies(decibels, SMALL)["intensity-scale"]
+    matched = replace(SMALL, intensity_quantiles=tuple(255 * q for q in QUANTILES))
+    assert "intensity_scale" not in remedies(STREET, matched)["intensity-scale"]
 
 
 def test_matched_intensities_are_those_of_the_scans_matched_with():

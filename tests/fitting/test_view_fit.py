@@ -2,6 +2,7 @@
 """View and vehicle, fitted to scans whose rays are known."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from scans import SMALL, make_scan
 from salsanext_cli import Scan, project, read_labels, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.fitting import scan_fit
-from salsanext_cli.fitting.scan_checks import share_outside
+from salsanext_cli.fitting.scan_checks import check_scan, share_outside
 from salsanext_cli.fitting.scan_fit import MAX_SCANS
 from salsanext_cli.fitting.view_fit import MIN_RANGE_M, SHOWN, fit_ego, fit_view
 from salsanext_cli.geometry.projection import ego_points, upright_rotation, without_ego
@@ -72,6 +73,31 @@ def test_no_more_is_shown_than_most_points_need(extent):
     assert found.fov_up - found.fov_down == pytest.approx(max(narrowest, extent), abs=0.1)
     shares = [outside(scan, found) for scan in SCANS]
     assert np.mean(shares) < 1 - SHOWN + 0.01
+
+
+@pytest.mark.parametrize(("lowest", "highest"), [(20, 45), (-80, -30), (-20, 85)])
+def test_a_field_of_view_that_no_rotating_sensor_has_is_not_fitted(lowest, highest):
+    """As of an accumulated cloud; the warning stays."""
+    random = np.random.default_rng(0)
+    azimuth, elevation = random.uniform(-180, 180, 4000), random.uniform(lowest, highest, 4000)
+    seen = rays(azimuth[:1], elevation) * random.uniform(5, 30, (4000, 1))
+    x, y, z = seen.T
+    turn = np.radians(azimuth)
+    seen = [x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z]
+    scan = Scan(np.stack(seen, axis=1).astype(np.float32), random.random(4000, np.float32))
+    found = fit_view([scan], SMALL)
+    assert (found.fov_up, found.fov_down, found.origin) == (3, -25, (0, 0, 0))
+    assert "out-of-view" in [f.code for f in check_scan(Path("s.bin"), scan, found, SMALL).findings]
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("name", ["csv/car_cloud400.csv", "indoor/pandar64_hall"])
+def test_reported_scans_keep_the_view_of_the_weights(real_data, name):
+    (file,) = find_scans(real_data / "data/reported" / name)
+    scan = read_scan(file.path)
+    found = fit_view([scan], SMALL)
+    assert (found.fov_up, found.fov_down, found.origin) == (3, -25, (0, 0, 0))
+    assert check_scan(file.path, scan, found, SMALL).findings
 
 
 @pytest.mark.parametrize("up", [(0, 0, -1), (0, 1, 0), (-1, 0, 0), (0, 0.6, 0.8), (0.25, 0, 0.97)])

@@ -15,6 +15,7 @@ from scans import SMALL
 
 from salsanext_cli import Scan, label_space
 from salsanext_cli.fitting.scan_checks import Finding, ScanCheck, check_scan
+from salsanext_cli.geometry.scan_traits import groups_of
 from salsanext_cli.measures.scan_counts import ScanCounts, band_of_point
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, mixed_sensors
 from salsanext_cli.results.layout import ScanFile
@@ -134,6 +135,39 @@ def test_two_sensors_are_told_apart(one, other, of_one, of_other):
     fewer = "00" if of_one < of_other else "08"
     assert {file for file in scans if file.sequence == fewer} == found.keys()
     assert {finding.code for finding in found.values()} == {"mixed-sensors"}
+
+
+def cut(scan, share):
+    """Return a scan of which only a part of a turn was written."""
+    turn = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi) + 0.5
+    return scan.take(np.flatnonzero(turn < share))
+
+
+def thinned(scan, share):
+    """Return a scan of which some points are missing everywhere."""
+    return scan.take(np.flatnonzero(np.random.default_rng(0).random(len(scan)) < share))
+
+
+@pytest.mark.parametrize("part", [cut, thinned])
+@pytest.mark.parametrize("share", [0.4, 0.6])
+def test_a_scan_that_is_cut_off_or_thinned_out_is_of_the_same_sensor(part, share):
+    for name in BEAMS:
+        scan = scan_of(name, 0)
+        pair = traits(scan), traits(part(scan, share))
+        assert mixed_sensors(dict(zip(files("08", 2), pair, strict=True))) == {}
+
+
+def test_small_scans_of_two_sensors_are_told_apart_beside_a_large_one():
+    small, other = (traits(thinned(scan_of(n, 0), 0.2)) for n in ("of-16", "wide"))
+    large = traits(scan_of("dense", 0))
+    found = mixed_sensors(dict(zip(files("08", 3), (large, small, other), strict=True)))
+    assert len(found) == 2
+    assert len({*groups_of([large, small, other])}) == 3
+
+
+def test_scans_that_were_fitted_by_themselves_are_not_compared():
+    pair = OF["of-16"][0], traits(scan_of("of-64", 0), replace(SMALL, fov_up=20.0))
+    assert mixed_sensors(dict(zip(files("08", 2), pair, strict=True))) == {}
 
 
 def test_intensities_of_two_scales_are_told_apart():

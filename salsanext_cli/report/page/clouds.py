@@ -57,7 +57,7 @@ def encode_cloud(
     measured = np.flatnonzero((np.abs(points) <= FARTHEST_M).all(axis=1))
     step = -(-len(measured) // MAX_POINTS)
     taken = measured[:: max(step, 1)]
-    image = project(shown.results.scan.take(taken), sensor)
+    image = project(shown.results.scan.take(taken), shown.results.sensor or sensor)
     pixel = image.pixel_of_point
     pixel = np.where(pixel < 0, image.point_of_pixel.size, pixel)
     nearest = np.zeros(len(taken), bool)

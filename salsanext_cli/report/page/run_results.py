@@ -288,7 +288,8 @@ def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
     """Yield what was run and how, as pairs of a title and a text."""
     records = StageRecords(out)
     yield "Weights", _weights(records)
-    yield "Sensor", f"{sensor.name}, {sensor.height}×{sensor.width}, {view_text(sensor)}"
+    for each in sensor.members:
+        yield "Sensor", f"{each.name}, {each.height}×{each.width}, {view_text(each)}"
     if stage := records.owner("predictions"):
         of_labels = records.settings(stage) or RecordedSettings({}, out)
         yield "Labels", _labels(stage, of_labels)

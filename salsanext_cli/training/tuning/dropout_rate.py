@@ -64,11 +64,12 @@ def fit_dropout(
     sums, points = np.zeros(len(rates)), 0
     for number, file in enumerate(scans.files):
         labelled = read_labelled_image(file, network, scans.space)
-        noise = labelled.of_points(aleatoric(network, labelled.image))
+        noise = labelled.of_points(aleatoric(labelled.network, labelled.image))
         points += len(labelled.truth)
         masks = scan_seed(seed, file.sequence, file.stem)
         for index, candidate in enumerate(candidates):
-            sampled = sample(candidate, labelled.image, samples=samples, seed=masks)
+            fitted = candidate.for_sensor(labelled.network.sensor)
+            sampled = sample(fitted, labelled.image, samples=samples, seed=masks)
             variance = labelled.of_points(sampled.variance) + noise
             probabilities = labelled.of_points(sampled.probabilities)
             sums[index] += objective(probabilities, variance, labelled.truth)

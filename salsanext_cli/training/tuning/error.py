@@ -57,6 +57,7 @@ def points_of_scan(scans: int) -> int:
 def judged_points(file: ScanFile, network: Network, space: LabelSpace, most: int) -> JudgedPoints:
     """Predict a labelled scan as `predict` does, and judge a random sample of its points."""
     labelled = read_labelled_image(file, network, space)
+    network = labelled.network
     probabilities = network.probabilities(labelled.image, file.path)
     labels = network.labels(labelled.image, probabilities)
     features = error_features(labelled.image, probabilities, labels)

@@ -65,7 +65,7 @@ def judged_scan(
 
     `counts` (C, C, B + 1): its points are added by truth, label and bin, the last without a label.
     """
-    projected = project_for(network, file)
+    network, projected = project_for(network, file)
     if (digest := scan_digest(projected.scan)) in known:
         return None
     image, softmax = projected.image, network.probabilities(projected.image, file.path)

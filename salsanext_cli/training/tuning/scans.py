@@ -15,6 +15,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import LabelError, first_few
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.geometry.projection import project
+from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float, Indices, RangeImage
@@ -66,6 +67,7 @@ class TuningScans:
 class LabelledImage:
     """Range image of a whole scan, and its M points that have a pixel and one class that counts."""
 
+    network: Network  # For the sensor of the scan
     image: RangeImage
     points: Indices  # (M,): their indices in the scan
     truth: TrainIds  # (M,) uint8
@@ -97,10 +99,11 @@ def labelled_scans(
 def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:
     """Read a scan with its labels and project it."""
     scan, targets = read_labelled(file, space, network.sensor, class_sets([space]))
+    network = network.for_sensor(sensor_of(scan, network.sensor))
     image = project(scan, network.sensor)
     is_scored = np.isin(targets, np.flatnonzero(space.scored))
     seen = image.pixel_of_point >= 0
     points = np.flatnonzero(is_scored & seen)
     several = int(((targets >= space.class_count) & seen).sum())
     share = several / max(len(points) + several, 1)
-    return LabelledImage(image, points, targets[points], share)
+    return LabelledImage(network, image, points, targets[points], share)

@@ -67,7 +67,7 @@ def _samples(scans: TuningScans, most: int) -> Iterator[tuple[Float, Any]]:
     """Yield the logits (M, C) and train ids (M,) of at most so many points of each scan."""
     for file in scans.each():
         labelled = read_labelled_image(file, scans.network, scans.space)
-        logits = scans.network.logits(labelled.image)
+        logits = labelled.network.logits(labelled.image)
         if not np.isfinite(logits).all():
             raise WeightsError(file.path, "the network's logits are not finite", "finite ones")
         random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))

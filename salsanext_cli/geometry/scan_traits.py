@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: MIT
+"""Traits of a scan that depend on its sensor and hardly on the place, and the sensor by them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.geometry.network_input import BRIGHT, INTENSITY_FACTOR, why_no_intensity
+from salsanext_cli.geometry.projection import few_points, measured_ranges
+from salsanext_cli.records import MAX_INTENSITY, Double, Float, Indices, Scan
+from salsanext_cli.sensors.sensor import Sensor
+
+NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)
+"""Elevations between which points are counted. Below them every beam meets the ground, wherever the
+sensor is; above, it may meet the sky."""
+NODES = len(NODES_DEG) - 1  # Number of elevations around which points are counted
+MIN_TRAIT_POINTS = 100  # Fewest points with a measurement that show traits
+MIN_SHARE = 0.02  # Points around an elevation, as a share of all, up to which they do not count
+DENSITY_FACTOR = 1.5
+"""Least factor between the numbers of points that two sensors have around an elevation; scans of
+one sensor had up to 1.27, the two most similar sensors 1.77."""
+POINTS_FACTOR = 4.0  # The same for all their points, of which the sky leaves more or less
+SHARES_FACTOR = 1.35
+"""The same for the shares of the points around an elevation, which stay where a scan is cut off or
+thinned out; two sensors had 1.4 or more."""
+FACTORS = (*[DENSITY_FACTOR] * NODES, POINTS_FACTOR, INTENSITY_FACTOR, *[SHARES_FACTOR] * NODES)
+DIGITS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class ScanTraits:
+    """Traits of the sensor in one scan, estimated from a sample of its points.
+
+    Points between two nodes count for both by their distance, so that a beam that lies at one, or
+    is measured a little higher or lower, makes no difference.
+    """
+
+    # Number of points around each of `NODES_DEG` but the last, which counts none
+    below: tuple[float, ...]
+    points: int  # Number of points with a measurement
+    bright: float  # Upper intensity; 0 if unknown
+    sensor: Sensor | None = None  # Sensor that was fitted to the scan
+
+    @classmethod
+    def of(
+        cls, sines: Float, bright: float, per_point: float, sensor: Sensor | None = None
+    ) -> ScanTraits:
+        """Return the traits by the sines of elevation (M,) of points that stand for more each."""
+        elevations = np.degrees(np.arcsin(sines))
+        hats = np.eye(len(NODES_DEG))[:-1]
+        below = [np.interp(elevations, NODES_DEG, hat).sum() * per_point for hat in hats]
+        counts = tuple(round(float(count), 1) for count in below)
+        return cls(counts, round(len(sines) * per_point), round(bright, DIGITS), sensor)
+
+    @property
+    def compared(self) -> tuple[float, ...]:
+        """Numbers that tell sensors apart."""
+        return *self.below, float(self.points), self.bright
+
+    def __str__(self) -> str:
+        """Describe the scan: ``92,677 points, intensities to 158``."""
+        return f"{self.points:,} points" + f", intensities to {self.bright:.2g}" * bool(self.bright)
+
+
+def sines_of(points: Float) -> Float:
+    """Return the sines of elevation of points (N, 3), (N,)."""
+    ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
+    return (points[:, 2] / np.maximum(ranges, np.finfo(np.float32).tiny)).clip(-1, 1)
+
+
+def upper_intensity(intensity: Float) -> float:
+    """Return the upper intensity of those that are numbers, 0 without any."""
+    finite = intensity[np.isfinite(intensity)]
+    return float(np.quantile(finite, BRIGHT)) if len(finite) else 0.0
+
+
+def traits_of(scan: Scan) -> ScanTraits | None:
+    """Return the traits of a scan as its file holds it, None of too few measured points."""
+    some = few_points(scan)
+    measured = np.flatnonzero(measured_ranges(some.points)[1])
+    if len(measured) < MIN_TRAIT_POINTS:
+        return None
+    per_point, some = len(scan) / len(some), some.take(measured)
+    reason = why_no_intensity(some.points, some.intensity)
+    bright = 0.0 if reason else upper_intensity(some.intensity)
+    return ScanTraits.of(sines_of(some.points), bright, per_point)
+
+
+def groups_of(traits: Sequence[ScanTraits]) -> list[int]:
+    """Return the group of each scan, the same for the scans of one sensor; 0 is the largest.
+
+    Two sensors differ if a gap of one of `FACTORS` divides their scans when all are sorted by that
+    trait, unless one scan is cut off or thinned out: with the same shares of points.
+    """
+    group_of, groups, usual = np.zeros(len(traits), np.intp), list[int](), []
+    for number, members in enumerate(_divided(np.array([each.compared for each in traits]))):
+        usual.append(usual_traits([traits[i] for i in members]))
+        steps = np.abs(np.diff([_scaled([each, usual[-1]]) for each in usual], axis=1))
+        alike = int((steps[:, 0, NODES:] < 1).all(axis=1).argmax())
+        groups.append(groups[alike] if alike < number else number)
+        group_of[members] = groups[-1]
+    ranks = [group for group, _ in Counter(group_of.tolist()).most_common()]
+    return [ranks.index(group) for group in group_of.tolist()]
+
+
+def _divided(compared: Double) -> list[Indices]:
+    """Return the indices of scans that no gap divides, by what is compared of scans (F, T)."""
+    if not len(compared):
+        return []
+    values = _scaled(compared)[:, : NODES + 2]
+    order = values.argsort(axis=0, kind="stable")
+    gaps = np.diff(np.take_along_axis(values, order, axis=0), axis=0) > 1
+    keys = np.zeros(values.shape, np.intp)
+    np.put_along_axis(keys, order[1:], gaps.cumsum(axis=0), axis=0)
+    kinds = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    groups: list[Indices] = [np.flatnonzero(kinds == kind) for kind in range(kinds.max() + 1)]
+    if len(groups) == 1:
+        return groups
+    # Without the larger scans of other sensors, smaller counts matter.
+    return [group[part] for group in groups for part in _divided(compared[group])]
+
+
+def _scaled(compared: npt.ArrayLike) -> Double:
+    """Return traits (F, T) float64 of scans on scales on which a step of 1 is one of `FACTORS`."""
+    below, points, bright = np.split(np.array(compared, np.float64), (NODES, NODES + 1), axis=1)
+    shares = np.maximum(below / points, MIN_SHARE)
+    below = np.maximum(below, MIN_SHARE * points.max())
+    # Unknown intensities divide nothing.
+    bright[bright <= 0] = bright.min(where=bright > 0, initial=MAX_INTENSITY)
+    scaled: Double = np.log(np.hstack([below, points, bright, shares])) / np.log(FACTORS)
+    return scaled
+
+
+def usual_traits(traits: Sequence[ScanTraits]) -> tuple[float, ...]:
+    """Return the medians of what is compared of scans."""
+    return tuple(np.median([each.compared for each in traits], axis=0).round(DIGITS).tolist())
+
+
+def kinds_of(scans: Sequence[Scan]) -> tuple[list[int], list[tuple[float, ...]]]:
+    """Return the group of each scan as `groups_of`, and the usual traits of each group."""
+    known = {i: traits for i, scan in enumerate(scans) if (traits := traits_of(scan))}
+    kinds = np.zeros(len(scans), np.intp)
+    kinds[list(known)] = groups_of(list(known.values()))
+    groups = [[known[i] for i in known if kinds[i] == k] for k in range(kinds.max(initial=0) + 1)]
+    return kinds.tolist(), [usual_traits(group) for group in groups if group]
+
+
+def sensor_of(scan: Scan, sensor: Sensor) -> Sensor:
+    """Return which of the sensors that were fitted to scans of several a scan is of."""
+    if not sensor.others:
+        return sensor
+    fits, own = sensor.members, traits_of(scan)
+    if own is None:
+        return fits[0]
+    values = _scaled([own.compared, *(each.traits for each in fits)])
+    return fits[int(np.abs(values[1:] - values[0]).sum(axis=1).argmin())]

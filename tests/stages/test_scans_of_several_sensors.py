@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: MIT
+"""Scans of several sensors in one folder: each is labelled as in a folder of its own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command_line import only_json
+from scans import SMALL, files_below, labels_below, make_scan, write_bin, write_weights
+from typer.testing import CliRunner
+
+from salsanext_cli import Scan, project, read_scan
+from salsanext_cli.cli.app import app
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.errors import NoInputError
+from salsanext_cli.fitting.scan_fit import fitted_view
+from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges, upright_rotation
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.options import Shard
+from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
+from salsanext_cli.stages.inspect import inspect
+from salsanext_cli.stages.knn_refine import knn_refine_scans
+from salsanext_cli.stages.predict import predict_range_images, predict_scans
+from salsanext_cli.stages.project import project_scans
+from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.uncertainty.method import UncertaintyMethod
+
+LEANING = upright_rotation(np.array([0.5, 0.0, 0.866]))
+TRAINED = replace(SMALL, intensity_quantiles=tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2))
+
+
+def leaning(seed):
+    """Return a scan of a sensor that leans by 30° and writes bytes."""
+    scan = make_scan(3000, seed)
+    points = (scan.points @ LEANING).astype(np.float32)
+    return Scan(points, (200 * scan.intensity**3).astype(np.float32))
+
+
+def level(seed):
+    return make_scan(9000, seed)
+
+
+@pytest.fixture
+def mixed(tmp_path):
+    """Return a folder of three level and two leaning scans."""
+    for number, make in enumerate((level, leaning, level, leaning, level)):
+        write_bin(tmp_path / f"mixed/{number}.bin", make(number))
+    return tmp_path / "mixed"
+
+
+@pytest.fixture
+def network(tmp_path, weights):
+    return NetworkSettings(
+        write_weights(tmp_path / "w.safetensors", sensor=TRAINED), engine="torch"
+    )
+
+
+@pytest.fixture
+def apart(tmp_path, mixed, network):
+    """Return the labels of the same scans, those of each sensor labelled by themselves."""
+    for name, stems in (("level", "024"), ("leaning", "13")):
+        for stem in stems:
+            write_bin(tmp_path / name / f"{stem}.bin", read_scan(mixed / f"{stem}.bin"))
+        predict_scans(tmp_path / name, tmp_path / f"out-{name}", settings=network)
+    found = labels_below(tmp_path / "out-level") | labels_below(tmp_path / "out-leaning")
+    return {f"sequences/mixed/{name.split('/', 2)[2]}": data for name, data in found.items()}
+
+
+def test_each_is_labelled_as_in_a_folder_of_its_own(mixed, network, apart, tmp_path, caplog):
+    out = tmp_path / "out"
+    caplog.set_level("INFO")
+    outcome = predict_scans(mixed, out, settings=network)
+    assert labels_below(out) == apart
+    assert "sensor 1 of 2: 3 scans, such as mixed/0" in caplog.text
+    assert "sensor 2 of 2: 2 scans, such as mixed/1" in caplog.text
+    assert "mixed-sensors" not in outcome.summary.findings
+    assert predict_scans(mixed, out, settings=network).skipped == 5
+    few = UncertaintyMethod(samples=2, aleatoric="none")
+    assert uncertainty(mixed, out, settings=network, method=few).done == 5
+
+
+def test_parts_steps_workers_and_batches_give_the_same(mixed, network, apart, tmp_path):
+    parts, steps, batched = (tmp_path / name for name in ("parts", "steps", "batched"))
+    predict_scans(mixed, parts, settings=network, selection=ScanSelection(limit=1))
+    for number in (1, 2):
+        options = RunOptions(shard=Shard(number, 2), jobs=2, backend="threading")
+        predict_scans(mixed, parts, settings=network, options=options)
+    project_scans(mixed, steps, sensor=SMALL, fit=True)
+    predict_range_images(steps, steps, settings=network)
+    knn_refine_scans(steps)
+    predict_scans(mixed, batched, settings=network, batch=3)
+    for out in (parts, steps, batched):
+        assert labels_below(out) == apart
+    name = "predict.json"
+    assert files_below(parts)[name] == files_below(batched)[name]
+
+
+def test_later_stages_see_each_scan_through_its_sensor(mixed, network, tmp_path):
+    """By their height: seen upright, hardly a point is below the ground."""
+    predict_scans(mixed, tmp_path / "out", settings=network)
+    results = ResultFolder(tmp_path / "out")
+    for file in results.scans():
+        read = results.read(file, results.sensor())
+        assert (read.sensor.name == "fitted") == (file.stem in "13")
+        upright = in_sensor_frame(read.scan, read.sensor).points
+        assert np.quantile(upright[:, 2], 0.02) > -1.9
+        assert read.range == pytest.approx(measured_ranges(read.scan.points)[0], abs=1e-4)
+
+
+def test_scans_that_come_later_are_of_one_of_the_sensors(mixed, network, tmp_path):
+    out = tmp_path / "out"
+    predict_scans(mixed, out, settings=network)
+    before = StageRecords(out).known_sensor()
+    write_bin(mixed / "9.bin", leaning(9))
+    assert predict_scans(mixed, out, settings=network).done == 1
+    assert StageRecords(out).known_sensor() == before
+    (later,) = (file for file in find_scans(mixed) if file.stem == "9")
+    assert ResultFolder(out).read(later, before).sensor == before.others[0]
+
+
+def test_one_sensor_is_recorded_as_before(network, tmp_path):
+    for number in range(3):
+        write_bin(tmp_path / f"one/{number}.bin", level(number))
+    predict_scans(tmp_path / "one", tmp_path / "out", settings=network)
+    recorded = StageRecords(tmp_path / "out").settings("predict")["sensor"]
+    assert not {"others", "traits"} & {*recorded}
+
+
+def test_a_scan_that_no_fit_looked_at_is_named(tmp_path):
+    for number in range(40):
+        write_bin(tmp_path / f"many/{number:02}.bin", (leaning if number == 1 else level)(number))
+    outcome = project_scans(tmp_path / "many", tmp_path / "out", sensor=SMALL, fit=True)
+    names = [name for name, _ in outcome.summary.findings["mixed-sensors"]]
+    assert names == ["many/01"]
+
+
+@pytest.mark.parametrize("images", [True, False])
+def test_a_sensor_file_of_scans_of_several_sensors_is_refused(mixed, images):
+    found = inspect(mixed, sensor=SMALL, fit=True)
+    with pytest.raises(NoInputError, match="scans of 2 sensors"):
+        found.fitted_sensor("mine", images=images)
+
+
+def test_inspect_writes_the_sensor_that_predict_fits(mixed, tmp_path, narrow_default):
+    """So that labels with it are those without, byte by byte."""
+    folder, file = tmp_path / "leaning", tmp_path / "s.toml"
+    for stem in "13":
+        write_bin(folder / f"{stem}.bin", read_scan(mixed / f"{stem}.bin"))
+    run = CliRunner().invoke
+    fitted = run(app, ["inspect", str(folder), "--fit", str(file)])
+    assert fitted.exit_code == 0, fitted.stderr
+    outs = [tmp_path / "auto", tmp_path / "file"]
+    for out, more in zip(outs, ([], ["--sensor", str(file)]), strict=True):
+        line = ["predict", str(folder), str(out), "--engine", "torch", "--json", *more]
+        found = only_json(run(app, line))["sensor"]
+        assert np.dot(found["up"], LEANING[2]) > 0.99
+    one, other = map(labels_below, outs)
+    assert one == other
+
+
+def test_images_unlike_those_of_training_are_named(tmp_path, narrow_default):
+    """As of a file that `inspect --fit --height 8` wrote for weights to be trained."""
+    write_bin(tmp_path / "one/0.bin", level(0))
+    for height, is_named in ((8, True), (SMALL.height, False)):
+        file, out = tmp_path / f"{height}.toml", tmp_path / f"out-{height}"
+        file.write_text(replace(SMALL, height=height).to_toml())
+        line = ["predict", str(tmp_path / "one"), str(out), "--engine", "torch"]
+        result = CliRunner().invoke(app, [*line, "--sensor", str(file)])
+        assert result.exit_code == 0, result.stderr
+        assert ("costs accuracy" in result.stderr) == is_named
+
+
+def test_images_of_a_mixed_folder_without_results_are_upright(mixed):
+    seen = fitted_view(find_scans(mixed), SMALL)
+    assert [each.name for each in seen.members] == ["small", "fitted"]
+    scan = read_scan(mixed / "1.bin")
+    heights = project(scan, seen.others[0]).channels[3]
+    assert heights.min() > -2.2
