@@ -21,7 +21,7 @@ from salsanext_cli.errors import (
     SalsanextError,
     UsageError,
 )
-from salsanext_cli.fusion.poses import encode_poses, read_poses
+from salsanext_cli.fusion.poses import encode_poses, read_fused_poses
 from salsanext_cli.fusion.window import FusionWindow, disagreement, fuse, fused_labels
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
@@ -241,10 +241,24 @@ def test_poses_may_be_named_for_one_sequence(world, tmp_path):
     assert not (world.out / "fused").exists()
     result = CliRunner().invoke(app, [*words, "--sequences", "08"])
     assert result.exit_code == 0, result.output
-    used = read_poses(fused_folder(world) / "poses.txt", STEMS, STEMS)
+    used = read_fused_poses(fused_folder(world) / "poses.txt", STEMS, STEMS)
     np.testing.assert_allclose(used, way(3), atol=1e-12)
     path.write_text("\n".join(lines[1:]))
     assert CliRunner().invoke(app, [*words, "--sequences", "08"]).exit_code == 1
+
+
+def test_names_that_count_from_1_find_their_lines(world, caplog):
+    folder = write_drive(world, 3)
+    turned = way(3)[2] @ np.diag([-1.0, -1, 1, 1])
+    (folder / "poses.txt").write_bytes(encode_poses([*way(3), turned]))
+    stems = ["000001", "000002", "000003"]
+    for old, new in reversed([*zip(STEMS, stems, strict=True)]):
+        (folder / f"velodyne/{old}.bin").rename(folder / f"velodyne/{new}.bin")
+    predict_scans(folder, world.out, settings=world.network, extras=("votes",))
+    assert fuse_results(world.out).done == 3
+    used = read_fused_poses(fused_folder(world) / "poses.txt", stems, stems)
+    np.testing.assert_array_equal(used, way(3))
+    assert "count its lines from 1" in caplog.text
 
 
 def test_what_cannot_be_fused_is_said(world, drive):
