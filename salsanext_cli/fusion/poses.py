@@ -19,6 +19,8 @@ POSES, CALIBRATION = "poses.txt", "calib.txt"
 KITTI_NUMBERS, TUM_NUMBERS = 12, 8
 MAX_SHEAR = 1e-2
 """Largest difference of a rotation in a file times its transpose from 1."""
+MAX_PLACE_M = 1e12
+"""Coordinate from which on float64 has no digits left for millimetres."""
 ROUNDED = 1e-12
 """Difference of its lengths from 1 of one with all its digits."""
 
@@ -129,14 +131,17 @@ def with_w_first(poses: Poses) -> Poses:
 
 
 def is_rigid(pose: Poses) -> bool:
-    """Say whether a pose (3, 4) is finite, turns, and neither scales nor mirrors."""
+    """Say whether a pose (3, 4) is not too far away, turns, and neither scales nor mirrors."""
+    is_near = np.abs(pose).max() < MAX_PLACE_M  # It is not either of NaN.
     shear = np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max()
-    return bool(shear < MAX_SHEAR and np.linalg.det(pose[:, :3]) > 0 and np.isfinite(pose).all())
+    return bool(is_near and shear < MAX_SHEAR and np.linalg.det(pose[:, :3]) > 0)
 
 
 def _rigid(path: Path, name: str, row: Poses) -> Poses:
     """Return 3 × 4 numbers whose rotation, rounded in a file, is one to the last digit."""
     pose = row.reshape(3, 4)
+    if (farthest := np.abs(pose[:, 3]).max()) >= MAX_PLACE_M:
+        raise FormatError(path, f"{name} has a coordinate of {farthest:.3g} m", "places in metres")
     if not is_rigid(pose):
         raise FormatError(path, f"{name} scales, shears or mirrors the scan", "rigid poses")
     left, lengths, right = np.linalg.svd(pose[:, :3])

@@ -113,6 +113,8 @@ def test_what_is_no_pose_is_refused(tmp_path):
         ),
         (b"0 1 2 3 0 0 0.5 0.5\n" * 3, "line 1 has a quaternion of length 0.707"),
         (b"", "0 lines"),
+        (encode_poses(along(0, 1e308, 2)), r"line 2 has a coordinate of 1e\+308 m"),
+        (b"0 1 -1e12 3 0 0 0 1\n" * 3, r"line 1 has a coordinate of 1e\+12 m"),
     ):
         with pytest.raises(FormatError, match=found):
             read_poses(written(tmp_path, content), ("a", "b", "c"), ("a", "b", "c"))

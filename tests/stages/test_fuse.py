@@ -15,6 +15,7 @@ from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_la
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import (
+    NOTICE,
     FormatError,
     NoInputError,
     OutputError,
@@ -255,7 +256,8 @@ def test_names_that_count_from_1_find_their_lines(world, caplog):
     for old, new in reversed([*zip(STEMS, stems, strict=True)]):
         (folder / f"velodyne/{old}.bin").rename(folder / f"velodyne/{new}.bin")
     predict_scans(folder, world.out, settings=world.network, extras=("votes",))
-    assert fuse_results(world.out).done == 3
+    with caplog.at_level(NOTICE):
+        assert fuse_results(world.out).done == 3
     used = read_fused_poses(fused_folder(world) / "poses.txt", stems, stems)
     np.testing.assert_array_equal(used, way(3))
     assert "count its lines from 1" in caplog.text
