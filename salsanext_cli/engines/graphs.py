@@ -7,7 +7,6 @@ command-line converter, which reports its use. What was compiled before is loade
 
 import hashlib
 import re
-import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Sequence
@@ -21,6 +20,7 @@ import numpy as np
 
 from salsanext_cli.engines.device import openvino_core, processor
 from salsanext_cli.errors import OutputError, error_text
+from salsanext_cli.files.locks import temporary_folder
 from salsanext_cli.files.user_cache import cached, store
 from salsanext_cli.records import CHANNELS
 
@@ -133,8 +133,8 @@ def partly_float32(core: Any, model: Any) -> Any:
     import openvino
 
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder, "model.xml")
+        with temporary_folder() as folder:
+            file = folder / "model.xml"
             openvino.save_model(model, file, compress_to_fp16=False)
             root = ElementTree.parse(file).getroot()
             weights = file.with_suffix(".bin").read_bytes()

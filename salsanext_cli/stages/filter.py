@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,8 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import NoInputError, UsageError, counted, first_few
+from salsanext_cli.files.atomic import refusal
+from salsanext_cli.files.locks import temporary_folder
 from salsanext_cli.files.reading import filled, is_folder, present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.bags import Bag
@@ -246,14 +247,17 @@ def _filter_bag(
             yield int(path.name.partition("_")[0]), keep
 
     (topic,) = (t for t in bag.clouds() if recording / t.strip("/") == topic_folder)
-    with TemporaryDirectory(dir=task.owned.root, prefix=".filter-") as temporary:
-        written = Path(temporary) / target.name
-        write_bag_subset(bag, written, topic, masks())
-        if task.owned.remove_own(before):
-            raise not_own(target)
-        if is_folder(target):
-            target.rmdir()
-        written.rename(target)
+    try:
+        with temporary_folder(task.owned.root) as temporary:
+            written = temporary / target.name
+            write_bag_subset(bag, written, topic, masks())
+            if task.owned.remove_own(before):
+                raise not_own(target)
+            if is_folder(target):
+                target.rmdir()
+            written.rename(target)
+    except OSError as error:
+        raise refusal(target, error) from error
     for path in _files_in(target):
         task.owned.add(path)
     return counts

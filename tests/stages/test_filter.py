@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+import resource
 import shutil
 from dataclasses import replace
 from functools import partial
@@ -6,7 +7,7 @@ from operator import itemgetter
 
 import numpy as np
 import pytest
-from bags import START, STEP, TOPIC, cloud, structured, text, write_bag
+from bags import KINDS, START, STEP, TOPIC, cloud, structured, text, write_bag
 from evaluated import World
 from scans import files_below, write_array
 
@@ -294,6 +295,32 @@ def test_a_bag_that_is_changed_while_it_is_written_anew_is_kept(bag_of, tmp_path
     (failure,) = call(options=RunOptions(overwrite=True)).failures
     assert "drive.bag" in failure.reason
     assert target.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_on_a_full_disk_names_the_new_one(bag_of, tmp_path, monkeypatch, kind):
+    bag = bag_of(kind)
+    source = (bag if kind == ".bag" else bag.parent) / TOPIC.strip("/")
+    target = tmp_path / "to" / ("drive.bag" if kind == ".bag" else "drive")
+    call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
+    call = partial(call, query=ResultQuery(source))
+    write, limits = stage.write_bag_subset, resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def without_room(*given):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+        try:
+            write(*given)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stage, "write_bag_subset", without_room)
+        (failure,) = call().failures
+    assert failure.code == "output"
+    assert failure.reason.startswith(f"{target} ")
+    names = {path.name for path in (tmp_path / "to").iterdir()}
+    assert names <= {"filter.json", ".salsanext.files"}
+    assert call().done == 3
 
 
 def test_merged_classes_have_their_own_names():
