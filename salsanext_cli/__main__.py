@@ -10,9 +10,16 @@ except KeyboardInterrupt:
 def main() -> None:
     """Run the command line; its imports take a while, in which signals arrive too."""
     end_on_signals()
-    from salsanext_cli.cli.app import main as run
+    try:
+        from salsanext_cli.cli.app import main as run
 
-    run()
+        run()
+    except Exception as error:
+        from salsanext_cli.errors import MemoryShort, out_of_memory
+
+        if not out_of_memory(error):
+            raise
+        raise SystemExit(f"error: {MemoryShort(error)}") from None
 
 
 if __name__ == "__main__":

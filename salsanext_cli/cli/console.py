@@ -16,7 +16,15 @@ from typing import TYPE_CHECKING, Any, ParamSpec, cast
 import typer
 
 from salsanext_cli.cli.interruption import ARRIVED, INTACT, WORDS, interruptible
-from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, escaped, printable
+from salsanext_cli.errors import (
+    NOTICE,
+    MemoryShort,
+    SalsanextError,
+    UsageError,
+    escaped,
+    out_of_memory,
+    printable,
+)
 from salsanext_cli.options import option, option_group
 
 if TYPE_CHECKING:
@@ -95,7 +103,10 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
         try:
             with interruptible():
                 command(*args, **kwargs)
-        except SalsanextError as error:
+        except Exception as raised:
+            error = MemoryShort(raised) if out_of_memory(raised) else raised
+            if not isinstance(error, SalsanextError):
+                raise
             if not error.reported_elsewhere:
                 tell(f"error: {error}")
                 if kwargs.get("json"):

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from salsanext_cli.engines.device import openvino_core, processor
-from salsanext_cli.errors import OutputError, error_text
+from salsanext_cli.errors import OutputError, error_text, out_of_memory
 from salsanext_cli.files.locks import temporary_folder
 from salsanext_cli.files.user_cache import cached, store
 from salsanext_cli.records import CHANNELS
@@ -72,7 +72,10 @@ def compiled_graph(
         content = cached(name, compile_anew)
         try:
             return core.import_model(content, "CPU", hints)
-        except RuntimeError:  # made by a build of the same version that compiles otherwise
+        except RuntimeError as error:
+            if out_of_memory(error):
+                raise
+            # Made by a build of the same version that compiles otherwise.
             return core.import_model(store(name, compile_anew()), "CPU", hints)
 
 
