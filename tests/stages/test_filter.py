@@ -64,6 +64,23 @@ def test_classes_are_fine_coarse_or_what_may_move(apply, tmp_path, options, expe
     assert outcome.kept_points == (11, len(expected) + 4 * ("keep" not in options))
 
 
+def test_moving_points_go_with_vehicle_housing_and_no_measurements(apply, world, tmp_path):
+    """All seven points are trees; one is of the housing, one of the vehicle, three are none."""
+    points = [[9, 0, 0], [0.5, 0, 0], [-2, 1, -1], [0, 0, 0], [np.nan, 0, 0], [np.inf, 0, 0]]
+    points = np.array([*points, [-2, 1, 5]], np.float32)
+    path = world.dataset / "sequences/08/velodyne/000000.bin"
+    path.write_bytes(np.c_[points, np.arange(7)].astype(np.float32).tobytes())
+    predicted = output_path(world.out, "08", "predictions", "000000")
+    write_labels(predicted, np.full(7, TREE, np.uint32))
+    own = replace(sensor("hdl64"), min_range=1.0, ego_box=(-3.0, -1.0, -2.0, 1.0, 1.0, 0.5))
+    settings = {"label_space": SPACE.to_dict(), "sensor": own.to_dict()}
+    StageRecord("predict", settings, ("predictions",)).write(world.out)
+    apply(drop=["moving"])
+    assert left(tmp_path) == [0, 6]
+    apply(drop=["person", "vehicle"], options=RunOptions(overwrite=True))
+    assert left(tmp_path) == [*range(7)]
+
+
 def test_points_above_an_error_go(apply, world, tmp_path):
     world.put("uncertainty/error", "000000", [0, 0.1, 0.2, np.nan, 1, 0, 0])
     outcome = apply(max_error=0.1, drop=["car"])

@@ -3,6 +3,7 @@ import json
 import shlex
 import shutil
 import sys
+from contextlib import ExitStack
 
 import numpy as np
 import plyfile
@@ -26,6 +27,7 @@ from salsanext_cli.fusion.poses import encode_poses, read_fused_poses
 from salsanext_cli.fusion.window import FusionWindow, disagreement, fuse, fused_labels
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
@@ -369,6 +371,26 @@ def test_predict_can_fuse_at_once(world):
     votes = np.load(world.result("votes"))
     assert (votes.dtype, votes.shape) == (np.uint16, (1500, 3))
     assert not world.result("probabilities").exists()
+
+
+def test_two_that_predict_and_fuse_one_folder_both_succeed(world, monkeypatch):
+    """The other one still predicts when this one has ended, and then fuses too."""
+    folder, looks = write_drive(world, 2), []
+    with ExitStack() as other:
+
+        def wait(_):
+            assert not (world.out / "fused").exists()
+            looks.append(len(looks))
+            if len(looks) == 2:
+                other.close()
+
+        monkeypatch.setattr("salsanext_cli.cli.pipeline.time.sleep", wait)
+        other.enter_context(OwnedFolder(world.out, "predict").open(shared=True))
+        words = ["predict", folder, world.out, "--weights", world.network.weights, "--fuse"]
+        result = CliRunner().invoke(app, [*map(str, words), "--engine", "torch"])
+    assert result.exit_code == 0, result.output
+    assert len(looks) == 2
+    assert len(list((fused_folder(world) / "predictions").iterdir())) == 2
 
 
 def test_python_labels_a_drive_as_the_command_line_does(world, caplog, monkeypatch):
