@@ -6,6 +6,8 @@ try:
 except KeyboardInterrupt:
     raise SystemExit(130) from None
 
+ADVICE = "free some memory, allow more, or use fewer --jobs"
+
 
 def main() -> None:
     """Run the command line; its imports take a while, in which signals arrive too."""
@@ -15,11 +17,11 @@ def main() -> None:
 
         run()
     except Exception as error:
-        from salsanext_cli.errors import MemoryShort, out_of_memory
+        from salsanext_cli.errors import error_text, out_of_memory
 
         if not out_of_memory(error):
             raise
-        raise SystemExit(f"error: {MemoryShort(error)}") from None
+        raise SystemExit(f"error: memory ran out · {error_text(error)} · {ADVICE}") from None
 
 
 if __name__ == "__main__":

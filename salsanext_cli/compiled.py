@@ -20,7 +20,8 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 import numpy.typing as npt
-from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.caching import CompileResultCacheImpl as Files
+from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
@@ -66,11 +67,10 @@ def compiled(function: Function) -> Function:
     return cast(Function, kernel)
 
 
-class KernelCacheFiles(CompileResultCacheImpl):
-    """Files in the folder that the settings name, which comes first, and nowhere else."""
+class KernelFiles(Files):
+    """Files in the folder that is set only: that of the package may be another user's."""
 
-    # The others are the package's own folder, which may be another user's, and numba's.
-    _locator_classes = CompileResultCacheImpl._locator_classes[:1]
+    _locator_classes = Files._locator_classes[:1]
 
 
 class KernelCache(FunctionCache):
@@ -80,7 +80,7 @@ class KernelCache(FunctionCache):
     them up, and damaged ones end the program. Here, whatever fails is compiled anew.
     """
 
-    _impl_class = KernelCacheFiles
+    _impl_class = KernelFiles
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled kernel of a signature; None if there is none that can be used."""

@@ -158,16 +158,6 @@ class TrainingError(SalsanextError):
     code = "training"
 
 
-class MemoryShort(SalsanextError):  # noqa: N818 - the name says what is wrong
-    """Memory ran out."""
-
-    code = "memory"
-
-    def __init__(self, error: BaseException) -> None:
-        found, expected = f"ran out: {error_text(error)}", "room for the command and its libraries"
-        super().__init__("memory", found, expected, "free some, allow more, or use fewer --jobs")
-
-
 class WorkersLost(SalsanextError):  # noqa: N818 - the name says what is wrong
     """Worker processes died."""
 

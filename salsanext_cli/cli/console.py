@@ -16,15 +16,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, cast
 import typer
 
 from salsanext_cli.cli.interruption import ARRIVED, INTACT, WORDS, interruptible
-from salsanext_cli.errors import (
-    NOTICE,
-    MemoryShort,
-    SalsanextError,
-    UsageError,
-    escaped,
-    out_of_memory,
-    printable,
-)
+from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, escaped, printable
 from salsanext_cli.options import option, option_group
 
 if TYPE_CHECKING:
@@ -103,10 +95,7 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
         try:
             with interruptible():
                 command(*args, **kwargs)
-        except Exception as raised:
-            error = MemoryShort(raised) if out_of_memory(raised) else raised
-            if not isinstance(error, SalsanextError):
-                raise
+        except SalsanextError as error:
             if not error.reported_elsewhere:
                 tell(f"error: {error}")
                 if kwargs.get("json"):

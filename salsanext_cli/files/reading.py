@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, SalsanextError, error_text, out_of_memory
+from salsanext_cli.errors import FormatError, SalsanextError, error_text
 
 NO_FILE = "neither a file nor a link to one"
 PANIC = "PanicException"
@@ -41,8 +41,9 @@ def refusing_damage(path: Path, expected: str, remedy: str = "") -> Iterator[Non
     except SalsanextError:
         raise
     except BaseException as error:
-        is_ours = isinstance(error, NameError | ImportError) or out_of_memory(error)
-        if is_ours or (not isinstance(error, Exception) and type(error).__name__ != PANIC):
+        if isinstance(error, MemoryError | NameError | ImportError) or (
+            not isinstance(error, Exception) and type(error).__name__ != PANIC
+        ):
             raise
         found = f"damaged or cut off: {error_text(error)}"
         if isinstance(error, OSError) and error.errno:  # of the system, not of a library

@@ -300,11 +300,7 @@ def _checked(
         return _points(files[index], sensor)
 
     if from_1 := best_reading(readings, read):
-        log.log(
-            NOTICE,
-            "%s: the names of the scans count its lines from 1, as the scans fit best so",
-            path,
-        )
+        log.log(NOTICE, "%s: scans fit best if their names count its lines from 1", path)
     poses = readings[from_1]
     return Drive(poses, require_fitting(path, poses, read))
 

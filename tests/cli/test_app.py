@@ -61,22 +61,16 @@ def test_help_lists_the_commands_by_section_in_order(run):
         RuntimeError("can't start new thread"),
     ],
 )
-def test_memory_that_runs_out_is_one_line(run, monkeypatch, tmp_path, raised):
+def test_memory_that_runs_out_is_one_line(monkeypatch, raised):
     def fail(*_args, **_options):
         try:
             raise raised
         except Exception:
             raise SystemError("error return without exception set")  # noqa: B904
 
-    write_sequence(tmp_path, ["000000"])
-    monkeypatch.setattr("salsanext_cli.stages.inspect.inspect", fail)
-    result = run("inspect", str(tmp_path), "--json")
-    assert result.exit_code == 1
-    assert result.stderr.splitlines()[0].startswith("error: memory · ran out")
-    assert only_json(result)["code"] == "memory"
     monkeypatch.setattr("salsanext_cli.__main__.end_on_signals", lambda: None)
     monkeypatch.setattr("salsanext_cli.cli.app.main", fail)
-    with pytest.raises(SystemExit, match="error: memory · ran out"):
+    with pytest.raises(SystemExit, match=r"^error: memory ran out · "):
         main()
     monkeypatch.setattr("salsanext_cli.cli.app.main", lambda: 1 // 0)
     with pytest.raises(ZeroDivisionError):
