@@ -21,7 +21,7 @@ from salsanext_cli.results.query import ResultQuery, named_label_space
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Outcome
 
-WAIT_S = 10.0
+WAIT_S = 1.0
 """Time between two looks at whether another run has ended."""
 
 
@@ -167,9 +167,10 @@ def _then_fused(
     from salsanext_cli.results.owned_folder import OwnedFolder
     from salsanext_cli.stages.fuse import FUSED, fuse_results
 
-    while OwnedFolder(out, "predict").is_shared():
+    if (predicted := OwnedFolder(out, "predict")).is_shared():
         output.say("fuse: waiting until another run of `predict` in this folder has ended")
-        time.sleep(WAIT_S)
+        while predicted.is_shared():
+            time.sleep(WAIT_S)
     with over_scans("fuse", running, output.quiet) as run:
         fused = fuse_results(out, query=ResultQuery(selection=selection), options=run)
     output.say(f"fuse: {counted(fused.done, 'scan')} → {out / FUSED}")
