@@ -6,13 +6,22 @@ try:
 except KeyboardInterrupt:
     raise SystemExit(130) from None
 
+ADVICE = "free some memory, allow more, or use fewer --jobs"
+
 
 def main() -> None:
     """Run the command line; its imports take a while, in which signals arrive too."""
     end_on_signals()
-    from salsanext_cli.cli.app import main as run
+    try:
+        from salsanext_cli.cli.app import main as run
 
-    run()
+        run()
+    except Exception as error:
+        from salsanext_cli.errors import error_text, out_of_memory
+
+        if not out_of_memory(error):
+            raise
+        raise SystemExit(f"error: memory ran out · {error_text(error)} · {ADVICE}") from None
 
 
 if __name__ == "__main__":

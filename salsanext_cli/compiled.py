@@ -20,6 +20,7 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 import numpy.typing as npt
+from numba.core.caching import CompileResultCacheImpl as Files
 from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
@@ -57,12 +58,19 @@ def compiled(function: Function) -> Function:
     settings["CACHE_DIR"] = before or kernel_folder()
     try:
         kernel._cache = KernelCache(function)
-    except CACHE_ERRORS as error:
-        say_once(f"compiled kernels: {error_text(error)}")
+    except CACHE_ERRORS:
+        folder = settings["CACHE_DIR"] or "a home folder"
+        say_once(f"compiled kernels: cannot write to {folder}: going on without it")
     finally:
         # What other programs compile in this process keeps its place.
         settings["CACHE_DIR"] = before
     return cast(Function, kernel)
+
+
+class KernelFiles(Files):
+    """Files in the folder that is set only: that of the package may be another user's."""
+
+    _locator_classes = Files._locator_classes[:1]
 
 
 class KernelCache(FunctionCache):
@@ -71,6 +79,8 @@ class KernelCache(FunctionCache):
     Numba's own files are an index and what it refers to. Two processes that write at once can mix
     them up, and damaged ones end the program. Here, whatever fails is compiled anew.
     """
+
+    _impl_class = KernelFiles
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled kernel of a signature; None if there is none that can be used."""

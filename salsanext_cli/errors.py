@@ -19,6 +19,11 @@ CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
 DIRECTION = {0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A)}
 """Characters that end lines or turn the direction of text, so that a name shows as another one."""
 ESCAPES = UNDECODED | CONTROL | {code: f"\\u{code:04x}" for code in DIRECTION}
+NO_MEMORY = (
+    *("allocate memory", "bad_alloc", "bad allocation", "can't alloc"),
+    *("failed to map segment", "can't start new thread"),
+)
+"""Words of the system, of Python, torch and OpenVINO where memory runs out."""
 
 
 def printable(text: str) -> str:
@@ -171,6 +176,12 @@ def warn_once(log: logging.Logger, message: str) -> None:
     log.warning("%s", message)
 
 
-def out_of_memory(error: BaseException) -> bool:
-    """Say whether memory ran out: Python's, or a GPU's, whose error torch defines."""
-    return isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
+def out_of_memory(error: BaseException | None) -> bool:
+    """Say whether memory ran out, by an error that is not yet explained or one that it followed."""
+    while error is not None and not isinstance(error, SalsanextError):
+        text = str(error).lower()
+        is_named = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
+        if is_named or any(words in text for words in NO_MEMORY):
+            return True
+        error = error.__cause__ or error.__context__
+    return False

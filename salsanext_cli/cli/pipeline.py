@@ -2,6 +2,7 @@
 """Commands of the panel Pipeline that make labels of scans, but `train`."""
 
 import re
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -19,6 +20,9 @@ from salsanext_cli.results.query import ResultQuery, named_label_space
 
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Outcome
+
+WAIT_S = 1.0
+"""Time between two looks at whether another run has ended."""
 
 
 def project(
@@ -160,8 +164,13 @@ def _then_fused(
     output: console.Output,
 ) -> "tuple[Outcome, Path]":
     """Fuse what was predicted; return the outcome of both, and the folder of the fused labels."""
+    from salsanext_cli.results.owned_folder import OwnedFolder
     from salsanext_cli.stages.fuse import FUSED, fuse_results
 
+    if (predicted := OwnedFolder(out, "predict")).is_shared():
+        output.say("fuse: waiting until another run of `predict` in this folder has ended")
+        while predicted.is_shared():
+            time.sleep(WAIT_S)
     with over_scans("fuse", running, output.quiet) as run:
         fused = fuse_results(out, query=ResultQuery(selection=selection), options=run)
     output.say(f"fuse: {counted(fused.done, 'scan')} → {out / FUSED}")

@@ -7,7 +7,6 @@ command-line converter, which reports its use. What was compiled before is loade
 
 import hashlib
 import re
-import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Sequence
@@ -20,7 +19,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from salsanext_cli.engines.device import openvino_core, processor
-from salsanext_cli.errors import OutputError, error_text
+from salsanext_cli.errors import OutputError, error_text, out_of_memory
+from salsanext_cli.files.locks import temporary_folder
 from salsanext_cli.files.user_cache import cached, store
 from salsanext_cli.records import CHANNELS
 
@@ -72,7 +72,10 @@ def compiled_graph(
         content = cached(name, compile_anew)
         try:
             return core.import_model(content, "CPU", hints)
-        except RuntimeError:  # made by a build of the same version that compiles otherwise
+        except RuntimeError as error:
+            if out_of_memory(error):
+                raise
+            # Made by a build of the same version that compiles otherwise.
             return core.import_model(store(name, compile_anew()), "CPU", hints)
 
 
@@ -133,8 +136,8 @@ def partly_float32(core: Any, model: Any) -> Any:
     import openvino
 
     try:
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder, "model.xml")
+        with temporary_folder() as folder:
+            file = folder / "model.xml"
             openvino.save_model(model, file, compress_to_fp16=False)
             root = ElementTree.parse(file).getroot()
             weights = file.with_suffix(".bin").read_bytes()

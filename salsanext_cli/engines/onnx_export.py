@@ -6,8 +6,6 @@ import logging
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,6 +14,7 @@ from torch import Tensor, nn
 
 from salsanext_cli.engines.graphs import LOGITS
 from salsanext_cli.errors import WeightsError
+from salsanext_cli.files.locks import temporary_folder
 from salsanext_cli.files.optional_packages import import_extra, import_nncf
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -57,10 +56,10 @@ def exported(module: SegmentationNetwork, card: WeightsCard, *, dynamic_width: b
     traced = _Traced(module, height, width)
     example = torch.zeros(1, len(CHANNELS), height, width)
     axes = {name: {3: "width"} for name in (INPUT, OUTPUT)} if dynamic_width else None
-    with warnings.catch_warnings(), torch.inference_mode(), TemporaryDirectory() as folder:
+    with warnings.catch_warnings(), torch.inference_mode(), temporary_folder() as folder:
         # The exporter that needs no further package; and sizes become constants, as they should.
         warnings.simplefilter("ignore")
-        file = Path(folder, "model.onnx")
+        file = folder / "model.onnx"
         torch.onnx.export(
             traced.eval(),
             (example,),

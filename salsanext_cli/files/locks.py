@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""Locks between processes, also of several machines, that end with the process that holds them."""
+"""Locks between processes, also of several machines, and temporary folders.
+
+Both end with the process that holds them.
+"""
 
 import errno
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from shutil import rmtree
+from tempfile import TemporaryDirectory, gettempdir
 
 from filelock import FileLock, Timeout
 
@@ -15,6 +20,8 @@ from salsanext_cli.files.reading import reason
 
 UNSUPPORTED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
 """Error numbers of file systems without locks."""
+PREFIX, LOCK = ".salsanext-", ".lock"
+"""Start of the names of temporary folders, and the file in each that its process has locked."""
 
 log = logging.getLogger(__name__)
 
@@ -49,3 +56,20 @@ def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[N
         with suppress(OSError):
             path.unlink()
         lock.release()
+
+
+@contextmanager
+def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
+    """Make a folder that is gone after the body, by default in the system's temporary one.
+
+    Those of killed processes, whose locks have ended, are removed first.
+    """
+    parent = parent or Path(gettempdir())
+    for folder in parent.glob(f"{PREFIX}*"):
+        with suppress(OSError), FileLock(folder / LOCK, timeout=0, fallback_to_soft=False):
+            rmtree(folder)
+    with TemporaryDirectory(prefix=PREFIX, dir=parent) as name:
+        lock = FileLock(Path(name, LOCK), fallback_to_soft=False)
+        with suppress(OSError):  # A file system without locks, where nothing is removed either.
+            lock.acquire()
+        yield Path(name)

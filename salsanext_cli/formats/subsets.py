@@ -2,9 +2,11 @@
 """Files of scans with some of their points: their headers, then the points as they are."""
 
 import copy
+import errno
 import gzip
 import io
 import re
+import sqlite3
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -147,7 +149,8 @@ def write_bag_subset(bag: Bag, target: Path, topic: str, masks: Iterator[tuple[i
     """Copy a bag into a new one, with the points only that stay in the clouds of a topic.
 
     All else is as it was, but nothing is compressed, and one of ROS 2 is a folder. `masks`: of each
-    cloud, in their order, its time in nanoseconds and which points stay, (N,) bool.
+    cloud, in their order, its time in nanoseconds and which points stay, (N,) bool. `OSError` is
+    raised where the new bag cannot be written.
     """
     from rosbags import rosbag1, rosbag2
 
@@ -156,17 +159,31 @@ def write_bag_subset(bag: Bag, target: Path, topic: str, masks: Iterator[tuple[i
     if reader.is2:
         plugin = rosbag2.StoragePlugin.MCAP if bag.is_mcap else rosbag2.StoragePlugin.SQLITE3
         # That of Humble, which later releases read too.
-        writer = rosbag2.Writer(target, version=8, storage_plugin=plugin)
-        digest, encode = "rihs01", store.serialize_cdr
+        writer, digest = rosbag2.Writer(target, version=8, storage_plugin=plugin), "rihs01"
     else:
-        writer, digest, encode = rosbag1.Writer(target), "md5sum", store.serialize_ros1
-    with refusing_damage(bag.path, EXPECTED, REMEDY), writer:
-        for each in reader.connections:
-            how = {"msgdef": each.msgdef.data or None, digest: each.digest or None}
-            # Publishers that connected twice are one.
-            if (key := (*each[1:3], repr(each.ext))) not in added:
-                how |= each.ext._asdict()
-                added[key] = writer.add_connection(*each[1:3], typestore=store, **how)
+        writer, digest = rosbag1.Writer(target), "md5sum"
+    try:
+        with writer:
+            for each in reader.connections:
+                how = {"msgdef": each.msgdef.data or None, digest: each.digest or None}
+                # Publishers that connected twice are one.
+                if (key := (*each[1:3], repr(each.ext))) not in added:
+                    how |= each.ext._asdict()
+                    added[key] = writer.add_connection(*each[1:3], typestore=store, **how)
+            for each, time, content in _messages(bag, topic, masks):
+                writer.write(added[*each[1:3], repr(each.ext)], time, content)
+    except sqlite3.Error as error:
+        is_full = error.sqlite_errorcode == sqlite3.SQLITE_FULL
+        raise OSError(errno.ENOSPC if is_full else errno.EIO, str(error)) from error
+
+
+def _messages(
+    bag: Bag, topic: str, masks: Iterator[tuple[int, Mask]]
+) -> Iterator[tuple[Any, int, bytes]]:
+    """Yield connection, time and content of the messages of a bag, in the new one."""
+    reader, store = bag.reader, bag.reader.typestore
+    encode = store.serialize_cdr if reader.is2 else store.serialize_ros1
+    with refusing_damage(bag.path, EXPECTED, REMEDY):
         for each, time, raw in reader.messages():
             content = raw
             if each[1:3] == (topic, POINT_CLOUD2):
@@ -176,7 +193,7 @@ def write_bag_subset(bag: Bag, target: Path, topic: str, masks: Iterator[tuple[i
                 cloud = reader.deserialize(raw, each.msgtype)
                 path = bag.path / topic.strip("/") / str(time)
                 content = encode(_cloud_subset(cloud, keep, path), each.msgtype)
-            writer.write(added[*each[1:3], repr(each.ext)], time, content)
+            yield each, time, content
 
 
 def _cloud_subset(cloud: Any, keep: Mask, path: Path) -> Any:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Check of the poses of a drive: they bring its scans to lie on each other, at least in parts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -186,13 +186,28 @@ def _better_reading(poses: Poses, read: ReadPoints) -> str | None:
         "are in centimetres": poses * [1, 1, 1, 0.01],
         "are in millimetres": poses * [1, 1, 1, 0.001],
     }
-    shares = dict.fromkeys(readings, 0.0)
-    firsts = np.unique(np.linspace(0, len(poses) - 2, SAMPLED_PAIRS).astype(int))
-    for first in firsts:
-        points, others = (upright_points(read(index)) for index in (first + 1, first))
-        for name, each in readings.items():
-            step = np.linalg.inv(each[first]) @ each[first + 1]
-            shares[name] += overlap(points, others, step) / len(firsts)
+    shares = dict(zip(readings, _mean_overlaps([*readings.values()], read), strict=True))
     best = max(shares, key=lambda name: shares[name])
     is_better = shares[best] >= max(MIN_OVERLAP, shares[""] + MARGIN)
     return best if best and is_better else None
+
+
+def best_reading(readings: Sequence[Poses], read: ReadPoints) -> int:
+    """Return which of several readings brings neighbouring scans to lie on each other best.
+
+    The first one of equals, such as those of a drive at constant speed, which any of them serves.
+    """
+    if len(readings) == 1 or len(readings[0]) < 2:
+        return 0
+    return int(np.argmax(_mean_overlaps(readings, read)))
+
+
+def _mean_overlaps(readings: Sequence[Poses], read: ReadPoints) -> npt.NDArray[np.float64]:
+    """Return the mean overlap of a sample of neighbouring scans by each reading of their poses."""
+    firsts = np.unique(np.linspace(0, len(readings[0]) - 2, SAMPLED_PAIRS).astype(int))
+    shares = np.zeros(len(readings))
+    for first in firsts:
+        points, others = (upright_points(read(index)) for index in (first + 1, first))
+        steps = (np.linalg.inv(poses[first]) @ poses[first + 1] for poses in readings)
+        shares += [overlap(points, others, step) for step in steps]
+    return shares / len(firsts)

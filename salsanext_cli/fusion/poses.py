@@ -19,35 +19,49 @@ POSES, CALIBRATION = "poses.txt", "calib.txt"
 KITTI_NUMBERS, TUM_NUMBERS = 12, 8
 MAX_SHEAR = 1e-2
 """Largest difference of a rotation in a file times its transpose from 1."""
+MAX_PLACE_M = 1e12
+"""Coordinate from which on float64 has no digits left for millimetres."""
 ROUNDED = 1e-12
 """Difference of its lengths from 1 of one with all its digits."""
 
 
-def line_numbers(path: Path, lines: int, scans: Sequence[str], wanted: Sequence[str]) -> list[int]:
-    """Return the numbers of the lines of the wanted ones of all scans of a sequence, sorted stems.
+def line_numbers(
+    path: Path, lines: int, scans: Sequence[str], wanted: Sequence[str]
+) -> list[list[int]]:
+    """Return the possible line numbers of the wanted ones of all scans of a sequence, sorted stems.
 
-    A file with a line for each scan that is there is in the order of their names; in another one,
-    as KITTI's of a whole drive, a scan's name is the number of its line, from 0.
+    A file with a line for each scan is in the order of their names. In another one, as KITTI's of a
+    whole drive, the name of a scan is the number of its line, from 0 or from 1: of two readings,
+    the one from 0 comes first.
     """
     if lines == len(scans):
         places = {name: number for number, name in enumerate(scans)}
-        numbers = [places.get(name, lines) for name in wanted]
+        readings = [[places.get(name, -1) for name in wanted]]
     else:
-        numbers = [int(name) if name.isdecimal() else lines for name in wanted]
-    if max(numbers, default=-1) >= lines:
+        from_0 = [int(name) if name.isdecimal() else -1 for name in wanted]
+        readings = [from_0]
+        if all(name.isdecimal() and int(name) for name in scans):
+            readings.append([number - 1 for number in from_0])
+    possible = [each for each in readings if all(0 <= number < lines for number in each)]
+    if not possible:
         expected = f"one for each of {counted(len(scans), 'scan')}, or names that are line numbers"
         raise FormatError(path, counted(lines, "line"), expected)
-    return numbers
+    return possible
 
 
-def read_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses:
+def pose_readings(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> list[Poses]:
     """Read the poses of some of the scans of a sequence, given by sorted stems.
 
     A line is of KITTI, 3 × 4 numbers row by row, or of TUM: time, place and quaternion x, y, z, w.
-    KITTI's are of the camera where a `calib.txt` beside them has ``Tr``, from scan to camera.
+    KITTI's are of the camera where a `calib.txt` beside them has ``Tr``, from scan to camera. There
+    is one array (N, 4, 4) for each possible reading of the names, as `line_numbers` has them.
     """
     rows = [line for line in _lines(path) if not line.startswith("#")]
-    numbers = line_numbers(path, len(rows), scans, wanted)
+    possible = line_numbers(path, len(rows), scans, wanted)
+    return [_poses_of_lines(path, rows, numbers) for numbers in possible]
+
+
+def _poses_of_lines(path: Path, rows: Sequence[str], numbers: Sequence[int]) -> Poses:
     values = [_numbers(path, number, rows[number]) for number in numbers]
     poses = np.tile(np.eye(4), (len(values), 1, 1))
     for number, row, pose in zip(numbers, values, poses, strict=True):
@@ -67,7 +81,8 @@ def read_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses
 def read_fused_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses:
     """Read poses that `fuse` wrote, which has a line for each scan: no name is a line's number."""
     scans, wanted = ([f"scan {name}" for name in names] for names in (scans, wanted))
-    return read_poses(path, scans, wanted)
+    (poses,) = pose_readings(path, scans, wanted)
+    return poses
 
 
 def _lines(path: Path) -> list[str]:
@@ -116,14 +131,17 @@ def with_w_first(poses: Poses) -> Poses:
 
 
 def is_rigid(pose: Poses) -> bool:
-    """Say whether a pose (3, 4) is finite, turns, and neither scales nor mirrors."""
+    """Say whether a pose (3, 4) is not too far away, turns, and neither scales nor mirrors."""
+    is_near = np.abs(pose).max() < MAX_PLACE_M  # It is not either of NaN.
     shear = np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max()
-    return bool(shear < MAX_SHEAR and np.linalg.det(pose[:, :3]) > 0 and np.isfinite(pose).all())
+    return bool(is_near and shear < MAX_SHEAR and np.linalg.det(pose[:, :3]) > 0)
 
 
 def _rigid(path: Path, name: str, row: Poses) -> Poses:
     """Return 3 × 4 numbers whose rotation, rounded in a file, is one to the last digit."""
     pose = row.reshape(3, 4)
+    if (farthest := np.abs(pose[:, 3]).max()) >= MAX_PLACE_M:
+        raise FormatError(path, f"{name} has a coordinate of {farthest:.3g} m", "places in metres")
     if not is_rigid(pose):
         raise FormatError(path, f"{name} scales, shears or mirrors the scan", "rigid poses")
     left, lengths, right = np.linalg.svd(pose[:, :3])

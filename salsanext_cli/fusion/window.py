@@ -12,7 +12,7 @@ from salsanext_cli.classes.label_space import LabelSpace, TrainIds, label_space
 from salsanext_cli.errors import SalsanextError, UsageError, counted
 from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.pose_checks import MAX_MISFIT, Parts, fitting_parts
-from salsanext_cli.fusion.poses import Poses, is_rigid
+from salsanext_cli.fusion.poses import MAX_PLACE_M, Poses, is_rigid
 from salsanext_cli.fusion.visibility import nearest_ranges, seen_by
 from salsanext_cli.fusion.votes import (
     MAX_CELLS,
@@ -225,7 +225,7 @@ def fuse(
         raise UsageError("poses", f"an array {placed.shape}", f"({len(scans)}, 4, 4) {of_all}")
     for index, pose in enumerate(placed):
         if not (is_rigid(pose[:3]) and (pose[3] == [0, 0, 0, 1]).all()):
-            found = "NaN, infinite, sheared, scaled or mirrored"
+            found = f"NaN, sheared, scaled, mirrored or {MAX_PLACE_M:g} m away"
             raise UsageError(f"pose of scan {index}", found, "rotation and place, then 0 0 0 1")
 
     def read(index: int) -> tuple[Float, Float, npt.NDArray[np.bool_]]:

@@ -144,7 +144,10 @@ class PickedDataSet(OwnedFolder):
                     stems, wanted = (
                         [s.stem for s in each] for each in (find_scans(source), picked)
                     )
-                    numbers = line_numbers(poses, len(lines), stems, wanted)
+                    numbers, *others = line_numbers(poses, len(lines), stems, wanted)
+                    if others:
+                        found = "names of scans that count lines from 0 or from 1"
+                        raise FormatError(poses, found, "a line for each scan")
                     chosen = b"".join(lines[number] + b"\n" for number in numbers)
                     self.write_missing(folder / POSES, chosen)
             except (FormatError, OutputError) as error:

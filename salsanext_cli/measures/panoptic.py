@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Panoptic quality, as SemanticKITTI's benchmark defines it (Kirillov et al., CVPR 2019).
 
-A segment is all points of one class and one instance in a scan, without those whose truth is
-ignored. Two segments of a class match if their IoU is above 0.5; what matches none is a miss or a
-false alarm, from 50 points on. SQ is the mean IoU of the matches, RQ their number over itself and
-half of both others, PQ = SQ · RQ.
+A segment is all points of a scan with the same 32-bit label, instance and raw class id, whose truth
+is not ignored. So the raw ids of one class, such as road and lane marking, are segments apart. Two
+segments of a class match if their IoU is above 0.5. A segment of 50 points or more without a match
+is a miss or a false alarm. SQ is the mean IoU of the matches, RQ their number over itself and half
+of the misses and false alarms, PQ = SQ · RQ.
 """
 
 from typing import Any
@@ -15,6 +16,7 @@ from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.measures.scores import EPSILON, Mask, Ratios
 
 MIN_SEGMENT_POINTS = 50
+LABEL_BITS, INSTANCE = 32, 0xFFFF0000  # Bits of a label, and those of its instance
 SEGMENT_COUNTS = 5  # Sum of IoU, matches, false alarms, misses and true objects, of each class
 COLUMNS = ("pq", "sq", "rq", "matches", "false_alarms", "misses")
 
@@ -25,20 +27,20 @@ def count_segments(
     """Return `SEGMENT_COUNTS` of a scan, (C, 5) float64, by train ids and raw ids (N,)."""
     judged = scored[truth[0]]
     (true, of_true, true_sizes), (guessed, of_guessed, guessed_sizes) = (
-        np.unique((train.astype(np.int64) << 16 | raw >> 16)[judged], False, True, True)
+        np.unique((train.astype(np.int64) << LABEL_BITS | raw)[judged], False, True, True)
         for train, raw in (truth, predicted)
     )
     pairs, common = np.unique(of_true * len(guessed) + of_guessed, return_counts=True)
     a, b = np.divmod(pairs, max(len(guessed), 1))
     iou = common / (true_sizes[a] + guessed_sizes[b] - common)
-    hit = (true[a] >> 16 == guessed[b] >> 16) & (iou > 0.5)
+    hit = (true[a] >> LABEL_BITS == guessed[b] >> LABEL_BITS) & (iou > 0.5)
     a, b = a[hit], b[hit]
     misses, false_alarms = (sizes >= MIN_SEGMENT_POINTS for sizes in (true_sizes, guessed_sizes))
     misses[a] = false_alarms[b] = False
-    segments = (true[a], true[a], guessed[false_alarms], true[misses], true[true & 0xFFFF > 0])
+    segments = (true[a], true[a], guessed[false_alarms], true[misses], true[true & INSTANCE > 0])
     weights = (iou[hit], None, None, None, None)
     by_class = [
-        np.bincount(each >> 16, weight, len(scored))
+        np.bincount(each >> LABEL_BITS, weight, len(scored))
         for each, weight in zip(segments, weights, strict=True)
     ]
     return np.stack(by_class, axis=1).astype(np.float64) * scored[:, None]

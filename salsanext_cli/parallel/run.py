@@ -286,8 +286,10 @@ def named_if_too_large(file: ScanFile, network: Network) -> Iterator[None]:
     except (MemoryError, RuntimeError) as error:
         if not out_of_memory(error):
             raise
+        on_cpu = network.device == "cpu"
+        remedy = "free some memory, or use fewer --jobs" if on_cpu else "use --device cpu"
         found = f"is too large for the memory of {network.device}"
-        raise FormatError(file.path, found, remedy="use --device cpu") from error
+        raise FormatError(file.path, found, remedy=remedy) from error
 
 
 def _step(file: ScanFile, steps: ScanSteps, softmax: Float | None = None) -> Attempt:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,8 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import NoInputError, UsageError, counted, first_few
+from salsanext_cli.files.atomic import refusal
+from salsanext_cli.files.locks import temporary_folder
 from salsanext_cli.files.reading import filled, is_folder, present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.bags import Bag
@@ -23,6 +24,7 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.recordings import files_of, recorded_paths, recording_of
 from salsanext_cli.formats.subsets import subsets_of, write_bag_subset
 from salsanext_cli.fusion.window import movable_classes
+from salsanext_cli.geometry.projection import measured_ranges, without_ego
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Mask
 from salsanext_cli.results.layout import (
@@ -42,14 +44,16 @@ from salsanext_cli.sensors.sensor import Sensor
 
 MASKS = "masks"
 """Folder of a sequence with masks of its scans' points."""
+MOVING = "moving"
+"""Name of all classes that may move, and where they are dropped, of all that is not the scene."""
 Count = tuple[str, int, int]  # Name of a scan, number of its points, and of those that stay
 
 log = logging.getLogger(__name__)
 
 
 def named_classes(names: Collection[str], space: LabelSpace) -> Mask:
-    """Return the train ids (C,) that names mean: classes, coarse ones, or "moving" for a group."""
-    known: dict[str, Mask] = {"moving": movable_classes(space)}
+    """Return the train ids (C,) that names mean: classes, coarse ones, or `MOVING` for a group."""
+    known: dict[str, Mask] = {MOVING: movable_classes(space)}
     coarse = label_space("coarse")
     if not contradiction(space, coarse):
         groups = zip(coarse.names, ClassMerging.between(space, coarse).groups, strict=True)
@@ -71,6 +75,7 @@ class PointFilter:
     owned: OwnedFolder
     space: LabelSpace
     stays: Mask  # (C,) train ids
+    measured_only: bool  # Whether housing, vehicle and points without a measurement go
     max_error: float | None
     split: bool
     indices: bool
@@ -95,9 +100,13 @@ class PointFilter:
         if not present(path):
             raise self.results.missing_column("label", file)
         # Where the scan is not written, nothing else compares the number of its points.
-        count = len(read_scan(file.path, self.sensor)) if self.indices else None
-        train = self.space.to_train(read_labels(path, count), source=path)
+        is_read = self.indices or self.measured_only
+        scan = read_scan(file.path, self.sensor) if is_read else None
+        labels = read_labels(path, None if scan is None else len(scan))
+        train = self.space.to_train(labels, source=path)
         stay = self.stays[train]
+        if scan is not None and self.measured_only:
+            stay &= measured_ranges(without_ego(scan, self.sensor).points)[1]
         if self.max_error is not None:
             errors = output_path(self.results.root, file.sequence, ERROR, file.stem)
             if not present(errors):
@@ -158,6 +167,7 @@ def filter_scans(
     scans, space = chosen.scans, chosen.space
     stays = named_classes(keep, space) if keep else np.ones(space.class_count, bool)
     stays &= ~named_classes(drop, space)
+    measured_only = MOVING in drop
     if max_error is not None and not with_outputs(scans, out, ERROR):
         raise results.missing_column("error", scans[0])
     recording = None if indices else recording_of(scans[0].path)
@@ -178,7 +188,11 @@ def filter_scans(
         "label_space": space.to_dict(),
         "origins": results.origins(PREDICTION_STAGES),
     }
-    task = PointFilter(results, owned, space, stays, max_error, split, indices, results.sensor())
+    settings |= {"measured_only": True} if measured_only else {}
+    sensor = results.sensor()
+    task = PointFilter(
+        results, owned, space, stays, measured_only, max_error, split, indices, sensor
+    )
     counts = list[Count]()
     with ExitStack() as stack:
         with owned.locked_records():
@@ -246,14 +260,17 @@ def _filter_bag(
             yield int(path.name.partition("_")[0]), keep
 
     (topic,) = (t for t in bag.clouds() if recording / t.strip("/") == topic_folder)
-    with TemporaryDirectory(dir=task.owned.root, prefix=".filter-") as temporary:
-        written = Path(temporary) / target.name
-        write_bag_subset(bag, written, topic, masks())
-        if task.owned.remove_own(before):
-            raise not_own(target)
-        if is_folder(target):
-            target.rmdir()
-        written.rename(target)
+    try:
+        with temporary_folder(task.owned.root) as temporary:
+            written = temporary / target.name
+            write_bag_subset(bag, written, topic, masks())
+            if task.owned.remove_own(before):
+                raise not_own(target)
+            if is_folder(target):
+                target.rmdir()
+            written.rename(target)
+    except OSError as error:
+        raise refusal(target, error) from error
     for path in _files_in(target):
         task.owned.add(path)
     return counts

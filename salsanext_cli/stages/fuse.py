@@ -30,8 +30,8 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array, read_probabilities
 from salsanext_cli.fusion.drive import DRIVE, Drive, recorded_drive
-from salsanext_cli.fusion.pose_checks import require_fitting
-from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, read_fused_poses, read_poses
+from salsanext_cli.fusion.pose_checks import best_reading, require_fitting
+from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, pose_readings, read_fused_poses
 from salsanext_cli.fusion.registration import register
 from salsanext_cli.fusion.top_classes import KEPT, softmax_of
 from salsanext_cli.fusion.window import (
@@ -287,14 +287,22 @@ def _beside(files: Sequence[ScanFile]) -> Path | None:
     return path if present(path) else None
 
 
-def _read_given(path: Path, files: Sequence[ScanFile]) -> Poses:
+def _read_given(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
     beside = sorted(find_scans(files[0].path.parent), key=drive_order)
     stems, wanted = ([file.stem for file in each] for each in (beside, files))
-    return read_poses(path, stems, wanted)
+    return pose_readings(path, stems, wanted)
 
 
-def _checked(path: Path, poses: Poses, files: Sequence[ScanFile], sensor: Sensor) -> Drive:
-    return Drive(poses, require_fitting(path, poses, lambda index: _points(files[index], sensor)))
+def _checked(
+    path: Path, readings: Sequence[Poses], files: Sequence[ScanFile], sensor: Sensor
+) -> Drive:
+    def read(index: int) -> Float:
+        return _points(files[index], sensor)
+
+    if from_1 := best_reading(readings, read):
+        log.log(NOTICE, "%s: scans fit best if their names count its lines from 1", path)
+    poses = readings[from_1]
+    return Drive(poses, require_fitting(path, poses, read))
 
 
 def _points(file: ScanFile, sensor: Sensor) -> Float:
@@ -327,7 +335,7 @@ def _drive_of(
     if given is not None:
         drive = given
     elif edited:
-        drive = _checked(used, read_fused_poses(used, stems, stems), files, sensor)
+        drive = _checked(used, [read_fused_poses(used, stems, stems)], files, sensor)
     elif known and not fused.overwrite and (earlier := recorded_drive(folder)) is not None:
         drive = earlier
     else:

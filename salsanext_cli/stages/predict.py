@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from salsanext_cli.engines.loading import load_network
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, NoInputError, UsageError, WeightsError
+from salsanext_cli.files.locks import temporary_folder
 from salsanext_cli.fitting.label_scan import (
     LabelledScan,
     label_scan,
@@ -370,8 +370,8 @@ def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterat
     """
     source = Path(folder)
     settings = NetworkSettings(weights=None if weights is None else Path(weights))
-    with TemporaryDirectory(prefix="salsanext-") as temporary:
-        out, fused = Path(temporary), ResultFolder(Path(temporary) / FUSED)
+    with temporary_folder() as out:
+        fused = ResultFolder(out / FUSED)
         require_fusable(source, out, RunOptions())
         outcome = predict_scans(source, out, settings=settings, extras=("votes",))
         for failure in outcome.failures:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Commands and their help; what they print, and how they end."""
 
+import errno
 import json
 import logging
 import os
@@ -8,12 +9,14 @@ import re
 import signal
 import time
 
+import pytest
 import typer
 from command_line import every_command, only_json, parsed, python
 from scans import files_below, write_sequence
 from typer.testing import CliRunner
 
 from salsanext_cli import __version__
+from salsanext_cli.__main__ import main
 from salsanext_cli.cli import console
 from salsanext_cli.cli.app import COMMANDS
 from salsanext_cli.errors import FormatError, UsageError
@@ -43,6 +46,35 @@ def test_help_lists_the_commands_by_section_in_order(run):
     listed = heading_or_name.findall(result.stdout.partition("\n\n")[2])
     expected = [w for section, names in COMMANDS.items() for w in (section, *names)]
     assert listed[listed.index("Pipeline") :] == expected
+
+
+@pytest.mark.parametrize(
+    "raised",
+    [
+        MemoryError(),
+        OSError(errno.ENOMEM, os.strerror(errno.ENOMEM), "a.so"),
+        ImportError("libtorch_cpu.so: failed to map segment from shared object"),
+        RuntimeError(
+            "[enforce fail] DefaultCPUAllocator: can't allocate memory: you tried 9 bytes"
+        ),
+        RuntimeError("Exception from plugin.cpp:74:\nstd::bad_alloc"),
+        RuntimeError("can't start new thread"),
+    ],
+)
+def test_memory_that_runs_out_is_one_line(monkeypatch, raised):
+    def fail(*_args, **_options):
+        try:
+            raise raised
+        except Exception:
+            raise SystemError("error return without exception set")  # noqa: B904
+
+    monkeypatch.setattr("salsanext_cli.__main__.end_on_signals", lambda: None)
+    monkeypatch.setattr("salsanext_cli.cli.app.main", fail)
+    with pytest.raises(SystemExit, match=r"^error: memory ran out · "):
+        main()
+    monkeypatch.setattr("salsanext_cli.cli.app.main", lambda: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        main()
 
 
 def test_no_command_gives_help_and_the_version_is_a_line(run):

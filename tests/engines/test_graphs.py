@@ -251,6 +251,25 @@ def test_what_was_compiled_once_is_not_made_again(tmp_path, caplog):
     assert "is damaged: made again" in caplog.text
 
 
+def test_nothing_is_made_again_where_memory_runs_out(monkeypatch):
+    compiled(nn.Conv2d(5, 8, 3).eval(), images(1, 5, 16, 32))
+    reasons = ["Exception from src/inference/src/dev/plugin.cpp:74:\ncan't alloc\n", "other build"]
+
+    class FullCore:
+        def import_model(self, *_):
+            raise RuntimeError(reasons[0])
+
+    def refuse():
+        raise AssertionError("made again")
+
+    monkeypatch.setattr("salsanext_cli.engines.graphs.openvino_core", FullCore)
+    with pytest.raises(RuntimeError, match="can't alloc"):
+        compiled_graph(refuse, "test")
+    reasons.pop(0)
+    with pytest.raises(AssertionError, match="made again"):
+        compiled_graph(refuse, "test")
+
+
 @pytest.mark.slow
 def test_signals_are_handled_after_the_last_graph_is_gone():
     """OpenVINO gives a thread a stack for its handlers, and must not take it back."""

@@ -10,6 +10,7 @@ from scans import make_scan
 from salsanext_cli.errors import FormatError
 from salsanext_cli.fusion.pose_checks import (
     CAMERA,
+    best_reading,
     fitting_parts,
     overlap,
     require_fitting,
@@ -17,8 +18,8 @@ from salsanext_cli.fusion.pose_checks import (
 )
 from salsanext_cli.fusion.poses import (
     encode_poses,
+    pose_readings,
     read_fused_poses,
-    read_poses,
     rotation,
     with_w_first,
 )
@@ -36,16 +37,31 @@ def along(*places):
     return poses
 
 
+def read_poses(path, scans, wanted):
+    (poses,) = pose_readings(path, scans, wanted)
+    return poses
+
+
 def written(folder, content):
     path = folder / "poses.txt"
     path.write_bytes(content)
     return path
 
 
-def test_a_file_of_a_whole_drive_has_a_line_per_number(tmp_path):
+def test_names_may_be_line_numbers_from_0_or_from_1(tmp_path):
     path = written(tmp_path, encode_poses(along(*range(10))))
-    poses = read_poses(path, ["000002", "000007"], ["000002", "000007"])
-    np.testing.assert_allclose(poses[:, 0, 3], [2, 7])
+    for scans, wanted, readings in (
+        ("2 7", "2 7", [[2, 7], [1, 6]]),
+        ("2 7", "7", [[7], [6]]),
+        ("0 2 7", "2 7", [[2, 7]]),
+        ("2 10", "2 10", [[1, 9]]),
+        ("2 7 a", "2 7", [[2, 7]]),
+    ):
+        found = pose_readings(path, scans.split(), wanted.split())
+        assert [poses[:, 0, 3].tolist() for poses in found] == readings
+    for scans, wanted in (("0 10", "10"), ("2 11", "11"), ("2 a", "a")):
+        with pytest.raises(FormatError, match="10 lines"):
+            pose_readings(path, scans.split(), wanted.split())
     with pytest.raises(FormatError, match="10 lines"):
         read_fused_poses(path, ["000002", "000007"], ["000002", "000007"])
 
@@ -97,6 +113,8 @@ def test_what_is_no_pose_is_refused(tmp_path):
         ),
         (b"0 1 2 3 0 0 0.5 0.5\n" * 3, "line 1 has a quaternion of length 0.707"),
         (b"", "0 lines"),
+        (encode_poses(along(0, 1e308, 2)), r"line 2 has a coordinate of 1e\+308 m"),
+        (b"0 1 -1e12 3 0 0 0 1\n" * 3, r"line 1 has a coordinate of 1e\+12 m"),
     ):
         with pytest.raises(FormatError, match=found):
             read_poses(written(tmp_path, content), ("a", "b", "c"), ("a", "b", "c"))
@@ -140,6 +158,17 @@ def test_overlap_is_the_share_of_points_in_voxels_of_the_other():
     assert overlap(second, first, step) == np.mean(found) > 0.9
     assert overlap(second[:0], first, step) == 0
     assert overlap(second, first, shift(500, 0)) == 0
+
+
+def test_the_reading_by_which_scans_fit_is_the_best():
+    """The car gains speed, so that poses of the next scan are wrong ones."""
+    faster = along(*(0.2 * n * n for n in range(12)))
+    right, late = faster[:11], faster[1:]
+    assert best_reading([late, right], street(right)) == 1
+    assert best_reading([right, late], street(right)) == 0
+    assert best_reading([late], street(right)) == 0
+    assert best_reading([late[:1], right[:1]], street(right)) == 0
+    assert best_reading([late, right], lambda number: street(right)(number)[:0]) == 0
 
 
 def test_a_drive_is_cut_where_its_scans_do_not_meet():

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT
+import resource
 import shutil
 from dataclasses import replace
 from functools import partial
@@ -6,7 +7,7 @@ from operator import itemgetter
 
 import numpy as np
 import pytest
-from bags import START, STEP, TOPIC, cloud, structured, text, write_bag
+from bags import KINDS, START, STEP, TOPIC, cloud, structured, text, write_bag
 from evaluated import World
 from scans import files_below, write_array
 
@@ -61,6 +62,23 @@ def test_classes_are_fine_coarse_or_what_may_move(apply, tmp_path, options, expe
     outcome = apply(**options)
     assert left(tmp_path) == expected
     assert outcome.kept_points == (11, len(expected) + 4 * ("keep" not in options))
+
+
+def test_moving_points_go_with_vehicle_housing_and_no_measurements(apply, world, tmp_path):
+    """All seven points are trees; one is of the housing, one of the vehicle, three are none."""
+    points = [[9, 0, 0], [0.5, 0, 0], [-2, 1, -1], [0, 0, 0], [np.nan, 0, 0], [np.inf, 0, 0]]
+    points = np.array([*points, [-2, 1, 5]], np.float32)
+    path = world.dataset / "sequences/08/velodyne/000000.bin"
+    path.write_bytes(np.c_[points, np.arange(7)].astype(np.float32).tobytes())
+    predicted = output_path(world.out, "08", "predictions", "000000")
+    write_labels(predicted, np.full(7, TREE, np.uint32))
+    own = replace(sensor("hdl64"), min_range=1.0, ego_box=(-3.0, -1.0, -2.0, 1.0, 1.0, 0.5))
+    settings = {"label_space": SPACE.to_dict(), "sensor": own.to_dict()}
+    StageRecord("predict", settings, ("predictions",)).write(world.out)
+    apply(drop=["moving"])
+    assert left(tmp_path) == [0, 6]
+    apply(drop=["person", "vehicle"], options=RunOptions(overwrite=True))
+    assert left(tmp_path) == [*range(7)]
 
 
 def test_points_above_an_error_go(apply, world, tmp_path):
@@ -294,6 +312,32 @@ def test_a_bag_that_is_changed_while_it_is_written_anew_is_kept(bag_of, tmp_path
     (failure,) = call(options=RunOptions(overwrite=True)).failures
     assert "drive.bag" in failure.reason
     assert target.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_on_a_full_disk_names_the_new_one(bag_of, tmp_path, monkeypatch, kind):
+    bag = bag_of(kind)
+    source = (bag if kind == ".bag" else bag.parent) / TOPIC.strip("/")
+    target = tmp_path / "to" / ("drive.bag" if kind == ".bag" else "drive")
+    call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
+    call = partial(call, query=ResultQuery(source))
+    write, limits = stage.write_bag_subset, resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def without_room(*given):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+        try:
+            write(*given)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stage, "write_bag_subset", without_room)
+        (failure,) = call().failures
+    assert failure.code == "output"
+    assert failure.reason.startswith(f"{target} ")
+    names = {path.name for path in (tmp_path / "to").iterdir()}
+    assert names <= {"filter.json", ".salsanext.files"}
+    assert call().done == 3
 
 
 def test_merged_classes_have_their_own_names():

@@ -3,6 +3,7 @@ import json
 import shlex
 import shutil
 import sys
+from contextlib import ExitStack
 
 import numpy as np
 import plyfile
@@ -15,16 +16,18 @@ from salsanext_cli import KnnParameters, Scan, label_drive, label_space, read_la
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import (
+    NOTICE,
     FormatError,
     NoInputError,
     OutputError,
     SalsanextError,
     UsageError,
 )
-from salsanext_cli.fusion.poses import encode_poses, read_poses
+from salsanext_cli.fusion.poses import encode_poses, read_fused_poses
 from salsanext_cli.fusion.window import FusionWindow, disagreement, fuse, fused_labels
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
@@ -241,10 +244,25 @@ def test_poses_may_be_named_for_one_sequence(world, tmp_path):
     assert not (world.out / "fused").exists()
     result = CliRunner().invoke(app, [*words, "--sequences", "08"])
     assert result.exit_code == 0, result.output
-    used = read_poses(fused_folder(world) / "poses.txt", STEMS, STEMS)
+    used = read_fused_poses(fused_folder(world) / "poses.txt", STEMS, STEMS)
     np.testing.assert_allclose(used, way(3), atol=1e-12)
     path.write_text("\n".join(lines[1:]))
     assert CliRunner().invoke(app, [*words, "--sequences", "08"]).exit_code == 1
+
+
+def test_names_that_count_from_1_find_their_lines(world, caplog):
+    folder = write_drive(world, 3)
+    turned = way(3)[2] @ np.diag([-1.0, -1, 1, 1])
+    (folder / "poses.txt").write_bytes(encode_poses([*way(3), turned]))
+    stems = ["000001", "000002", "000003"]
+    for old, new in reversed([*zip(STEMS, stems, strict=True)]):
+        (folder / f"velodyne/{old}.bin").rename(folder / f"velodyne/{new}.bin")
+    predict_scans(folder, world.out, settings=world.network, extras=("votes",))
+    with caplog.at_level(NOTICE):
+        assert fuse_results(world.out).done == 3
+    used = read_fused_poses(fused_folder(world) / "poses.txt", stems, stems)
+    np.testing.assert_array_equal(used, way(3))
+    assert "names count its lines from 1" in caplog.text
 
 
 def test_what_cannot_be_fused_is_said(world, drive):
@@ -353,6 +371,26 @@ def test_predict_can_fuse_at_once(world):
     votes = np.load(world.result("votes"))
     assert (votes.dtype, votes.shape) == (np.uint16, (1500, 3))
     assert not world.result("probabilities").exists()
+
+
+def test_two_that_predict_and_fuse_one_folder_both_succeed(world, monkeypatch):
+    """The other one still predicts when this one has ended, and then fuses too."""
+    folder, looks = write_drive(world, 2), []
+    with ExitStack() as other:
+
+        def wait(_):
+            assert not (world.out / "fused").exists()
+            looks.append(len(looks))
+            if len(looks) == 2:
+                other.close()
+
+        monkeypatch.setattr("salsanext_cli.cli.pipeline.time.sleep", wait)
+        other.enter_context(OwnedFolder(world.out, "predict").open(shared=True))
+        words = ["predict", folder, world.out, "--weights", world.network.weights, "--fuse"]
+        result = CliRunner().invoke(app, [*map(str, words), "--engine", "torch"])
+    assert result.exit_code == 0, result.output
+    assert len(looks) == 2
+    assert len(list((fused_folder(world) / "predictions").iterdir())) == 2
 
 
 def test_python_labels_a_drive_as_the_command_line_does(world, caplog, monkeypatch):

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: MIT
+"""Poses that go with picked scans."""
+
+import pytest
+from scans import write_sequence
+
+from salsanext_cli.labelling.picked_data_set import PickedDataSet
+from salsanext_cli.results.layout import find_scans
+
+
+@pytest.mark.parametrize(
+    ("stems", "lines", "picked"),
+    [
+        (("000000", "000002"), 9, "line 0\nline 2\n"),
+        (("000001", "000009"), 9, "line 0\nline 8\n"),
+        (("000001", "000002"), 2, "line 0\nline 1\n"),
+        (("000001", "000002"), 9, None),
+    ],
+)
+def test_poses_whose_names_may_count_from_0_or_1_are_left_out(
+    tmp_path, caplog, stems, lines, picked
+):
+    folder = tmp_path / "data/sequences/08"
+    write_sequence(folder, stems, labels=False)
+    (folder / "poses.txt").write_text("".join(f"line {n}\n" for n in range(lines)))
+    PickedDataSet(tmp_path / "out").write_poses(find_scans(tmp_path / "data"))
+    target = tmp_path / "out/sequences/08/poses.txt"
+    assert (target.read_text() if target.exists() else None) == picked
+    assert ("poses are left out" in caplog.text) == (picked is None)

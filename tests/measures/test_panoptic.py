@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: MIT
+"""Panoptic quality, compared with figures of the benchmark's own program, and by hand."""
+
+import numpy as np
+import pytest
+from evaluated import small_space
+
+from salsanext_cli.classes.label_space import label_space
+from salsanext_cli.fusion.window import movable_classes
+from salsanext_cli.measures.panoptic import COLUMNS, count_segments, panoptic_quality
+
+SCENE = small_space("none", "road", "car", "person")
+THINGS = np.array([False, False, True, True])
+RAW_IDS = (40, 60, 48, 50, 51, 10, 10, 252, 30, 254, 18, 31, 20, 52, 0)
+OFFICIAL = {
+    "all": (0.19923739864758774, 0.3381866431756277, 0.27708344086761527),
+    "things": (0.20823626426675318, 0.427884874683367, 0.2986528822055138),
+    "stuff": (0.19269276910637653, 0.27295156571545376, 0.2613965744400527),
+    "road": (0.42853135559842115, 0.7040157984831205, 0.6086956521739131),
+    "car": (0.31731707967382744, 0.6346341593476549, 0.5),
+    "truck": (0.5029280320542456, 0.7543920480813685, 0.6666666666666666),
+    "person": (0.5040343701968193, 0.684046645267112, 0.7368421052631579),
+    "sidewalk": (0.49083557951482476, 0.8180592991913747, 0.6),
+    "parking": (0.0, 0.0, 0.0),
+}
+"""Printed by `evaluate_panoptic.py` of PRBonn/semantic-kitti-api at commit a9c749e, with its own
+label space, for the two scans of `scans_of_segments`: PQ, SQ, RQ."""
+
+
+def scans_of_segments():
+    """Return truth and prediction, raw labels (N,) uint32, of two scans of 60 segments each."""
+    random = np.random.RandomState(7)  # Its numbers are the same in every version of NumPy.
+    for _ in range(2):
+        truth, predicted = [], []
+        for number in range(60):
+            label = random.choice(RAW_IDS) | random.randint(3) << 16
+            guess = label & 0xFFFF | number << 16 if random.rand() < 0.5 else label
+            size = random.randint(1, 120)
+            missed = random.randint(size // 2 + 1)
+            truth += [label] * size
+            predicted += [guess] * (size - missed) + [random.choice(RAW_IDS)] * missed
+        yield np.array(truth, np.uint32), np.array(predicted, np.uint32)
+
+
+def test_qualities_are_those_of_the_official_program():
+    space = label_space()
+    counts = 0
+    for raw in scans_of_segments():
+        truth, predicted = ((space.to_train(labels), labels) for labels in raw)
+        counts = counts + count_segments(truth, predicted, space.scored)
+    found = panoptic_quality(counts, space, movable_classes(space))
+    found |= found.pop("classes")
+    for name, qualities in OFFICIAL.items():
+        assert [found[name][key] for key in COLUMNS[:3]] == pytest.approx(qualities, rel=1e-12)
+
+
+def counts_of(truth, predicted):
+    """Return the counts of labels (class, instance), whose raw id is the class."""
+    both = []
+    for labels in (truth, predicted):
+        train, instance = np.array(labels, np.int64).reshape(-1, 2).T
+        both.append((train.astype(np.uint8), (train | instance << 16).astype(np.uint32)))
+    return count_segments(*both, SCENE.scored)
+
+
+def test_qualities_of_counts():
+    """Three of four points of a car, all of a road, and a person that is called a car."""
+    truth = [(2, 7)] * 100 + [(1, 0)] * 100 + [(3, 1)] * 60
+    predicted = [(2, 1)] * 75 + [(1, 0)] * 125 + [(2, 2)] * 60
+    found = panoptic_quality(counts_of(truth, predicted), SCENE, THINGS)
+    car = found["classes"]["car"]
+    assert car == {
+        "pq": 0.5,
+        "sq": 0.75,
+        "rq": pytest.approx(2 / 3),
+        "matches": 1,
+        "false_alarms": 1,
+        "misses": 0,
+    }
+    assert found["classes"]["road"]["pq"] == pytest.approx(0.8)
+    assert found["classes"]["person"]["misses"] == 1
+    assert found["things"]["pq"] == pytest.approx(0.25)
+    assert found["all"]["pq"] == pytest.approx((0.5 + 0.8) / 3)
+    assert counts_of(truth, predicted)[:, -1].tolist() == [0, 0, 1, 1]
+    assert panoptic_quality(counts_of([], []), SCENE, THINGS)["all"] == {"pq": 0, "sq": 0, "rq": 0}
