@@ -6,6 +6,7 @@ import os
 import shlex
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from salsanext_cli.results.layout import (
     find_scans,
     names_in,
     output_path,
+    require_unique_stems,
     with_outputs,
 )
 from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery
@@ -123,20 +125,19 @@ class ResultFolder(StageRecords):
         self._require_current()
         there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(self.root, folder)}
         wanted = {key for key in there if sequence in (None, key[0])}
-        sequences = sorted({name for name, _ in wanted})
+        sequences, known = sorted({name for name, _ in wanted}), self.sources()
         if not sequences:
             found = "holds no results" if self.root.is_dir() else "no such folder"
             expected = "the output folder of an earlier stage"
             raise NoInputError(self.root, found, expected, PREDICT.format(out=self.root))
         if self.dataset and len(sequences) == 1 and _holds_scans(self.dataset):
             # The scans themselves, or the recording, which may have another name by now.
-            scans = [replace(each, sequence=sequences[0]) for each in find_scans(self.dataset)]
+            found_scans = find_scans(self.dataset, unique=False)
+            scans = [replace(each, sequence=sequences[0]) for each in found_scans]
         else:
-            known: dict[str, ScanSource] = {}
-            for record in self.records().values():
-                known |= record.scans
-            found_scans = (self._of_sequence(name, known.get(name)) for name in sequences)
-            scans = [scan for of_sequence in found_scans for scan in of_sequence]
+            of_sequences = (self._of_sequence(name, known.get(name)) for name in sequences)
+            scans = [scan for of_sequence in of_sequences for scan in of_sequence]
+        scans = _one_of_each_name(scans, known, wanted)
         if gone := sorted(wanted - {(scan.sequence, scan.stem) for scan in scans}):
             names = first_few(["/".join(key) for key in gone])
             what = "with results not found any more and left out"
@@ -163,13 +164,14 @@ class ResultFolder(StageRecords):
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
         folder = Path(source.folder) if source else None
         if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
-            scans = find_scans(folder)
-            return scans + _scans_named_themselves(source, {scan.stem for scan in scans})
+            scans = find_scans(folder, unique=False)
+            return scans + _scans_named_themselves(source, scans)
         root = self.dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
         if (root / "sequences").is_dir():
             own = root / "sequences" / sequence / SCAN_FOLDER
             # Not all of a data set once for each of its sequences.
-            return find_scans(own) if is_folder(own) else find_scans(root, [sequence])
+            named = None if is_folder(own) else [sequence]
+            return find_scans(root if named else own, named, unique=False)
         looked_in = shortened(str(self.dataset or folder or root.absolute()), MAX_PATH_CHARACTERS)
         raise NoInputError(
             self.root / "sequences" / sequence,
@@ -334,13 +336,30 @@ def _holds_scans(dataset: Path) -> bool:
     return bool(recording_of(dataset.absolute())) or (dataset.is_dir() and not is_data_set)
 
 
-def _scans_named_themselves(source: ScanSource, known: Container[str]) -> list[ScanFile]:
+def _one_of_each_name(
+    scans: Iterable[ScanFile], sources: Mapping[str, ScanSource], wanted: Container[tuple[str, str]]
+) -> list[ScanFile]:
+    """Choose among files of one name the recorded one, sorted; refuse a choice that matters."""
+    chosen = []
+    for key, group in groupby(sorted(scans), lambda scan: (scan.sequence, scan.stem)):
+        files = list(group)
+        if len(files) > 1 and key[0] in sources:
+            name = key[1] + sources[key[0]].suffixes.get(key[1], "")
+            files = [file for file in files if file.path.name == name] or files
+        if key in wanted:
+            require_unique_stems(files)
+        chosen.append(files[0])
+    return chosen
+
+
+def _scans_named_themselves(source: ScanSource, known: Iterable[ScanFile]) -> list[ScanFile]:
     """Return the files of a folder that were asked for by name and are no scans otherwise."""
-    wanted = {stem for stem in source.stems if stem not in known}
+    listed = {name for scan in known for name in (scan.stem, scan.path.name)}
+    wanted = {s: suffix for s, suffix in source.suffixes.items() if s + suffix not in listed}
     folder = Path(source.folder)
     tables = [name for name in names_in(folder) if scan_suffix(name)] if wanted else []
     scans = [scan for name in tables for scan in find_scans(folder / name)]
-    return [scan for scan in scans if scan.stem in wanted]
+    return [s for s in scans if wanted.get(s.stem) in ("", s.path.name[len(s.stem) :])]
 
 
 def _missing(
@@ -350,7 +369,7 @@ def _missing(
 
     def is_asked_for(scan: ScanFile) -> bool:
         recorded = [of_stage[scan.sequence] for of_stage in sources if scan.sequence in of_stage]
-        return not recorded or any(scan.stem in source.stems for source in recorded)
+        return not recorded or any(scan.stem in source.suffixes for source in recorded)
 
     missing = tuple(scan for scan in listed if is_asked_for(scan))
     return MissingResults(missing, len(listed) - len(missing))

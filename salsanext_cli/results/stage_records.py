@@ -17,6 +17,7 @@ from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import LabelError, OutputError, first_few, shortened
 from salsanext_cli.files.identity import identity
 from salsanext_cli.files.json_files import RecordedSettings, read_json, write_json
+from salsanext_cli.formats import scan_suffix
 from salsanext_cli.network.card import parted
 from salsanext_cli.results.layout import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
 from salsanext_cli.results.selection import space_of
@@ -35,17 +36,20 @@ class ScanSource:
     """Scans of one sequence that a stage worked on."""
 
     folder: str  # Where they lie, absolute
-    stems: frozenset[str]  # Those that the stage was asked for in any of its runs, done or failed
+    # Suffixes of the files by stem, of those that the stage was asked for in any of its runs, done
+    # or failed; empty for scans of a recording, and in older records
+    suffixes: dict[str, str]
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> "ScanSource":
         """Read the entry of a sequence; anything amiss raises a `TypeError` or the like."""
-        folder, stems = entry["folder"], entry["asked_for"]
-        if not isinstance(stems, list) or "\0" in folder:
+        folder, names = entry["folder"], entry["asked_for"]
+        if not isinstance(names, list) or "\0" in folder:
             raise TypeError
-        if not all(isinstance(text, str) for text in (folder, *stems)):
+        if not all(isinstance(text, str) for text in (folder, *names)):
             raise TypeError
-        return cls(folder, frozenset(stems))
+        lengths = (len(name) - len(scan_suffix(name)) for name in names)
+        return cls(folder, {n[:end]: n[end:] for n, end in zip(names, lengths, strict=True)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +69,8 @@ class StageRecord:
     def to_dict(self) -> dict[str, Any]:
         """Return the content of the record's file."""
         scans = {
-            sequence: {"folder": source.folder, "asked_for": sorted(source.stems)}
-            for sequence, source in sorted(self.scans.items())
+            name: {"folder": each.folder, "asked_for": sorted(map("".join, each.suffixes.items()))}
+            for name, each in sorted(self.scans.items())
         }
         written = {"stage": self.stage, "version": __version__, "settings": self.settings}
         record = written | {"writes": list(self.folders), "scans": scans}
@@ -127,6 +131,15 @@ class StageRecords:
         """Read the records of all stages that ran here, by stage."""
         records = {stage: self.record(stage) for stage in RESULT_STAGES}
         return {stage: record for stage, record in records.items() if record is not None}
+
+    def sources(self) -> dict[str, ScanSource]:
+        """Return where the scans of all stages came from, by sequence."""
+        sources: dict[str, ScanSource] = {}
+        for record in self.records().values():
+            for sequence, each in record.scans.items():
+                before = sources[sequence].suffixes if sequence in sources else {}
+                sources[sequence] = ScanSource(each.folder, before | each.suffixes)
+        return sources
 
     def settings(self, stage: str) -> RecordedSettings | None:
         """Return the settings a stage ran with, None if it did not."""
