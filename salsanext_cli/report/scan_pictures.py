@@ -88,6 +88,8 @@ def picture_of_results(
         scale = scales.get(colour)
         colours = PointColours(colour, scale or (0.0, 1.0), space, dark=True).of_points(columns)
         title = TITLES.get(colour, colour)
+        if colour == "wrong" and (found := results.accepted_text(space)):
+            title = f"errors of the accepted labels: {found}"
         if colour in views:
             of_views[title] = colours
         if colour in strips:

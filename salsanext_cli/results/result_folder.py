@@ -73,7 +73,7 @@ class ScanResults:
     uncertainty: dict[str, Float] = field(default_factory=dict)
     # That the distances are measured from; otherwise it is the origin of the points
     sensor: Sensor | None = None
-    # (N,) bool or None: points whose label was taken away
+    # (N,) bool or None: points without a label in a run that rejects labels
     rejected: npt.NDArray[np.bool_] | None = None
 
     @property
@@ -84,7 +84,7 @@ class ScanResults:
             return measured_ranges(scan.points)[0].astype(np.float32)
 
     def wrong(self, space: LabelSpace) -> Float:
-        """Return 1 where the label is wrong, 0 where right, NaN where either does not count."""
+        """Return 1 where the label is wrong, 0 where right, NaN where the point does not count."""
         if self.label is None or self.truth is None:
             raise ValueError("a wrong label needs a label and a truth")
         truth = space.to_train(self.truth, strict=False)
@@ -94,13 +94,24 @@ class ScanResults:
             counts = counts & ~self.rejected
         return np.where(counts, wrong, np.float32(np.nan))
 
+    def accepted_text(self, space: LabelSpace) -> str:
+        """Return coverage and risk of the labels that were accepted; empty where all are."""
+        if self.rejected is None or self.truth is None:
+            return ""
+        known = space.scored[space.to_train(self.truth, strict=False)]
+        wrong = self.wrong(space)
+        judged = wrong[~np.isnan(wrong)]
+        coverage, risk = len(judged) / max(known.sum(), 1), judged.sum() / max(len(judged), 1)
+        return f"coverage {coverage:.1%}, risk {risk:.1%}"
+
     def rejecting(self, max_error: float, space: LabelSpace) -> "ScanResults":
         """Return the same with the points unlabelled whose error is above a threshold."""
         if self.label is None:
             return self
         above = self.uncertainty["error"] > max_error
+        unaccepted = above if self.rejected is None else above | self.rejected
         unlabelled = space.to_raw(np.zeros(1, np.uint8)).astype(self.label.dtype)
-        return replace(self, label=np.where(above, unlabelled, self.label), rejected=above)
+        return replace(self, label=np.where(above, unlabelled, self.label), rejected=unaccepted)
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,13 +272,11 @@ class ResultFolder(StageRecords):
         scan = read_scan(file.path, sensor)
         count = len(scan)
         label = _labels(self._path(file, "label"), count)
-        rejection, rejected = self.rejection(), None
-        own_space = self.label_space() if rejection else None
-        unlabelled = np.zeros(count, np.bool_)
-        if label is not None and own_space:
-            unlabelled = own_space.to_train(label, strict=False) == 0
         if label is not None and classes is not None:
             label = classes.to_raw(classes.to_train(label, strict=False))
+        rejected, predicted_in = None, classes or self.label_space()
+        if label is not None and predicted_in and self.rejection():
+            rejected = predicted_in.to_train(label, strict=False) == 0
         truth = _labels(file.label_path, count) if truth_in else None
         if truth is not None and truth_in:
             own, space = truth_in
@@ -275,8 +284,6 @@ class ResultFolder(StageRecords):
             truth = truth if own.learning_map == space.learning_map else space.to_raw(train)
         paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
         uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
-        if rejection and rejection.kind in uncertainty:
-            rejected = rejection.of_points(uncertainty[rejection.kind], unlabelled)
         return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
 
     def with_column(self, column: str, scans: Sequence[ScanFile]) -> list[ScanFile]:

@@ -9,9 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import LabelError, OutputError, first_few, shortened
@@ -104,16 +101,8 @@ def _read_record(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord |
 class Rejection(NamedTuple):
     """Rule by which a run left points unlabelled."""
 
-    kind: str  # Kind of uncertainty
-    above: float  # Points above it are unlabelled
-    lowest: float  # The lowest of the thresholds that classes have of their own, else the same
+    above: float  # Points above it are unlabelled; classes may have thresholds of their own
     chosen_on: frozenset[str]  # Digests of the scans that `tune risk` chose it on
-
-    def of_points(
-        self, uncertainty: npt.NDArray[Any], unlabelled: npt.NDArray[np.bool_]
-    ) -> npt.NDArray[np.bool_]:
-        """Return which points (N,) it took the label from."""
-        return (uncertainty > self.above) | (unlabelled & (uncertainty > self.lowest))
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,10 +257,8 @@ class StageRecords:
         above = settings.get("reject")
         if above is None:
             return None
-        promised = settings.get("promised", {})
-        lowest = min([above, *promised.get("classes", {}).values()])
-        kind = settings.get("reject_by", "error")
-        return Rejection(kind, above, lowest, self._digests(promised, "digests"))
+        chosen_on = self._digests(settings.get("promised", {}), "digests")
+        return Rejection(above, chosen_on)
 
 
 def recorded_sensor(settings: RecordedSettings | None) -> Sensor | None:

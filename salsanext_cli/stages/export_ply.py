@@ -63,6 +63,7 @@ def export_scan(
         raise ResultFolder(output.root).missing_column(colours.colour, file)
     (folder,), points = output.folders, dict(zip("xyz", results.scan.points.T, strict=True))
     more = [] if max_error is None else [f"unlabelled where error is above {max_error:g}"]
+    more += [text] if (text := results.accepted_text(colours.space)) else []
     cloud = encode_cloud(output.path(file, folder), points, columns, colours, more)
     output.write(output.path(file, folder), cloud)
     return 0 if results.rejected is None else int(results.rejected.sum())

@@ -67,7 +67,7 @@ class Report:
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
         counts, scores = self.run.counts, self.compared and self.compared.scores
-        kept = self.compared and self.compared.uncertainty.kept
+        best, kept = (c.uncertainty.kept, c.kept) if (c := self.compared) else (None, None)
         return {
             "stage": "report",
             "page": str(self.page),
@@ -76,9 +76,11 @@ class Report:
             "trained_on": counts.left_out if counts else 0,
             "on_training_scans": bool(counts and counts.trained_on),
             "shown": self.shown,
-            "accuracy": scores and plain(scores.accuracy),
-            "iou_mean_present": scores and plain(scores.iou_mean_present),
-            "sentence": kept and kept.sentence,
+            "accuracy": plain(scores.accuracy) if scores and not kept else None,
+            "iou_mean_present": plain(scores.iou_mean_present) if scores and not kept else None,
+            "coverage": kept and kept.coverage,
+            "risk": kept and kept.risk,
+            "sentence": best and best.sentence,
             **self.run.missing.to_dict(),
             "failures": [failure.to_dict() for failure in self.failures],
         }
@@ -89,7 +91,11 @@ def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice])
     page = out / PAGE
     OwnedFolder(out).require_own([page])
     run, unread = read_run(out, **choice)
-    chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.reader.space)
+    chosen = (
+        named(run.rows, scans)
+        if scans
+        else worth_looking_at(run.rows, run.reader.space, run.reader.rejection)
+    )
     rows = {row.file.name: row for row in run.rows}
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
@@ -150,7 +156,7 @@ class RunServer(PageServer):
     def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
         """Take the results that are served; raises `NoInputError` if no scan can be shown."""
         self._run, self._state = run, _state_of(run.reader.out)
-        reasons = worth_looking_at(run.rows, run.reader.space)
+        reasons = worth_looking_at(run.rows, run.reader.space, run.reader.rejection)
         spaced = {*np.linspace(0, len(run.rows) - 1, SAMPLED).astype(int).tolist()}
         chosen = (r for i, r in enumerate(run.rows) if i in spaced or r.file.name in reasons)
         sample, unread = _readable(run, ((row, "") for row in chosen))
