@@ -75,6 +75,8 @@ class ScanResults:
     sensor: Sensor | None = None
     # (N,) bool or None: points without a label in a run that rejects labels
     rejected: npt.NDArray[np.bool_] | None = None
+    # (N,) uint16 or None: numbers of the predicted objects, 0 for none
+    instance: npt.NDArray[np.uint16] | None = None
 
     @property
     def range(self) -> Float:
@@ -111,7 +113,9 @@ class ScanResults:
         above = self.uncertainty["error"] > max_error
         unaccepted = above if self.rejected is None else above | self.rejected
         unlabelled = space.to_raw(np.zeros(1, np.uint8)).astype(self.label.dtype)
-        return replace(self, label=np.where(above, unlabelled, self.label), rejected=unaccepted)
+        label = np.where(above, unlabelled, self.label)
+        instance = None if self.instance is None else np.where(above, np.uint16(0), self.instance)
+        return replace(self, label=label, instance=instance, rejected=unaccepted)
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,20 +275,23 @@ class ResultFolder(StageRecords):
         """
         scan = read_scan(file.path, sensor)
         count = len(scan)
-        label = _labels(self._path(file, "label"), count)
+        label, instance = _labels(self._path(file, "label"), count)
+        recorded = self.settings_of("predictions")
+        if instance is not None and not (instance.any() or (recorded and "objects" in recorded)):
+            instance = None
         if label is not None and classes is not None:
             label = classes.to_raw(classes.to_train(label, strict=False))
         rejected, predicted_in = None, classes or self.label_space()
         if label is not None and predicted_in and self.rejection():
             rejected = predicted_in.to_train(label, strict=False) == 0
-        truth = _labels(file.label_path, count) if truth_in else None
+        truth, _ = _labels(file.label_path, count) if truth_in else (None, None)
         if truth is not None and truth_in:
             own, space = truth_in
             train = own.to_train(truth, strict=False, source=file.label_path)
             truth = truth if own.learning_map == space.learning_map else space.to_raw(train)
         paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
         uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
-        return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
+        return ScanResults(scan, label, truth, uncertainty, sensor, rejected, instance)
 
     def with_column(self, column: str, scans: Sequence[ScanFile]) -> list[ScanFile]:
         """Return those scans of which there is what a column, one of `COLOURINGS`, is made of."""
@@ -330,6 +337,8 @@ def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArr
     columns = {"intensity": cloud.scan.intensity, "range": cloud.range}
     if cloud.label is not None:
         columns["label"] = cloud.label.astype(np.uint16)
+    if cloud.instance is not None:
+        columns["instance"] = cloud.instance
     if cloud.truth is not None:
         columns["truth"] = cloud.truth.astype(np.uint16)
         if cloud.label is not None:
@@ -382,5 +391,9 @@ def _missing(
     return MissingResults(missing, len(listed) - len(missing))
 
 
-def _labels(path: Path, count: int) -> RawIds | None:
-    return read_labels(path, count) & np.uint32(0xFFFF) if present(path) else None
+def _labels(path: Path, count: int) -> tuple[RawIds, npt.NDArray[np.uint16]] | tuple[None, None]:
+    """Read raw ids and numbers of objects; None if there is no such file."""
+    if not present(path):
+        return None, None
+    labels = read_labels(path, count)
+    return labels & np.uint32(0xFFFF), (labels >> 16).astype(np.uint16)

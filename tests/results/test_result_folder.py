@@ -170,9 +170,10 @@ def test_everything_that_is_known(world, file):
         write_array(world.result(f"uncertainty/{kind}"), np.linspace(0, 1, 1500, dtype=np.float32))
     cloud = ResultFolder(world.out).read(file, truth_in=(SPACE, SPACE))
     assert set(scalar_columns(cloud, SPACE)) == {
-        *("intensity", "range", "label", "truth", "wrong"),
+        *("intensity", "range", "label", "truth", "wrong", "instance"),
         *("entropy", "total"),
     }
+    assert set(cloud.instance) == {3}
     assert set(cloud.label) == {CAR}
     np.testing.assert_allclose(cloud.range, np.sqrt((cloud.scan.points**2).sum(1)), rtol=1e-6)
 
