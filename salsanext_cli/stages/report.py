@@ -63,6 +63,7 @@ class Report:
     compared: Comparison | None  # Scores of the labelled scans, if there are any
     shown: dict[str, str]  # Scans that it shows point by point, and why
     failures: tuple[Failure, ...]  # Scans that could not be read, left out
+    unmapped: list[str]  # Reasons why maps of fused drives are missing
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
@@ -83,6 +84,7 @@ class Report:
             "sentence": best and best.sentence,
             **self.run.missing.to_dict(),
             "failures": [failure.to_dict() for failure in self.failures],
+            "unmapped": self.unmapped,
         }
 
 
@@ -99,32 +101,38 @@ def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice])
     rows = {row.file.name: row for row in run.rows}
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
-    reasons = [failure.reason for failure in failures]
     maps, unmapped = _maps(run, choice.get("options", RunOptions()))
-    reasons += unmapped
+    reasons = [*(failure.reason for failure in failures), *unmapped]
     written = html_of(run, compared, shown, scales_of(shown), reasons, maps).encode()
     OwnedFolder(out).replace({page: written})
-    return Report(page, run, compared, {each.name: each.reason for each in shown}, failures)
+    reason_of = {each.name: each.reason for each in shown}
+    return Report(page, run, compared, reason_of, failures, unmapped)
 
 
 def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[str]]:
     """Draw the drives whose labels `fuse` wrote, from above; return also why some are not."""
     maps, reasons = dict[str, bytes](), list[str]()
     space, results = run.reader.space, ResultFolder(run.reader.out)
+    if results.owner("predictions") != "fuse":
+        return maps, reasons
     for name, group in groupby((row.file for row in run.rows), lambda file: file.sequence):
         in_order = sorted(results.with_column("label", [*group]), key=drive_order)
         files = tuple(evenly_spaced(in_order, MAP_SCANS))
         try:
-            if not files or (drive := drive_of_map(results, files)) is None:
+            if not files:
                 continue
+            drive = drive_of_map(results, files)
             # About those that a pixel shows.
             way, borders = drive.poses[:, :3, 3], np.flatnonzero(np.diff(drive.parts)) + 1
             span = float(np.ptp(way, axis=0).max()) + 2 * REACH_M
             way = np.insert(way, borders, np.nan, axis=0)
-            columns, _ = map_of_drive(results, files, space, max(0.1, span / NARROW_PX), options)
+            columns, outcome = map_of_drive(
+                results, files, space, max(0.1, span / NARROW_PX), options
+            )
         except SalsanextError as error:
-            reasons.append(str(error))
+            reasons.append(f"no map of {name}: {error}")
             continue
+        reasons += [f"not on the map: {failure.reason}" for failure in outcome.failures]
         if not columns:
             continue
         points = np.stack([columns[axis] for axis in "xyz"], axis=1)
