@@ -38,10 +38,7 @@ class Difference(NamedTuple):
 
 
 def paired_differences(sums: Counts, held: Mask, *, rejecting: bool = False) -> list[Difference]:
-    """Return the differences of accuracy, of the mean IoU of the held classes, and of each IoU.
-
-    `rejecting`: whether a run rejected labels; then they are those of coverage and risk.
-    """
+    """Return those of accuracy, mean IoU of held classes, and each IoU; or coverage and risk."""
     # `sums`: (S, 2, 3, C), `class_sums` of S scans by both runs. The scans of each resample are
     # drawn for both runs alike.
     random, flat = np.random.default_rng(SEED), sums.reshape(len(sums), -1)
@@ -130,10 +127,7 @@ class RunComparison:
 
     @cached_property
     def bands(self) -> dict[str, tuple[Difference, Difference]]:
-        """Accuracy, and mean IoU of the classes that all bands with points hold, by band.
-
-        Of runs that rejected labels, coverage and risk.
-        """
+        """By band, accuracy and mean IoU of classes that all bands hold; or coverage and risk."""
         held = self.sums[:, 1:, 0, 1].sum(axis=0) > 0
         same = held[held.any(axis=1)].all(axis=0)
         bands = zip(BAND_NAMES, np.moveaxis(self.sums[:, 1:], 1, 0), held, strict=False)

@@ -153,15 +153,11 @@ def _scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]
         folder, suffix = str(scan.path.parent), scan.path.name[len(scan.stem) :]
         source = sources.setdefault(scan.sequence, ScanSource(folder, {}))
         recorded = known.get(scan.sequence, source)
-        if recorded.folder != folder:
-            came_from = shortened(recorded.folder, MAX_PATH_CHARACTERS)
-            found = f"sequence {scan.sequence} came from {came_from}"
-            expected = f"scans from there, not from {folder}"
-            raise OutputError(out, found, expected, "use another output folder")
-        if (other := recorded.suffixes.get(scan.stem, suffix) or suffix) != suffix:
-            found = f"the results of {scan.name} came from {scan.stem}{other}"
-            expected = f"that file, not {scan.path.name}"
-            raise OutputError(out, found, expected, "use another output folder")
+        other = scan.stem + (recorded.suffixes.get(scan.stem) or suffix)
+        if recorded.folder != folder or other != scan.path.name:
+            came_from = shortened(str(Path(recorded.folder, other)), MAX_PATH_CHARACTERS)
+            found = f"results of sequence {scan.sequence} came from {came_from}"
+            raise OutputError(out, found, f"not {scan.path}", "use another output folder")
         source.suffixes[scan.stem] = suffix
     return sources
 

@@ -113,9 +113,7 @@ class ScanResults:
         above = self.uncertainty["error"] > max_error
         unaccepted = above if self.rejected is None else above | self.rejected
         unlabelled = space.to_raw(np.zeros(1, np.uint8)).astype(self.label.dtype)
-        label = np.where(above, unlabelled, self.label)
-        instance = None if self.instance is None else np.where(above, np.uint16(0), self.instance)
-        return replace(self, label=label, instance=instance, rejected=unaccepted)
+        return replace(self, label=np.where(above, unlabelled, self.label), rejected=unaccepted)
 
 
 @dataclass(frozen=True, slots=True)

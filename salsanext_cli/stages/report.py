@@ -93,11 +93,7 @@ def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice])
     page = out / PAGE
     OwnedFolder(out).require_own([page])
     run, unread = read_run(out, **choice)
-    chosen = (
-        named(run.rows, scans)
-        if scans
-        else worth_looking_at(run.rows, run.reader.space, run.reader.rejection)
-    )
+    chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.reader.space)
     rows = {row.file.name: row for row in run.rows}
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
@@ -126,9 +122,8 @@ def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[
             way, borders = drive.poses[:, :3, 3], np.flatnonzero(np.diff(drive.parts)) + 1
             span = float(np.ptp(way, axis=0).max()) + 2 * REACH_M
             way = np.insert(way, borders, np.nan, axis=0)
-            columns, outcome = map_of_drive(
-                results, files, space, max(0.1, span / NARROW_PX), options
-            )
+            voxel = max(0.1, span / NARROW_PX)
+            columns, outcome = map_of_drive(results, files, space, voxel, options)
         except SalsanextError as error:
             reasons.append(f"no map of {name}: {error}")
             continue
@@ -164,7 +159,7 @@ class RunServer(PageServer):
     def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
         """Take the results that are served; raises `NoInputError` if no scan can be shown."""
         self._run, self._state = run, _state_of(run.reader.out)
-        reasons = worth_looking_at(run.rows, run.reader.space, run.reader.rejection)
+        reasons = worth_looking_at(run.rows, run.reader.space)
         spaced = {*np.linspace(0, len(run.rows) - 1, SAMPLED).astype(int).tolist()}
         chosen = (r for i, r in enumerate(run.rows) if i in spaced or r.file.name in reasons)
         sample, unread = _readable(run, ((row, "") for row in chosen))

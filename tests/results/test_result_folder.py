@@ -128,7 +128,7 @@ def test_the_file_that_was_predicted_is_found_beside_others_of_its_stem(world, t
         found = ResultFolder(world.out, dataset).scans()
         assert [scan for scan in found if scan.stem == "a"] == named
     other = find_scans(folder / ("a.ply" if suffix == ".bin" else "a.bin"))
-    with pytest.raises(OutputError, match=rf"came from a\{suffix} · expected that file, not a\."):
+    with pytest.raises(OutputError, match=rf"came from .*a\{suffix} · expected not .*a\."):
         ask(world, other)
 
 

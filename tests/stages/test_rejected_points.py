@@ -51,7 +51,7 @@ def test_the_report_gives_coverage_and_risk(world, query):
     numbers = found.to_dict()
     assert (numbers["coverage"], numbers["risk"]) == (4 / 16, 1 / 4)
     assert (numbers["accuracy"], numbers["iou_mean_present"]) == (None, None)
-    assert found.shown["08/0"].startswith("most wrong (33.3 % of the accepted points)")
+    assert found.shown["08/0"].startswith("most wrong (33.3 % of the judged points)")
     page = found.page.read_text()
     assert "<b>25.0 %</b>coverage: accepted points of 2 scans" in page
     assert "<b>25.0 %</b>risk" in page

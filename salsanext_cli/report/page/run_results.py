@@ -230,9 +230,7 @@ def leading_kind(rows: Sequence[ScanRow]) -> str | None:
     return next((kind for kind in LEADING_KINDS if any(kind in r.uncertainty for r in rows)), None)
 
 
-def worth_looking_at(
-    rows: Sequence[ScanRow], space: LabelSpace, rejection: Rejection | None = None
-) -> dict[str, str]:
+def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, str]:
     """Choose the most uncertain, most wrong, worst-class and a random scan; return why, by name."""
     reasons: dict[str, list[str]] = {}
 
@@ -245,9 +243,8 @@ def worth_looking_at(
         means = [row.uncertainty.get(kind, math.nan) for row in rows]
         words = f"most uncertain (mean {kind.replace('_', ' ')}"
         add_largest(means, lambda value: f"{words} {value:.3g})")
-    judged = "accepted points" if rejection else "points"
     wrong = [row.wrong for row in rows]
-    add_largest(wrong, lambda share: f"most wrong ({100 * share:.1f} % of the {judged})")
+    add_largest(wrong, lambda share: f"most wrong ({100 * share:.1f} % of the judged points)")
     worst = _worst_class(rows, space)
     if worst is not None:
         missed = [_missed(row.confusion, worst) for row in rows]
