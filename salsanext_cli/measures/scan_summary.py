@@ -177,7 +177,8 @@ class RunSummary:
         self.compare_scans()
         for code, found in sorted(self.findings.items()):
             if others := sorted(name for name, _ in found[1:] if "/" in name):
-                log.warning("%s in %s: %s", code, counted(len(others), "more scan"), _few(others))
+                count, names = counted(len(others), "more scan"), _text(first_few(others))
+                log.warning("%s in %s: %s", code, count, names)
         return self
 
     @contextmanager
@@ -235,7 +236,7 @@ class RunSummary:
 
 def log_finding(name: str, finding: Finding) -> None:
     """Log a reason to doubt a scan or sequence as a warning."""
-    log.warning("%s: %s; %s (%s)", _few([name]), finding.found, finding.remedy, finding.code)
+    log.warning("%s: %s; %s (%s)", _text(name), finding.found, finding.remedy, finding.code)
 
 
 def log_recorded(warnings: Iterable[Mapping[str, Any]]) -> None:
@@ -245,9 +246,9 @@ def log_recorded(warnings: Iterable[Mapping[str, Any]]) -> None:
         log_finding(first_few(each["scans"]), finding)
 
 
-def _few(names: Sequence[str]) -> str:
+def _text(names: str) -> str:
     # Handlers of other programs may not take what is no text.
-    return first_few(names).encode(errors="backslashreplace").decode()
+    return names.encode(errors="backslashreplace").decode()
 
 
 def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:
