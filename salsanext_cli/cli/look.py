@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from salsanext_cli.cli import console, options, run_end
-from salsanext_cli.cli.console import over_scans, progress
+from salsanext_cli.cli.console import over_scans, progress, tell
 from salsanext_cli.cli.interruption import ARRIVED
 from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import counted
@@ -157,11 +157,13 @@ def report(
     found, missing = made.to_dict(), made.run.missing
     output.result(found)
     run_end.name_failures(made.failures)
+    for reason in made.unmapped:
+        tell(f"error: {reason}")
     for name, reason in made.shown.items():
         output.say(f"  {name}: {reason}")
     scans = f"{counted(found['scans'], 'scan')}{run_end.left_out(missing)}"
     output.say(f"report: {scans} → {made.page} ({found['bytes'] / 1e6:.1f} MB)")
-    run_end.leave(made.failures, missing)
+    run_end.leave(made.failures, missing, failed=bool(made.unmapped))
 
 
 def view(

@@ -126,7 +126,10 @@ def sensor(name: str | None) -> "Sensor | None":
 
 
 def source(scans: Path | None, dataset: Path | None, topic: str | None) -> Path:
-    """Return where to look for scans: SCANS, else the data set, else here; a topic if named."""
+    """Return where to look for scans: SCANS, else the data set, which may be here; or a topic."""
+    if scans is None and dataset is None and not Path("sequences").is_dir():
+        found = "none given, and the current folder is no data set"
+        raise UsageError("SCANS", found, SCANS_HELP[0].lower() + SCANS_HELP[1:-1])
     return in_topic(scans or dataset or Path(), topic)
 
 

@@ -65,8 +65,6 @@ def inspect(
     tables = survey_tables(found.sequences, found.total, found.space, found.sensor)
     output.result(found.to_dict(), tables)
     run_end.name_failures(found.failures)
-    for line in run_end.warning_lines(found.warnings):
-        output.say(line)
     run_end.leave(found.failures, failed=strict and bool(found.warnings))
 
 
@@ -161,8 +159,6 @@ def pick(
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
     chosen = f"{len(found.picked):,} of {counted(found.scans, 'scan')}"
     output.say(f"pick: {chosen}{already}{failed} → {out}")
-    for line in run_end.warning_lines(doubted):
-        output.say(line)
     if found.picked:
         started = ["--weights", str(settings.weights)] if settings.weights else []
         following = shlex.join(

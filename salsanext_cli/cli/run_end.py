@@ -9,15 +9,16 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 
 from salsanext_cli.cli.console import DONE, FAILED, Output, duration_text, tell
-from salsanext_cli.errors import counted, first_few
+from salsanext_cli.errors import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
     from salsanext_cli.measures.scan_summary import RunSummary
     from salsanext_cli.parallel.run import Failure, Outcome
     from salsanext_cli.results.selection import MissingResults
 
+LEAST_SHOWN = 0.0005  # Share that is rounded to 0.1 %
 SUBMITTED_SPLIT = "test"
 SUBMISSION = "submission.zip"
 
@@ -79,6 +80,7 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
         from salsanext_cli.engines.settings import recorded_view
 
         found["sensor"] = recorded_view(summary.sensor)
+        found["unlabelled_share"] = round(summary.unlabelled_share, 4)
         found["largest_classes"] = summary.largest_classes()
         found["ego_share"] = round(summary.ego_share, 4)
         expected = summary.expected_accuracy()
@@ -95,12 +97,10 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
 
         for each in sensor.members:
             yield f"sensor: {each.name}, {each.height}×{each.width}, {view_text(each)}"
-        if share := summary.ego_share:
-            yield (
-                f"unlabelled: about {100 * share:.1f} % of the points, of the sensor's housing and "
-                f"its vehicle ({ego_text(sensor)})"
-            )
-        yield from warning_lines(summary.warnings())
+        if (share := summary.unlabelled_share) >= LEAST_SHOWN:
+            ego, place = summary.ego_share, f"the sensor's housing and vehicle ({ego_text(sensor)})"
+            of_ego = f", about {100 * ego:.1f} % on {place}" * (ego >= LEAST_SHOWN)
+            yield f"unlabelled: {100 * share:.1f} % of the points{of_ego}"
         if expected := summary.expected_accuracy():
             yield expected.text
         if largest := summary.largest_classes():
@@ -108,13 +108,6 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
             yield f"largest classes: {shares}"
     if following is not None:
         yield f"next: {following}"
-
-
-def warning_lines(warnings: Iterable[Mapping[str, Any]]) -> Iterable[str]:
-    """Yield a line for each kind of warning, with its scans; of a sequence all was said before."""
-    for warning in warnings:
-        if scans := [name for name in warning["scans"] if "/" in name]:
-            yield f"warning: {warning['code']} in {counted(len(scans), 'scan')}: {first_few(scans)}"
 
 
 def next_command(

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: MIT
 """`salsanext train`."""
 
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli import console, options
 from salsanext_cli.cli.console import progress
 from salsanext_cli.cli.option_groups import Only
 from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, weights_file, with_columns
@@ -112,9 +113,8 @@ def train(
     expected = {"expected": asdict(done.expected)} if done.expected else {}
     found = {"best_miou": done.best_miou, **expected, **paths, "warnings": done.warnings}
     output.result({"stage": "train", **found})
-    for line in run_end.warning_lines(done.warnings):
-        output.say(line)
     output.say(f"train: {_found(done)} → {done.best}")
+    output.say(f"next: salsanext predict SCANS OUT --weights {shlex.quote(str(done.best))}")
 
 
 def _found(done: "TrainResult") -> str:

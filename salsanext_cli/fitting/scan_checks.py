@@ -89,6 +89,7 @@ MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
 """Least usual share of the rows with points, more than a tenth of the average; those had 0.47."""
 MIN_SHARE_OF_GROUND = 0.15
 """Least share of the near points on a ground that gives reason to doubt."""
+SECTORS = 64
 MIN_SECTORS = 0.6
 """Least share of the directions around with a point; revolutions had 0.89 or more."""
 FEW_SECTORS = 0.1
@@ -230,7 +231,9 @@ def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Fin
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
         found = f"{outside:.0%} of the points lie outside the view of {view}"
         yield Finding("out-of-view", found, fit)
-    if (around := share_around(scan.points)) < MIN_SECTORS:
+    turns = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi) + 0.5
+    around = float((np.bincount((turns * SECTORS).astype(int) % SECTORS) > 0).sum()) / SECTORS
+    if around < MIN_SECTORS:
         code = "part-of-circle" if around >= FEW_SECTORS else "few-directions"
         yield Finding(code, f"points in {around:.0%} of the directions around", TRAIN)
     downwards = sensor.fov_up - np.degrees(np.arcsin(sines))

@@ -11,7 +11,7 @@ import numpy as np
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.json_files import read_json
-from salsanext_cli.files.reading import present
+from salsanext_cli.files.reading import present, refusing_damage
 from salsanext_cli.fusion.pose_checks import Parts
 from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, read_fused_poses
 
@@ -46,9 +46,10 @@ def recorded_drive(folder: Path, wanted: Sequence[str] | None = None) -> Drive |
     record, path = read_json(folder / DRIVE), folder / POSES
     if record is None or not present(path):
         return None
-    stems, parts = record["scans"], np.array(record.get("parts", ()), np.int64)
+    with refusing_damage(folder / DRIVE, "the record of `fuse`"):
+        stems, parts = [*map(str, record["scans"])], np.array(record.get("parts", ()), np.int64)
+        drive = Drive(read_fused_poses(path, stems, stems), parts)
     wanted = stems if wanted is None else wanted
-    drive = Drive(read_fused_poses(path, stems, stems), parts)
     if drive.record(stems) != record:
         remedy = "fuse the sequence anew with --overwrite"
         raise OutputError(path, "not the poses that the scans were fused by", remedy=remedy)

@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import SalsanextError
+from salsanext_cli.errors import NoInputError, SalsanextError
 from salsanext_cli.formats.npy import read_array
-from salsanext_cli.fusion.drive import Drive, recorded_drive
+from salsanext_cli.fusion.drive import DRIVE, Drive, recorded_drive
+from salsanext_cli.fusion.poses import POSES
 from salsanext_cli.fusion.visibility import GRAZING, SAME_PLACE_M
 from salsanext_cli.fusion.votes import keys_of
 from salsanext_cli.fusion.window import DriveWindow, in_drive, movable_classes
@@ -29,10 +30,15 @@ Columns = dict[str, npt.NDArray[Any]]
 """Values by name, each (N,): x, y, z float64 metres in the world, range, scan, part, and others."""
 
 
-def drive_of_map(results: ResultFolder, files: Sequence[ScanFile]) -> Drive | None:
-    """Return the drive by which `fuse` wrote the labels of scans of a sequence, None without."""
+def drive_of_map(results: ResultFolder, files: Sequence[ScanFile]) -> Drive:
+    """Return the drive by which `fuse` wrote the labels of scans of a sequence."""
     folder = results.root / "sequences" / files[0].sequence
-    return recorded_drive(folder, [file.stem for file in files])
+    drive = recorded_drive(folder, [file.stem for file in files])
+    if drive is None:
+        remedy = f"run `salsanext fuse {results.root}`, and give the folder of the fused labels"
+        found = f"no {POSES} and {DRIVE} for these scans"
+        raise NoInputError(folder, found, "those that `fuse` wrote", remedy)
+    return drive
 
 
 def one_per_voxel(

@@ -4,7 +4,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,8 +37,8 @@ class Difference(NamedTuple):
     high: float
 
 
-def paired_differences(sums: Counts, held: Mask) -> list[Difference]:
-    """Return the differences of accuracy, of the mean IoU of the held classes, and of each IoU."""
+def paired_differences(sums: Counts, held: Mask, *, rejecting: bool = False) -> list[Difference]:
+    """Return those of accuracy, mean IoU of held classes, and each IoU; or coverage and risk."""
     # `sums`: (S, 2, 3, C), `class_sums` of S scans by both runs. The scans of each resample are
     # drawn for both runs alike.
     random, flat = np.random.default_rng(SEED), sums.reshape(len(sums), -1)
@@ -46,7 +46,8 @@ def paired_differences(sums: Counts, held: Mask) -> list[Difference]:
     for _ in range(RESAMPLES if len(sums) >= MIN_SCANS else 0):
         times_drawn = np.bincount(random.integers(len(sums), size=len(sums)), minlength=len(sums))
         totals.append(times_drawn @ flat)
-    scores = _scores(np.array(totals).reshape(-1, *sums.shape[1:]), held)
+    totals_of_runs = np.array(totals).reshape(-1, *sums.shape[1:])
+    scores = accepted_scores(totals_of_runs) if rejecting else _scores(totals_of_runs, held)
     difference = scores[:, 1] - scores[:, 0]
     bounds, resampled = np.full((2, difference.shape[1]), np.nan), difference[1:]
     # A class that a resample lacks has no difference there.
@@ -66,6 +67,13 @@ def _scores(sums: Counts, held: Mask) -> Ratios:
     return np.concatenate([ratio(hits, truths)[..., None], mean[..., None], of_classes], axis=-1)
 
 
+def accepted_scores(sums: Counts) -> Ratios:
+    """Return coverage and risk (…, 2) of class sums (…, 3, C): class 0 is no label."""
+    hits, points, _ = np.moveaxis(sums.sum(axis=-1), -1, 0)
+    labelled = points - sums[..., 2, 0]
+    return np.stack([ratio(labelled, points), ratio(labelled - hits, labelled)], axis=-1)
+
+
 class ScanPair(NamedTuple):
     """Labels of one scan by two runs, in numbers."""
 
@@ -74,13 +82,6 @@ class ScanPair(NamedTuple):
     # (1 + bands, 2, 3, C): class sums of all points, and of each band, by run; None without truth
     sums: Counts | None = None
     trained_on: bool = False  # Whether the weights of a run were trained on it
-
-    @property
-    def gain(self) -> float:
-        """Difference of the accuracies; NaN without truth."""
-        points = 0 if self.sums is None else self.sums[0, 0, 1].sum()
-        hits = self.sums[0, :, 0].sum(axis=-1) if self.sums is not None else (0, 0)
-        return float((hits[1] - hits[0]) / points) if points else math.nan
 
 
 def changed(turned: Counts) -> float:
@@ -95,6 +96,14 @@ class RunComparison:
 
     space: LabelSpace  # Classes of both
     pairs: Sequence[ScanPair]  # At least one
+    rejecting: bool = False  # Whether a run rejected labels, which are neither right nor wrong
+
+    def difference(self, pair: ScanPair) -> float:
+        """Return the difference of accuracy, or of risk, of a scan; NaN without truth."""
+        if pair.sums is None:
+            return math.nan
+        found = paired_differences(pair.sums[:1], self.space.scored, rejecting=self.rejecting)
+        return found[self.rejecting].difference
 
     @cached_property
     def sums(self) -> Counts:
@@ -108,6 +117,9 @@ class RunComparison:
         held = self.sums[:, 0, 0, 1].sum(axis=0) > 0
         if not held.any():
             return {}
+        if self.rejecting:
+            differences = paired_differences(self.sums[:, 0], held, rejecting=True)
+            return dict(zip(("coverage", "risk"), differences, strict=True))
         accuracy, mean, *classes = paired_differences(self.sums[:, 0], held)
         named = zip(self.space.names, classes, held, strict=True)
         of_classes = {name: each for name, each, is_held in named if is_held}
@@ -115,12 +127,13 @@ class RunComparison:
 
     @cached_property
     def bands(self) -> dict[str, tuple[Difference, Difference]]:
-        """Accuracy, and mean IoU of the classes that all bands with points hold, by band."""
+        """By band, accuracy and mean IoU of classes that all bands hold; or coverage and risk."""
         held = self.sums[:, 1:, 0, 1].sum(axis=0) > 0
         same = held[held.any(axis=1)].all(axis=0)
         bands = zip(BAND_NAMES, np.moveaxis(self.sums[:, 1:], 1, 0), held, strict=False)
-        differences = {name: paired_differences(s, same) for name, s, any_ in bands if any_.any()}
-        return {name: (accuracy, mean) for name, (accuracy, mean, *_) in differences.items()}
+        of_scans = partial(paired_differences, held=same, rejecting=self.rejecting)
+        differences = {name: of_scans(sums) for name, sums, any_ in bands if any_.any()}
+        return {name: (first, second) for name, (first, second, *_) in differences.items()}
 
     @cached_property
     def turned(self) -> Counts:
@@ -144,6 +157,7 @@ class RunComparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
+        in_bands = ("coverage", "risk") if self.rejecting else ("accuracy", "iou_mean_same")
         return dict(
             plain(
                 {
@@ -155,11 +169,12 @@ class RunComparison:
                     "turned": self.turns(),
                     "scores": {name: each._asdict() for name, each in self.scores.items()},
                     "by_distance": {
-                        name: {"accuracy": accuracy._asdict(), "iou_mean_same": mean._asdict()}
-                        for name, (accuracy, mean) in self.bands.items()
+                        name: {each: d._asdict() for each, d in zip(in_bands, two, strict=True)}
+                        for name, two in self.bands.items()
                     },
                     "changed_most": [
-                        {"scan": p.file.name, "changed": changed(p.turned), "gain": p.gain}
+                        {"scan": p.file.name, "changed": changed(p.turned)}
+                        | {"risk" if self.rejecting else "gain": self.difference(p)}
                         for p in self.most_changed()
                     ],
                 }

@@ -135,11 +135,20 @@ class KeptLabels:
         )
 
     @property
+    def coverage(self) -> float:
+        """Share of the points that is kept, 0…1."""
+        return self.kept / max(self.points, 1)
+
+    @property
+    def risk(self) -> float:
+        """Share of the kept points that is wrong, 0…1."""
+        return self.wrong / max(self.kept, 1)
+
+    @property
     def sentences(self) -> Iterator[str]:
         """The same for people, without the classes."""
-        points, wrong = max(self.points, 1), self.wrong / max(self.kept, 1)
-        text = f"kept: {self.kept / points:.1%} of {self.points:,} points, of which {wrong:.1%} are"
-        yield f"{text} wrong ({self.wrong / points:.1%} of all)"
+        text = f"kept: {self.coverage:.1%} of {self.points:,} points, of which {self.risk:.1%} are"
+        yield f"{text} wrong ({self.wrong / max(self.points, 1):.1%} of all)"
         name, in_worst, kept, errors = self.worst
         loss, risk = errors / max(in_worst, 1), errors / max(kept, 1)
         of_kept = f"{risk:.1%} of the {kept:,} kept"

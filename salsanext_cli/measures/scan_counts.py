@@ -38,6 +38,7 @@ from salsanext_cli.measures.scores import (
     Counts,
     Mask,
     Ratios,
+    accepted,
     confusion_matrix,
     scored_rows,
     scores,
@@ -133,6 +134,7 @@ class ScanCounts:
                 listed = first_few([f"{i} ({count:,}×)" for i, count in sorted(ids.items())])
                 yield f"{what}: unknown ids {listed} are taken as unlabelled"
         matrix = scored_rows(self.confusion, space)
+        matrix = accepted(matrix) if self.kept else matrix
         points, right = int(matrix.sum()), int(np.trace(matrix))
         if points >= MIN_JUDGED and right < MIN_ACCURACY * points:
             yield (
@@ -239,16 +241,13 @@ def count_scan(
             values[kind] = read_kind(path, kind, len(scored))[scored]
     if rejection:
         labelled = predicted[scored] != 0
-        rejected = ~labelled
-        if rejection.kind in values:
-            rejected = rejection.of_points(values[rejection.kind], rejected)
         kept = int(labelled.sum()), int((labelled & wrong).sum())
         counts.kept[scan.name] = len(labelled), *kept
         counts.calibrated = int(is_among(rejection.chosen_on, len(truth), read))
     # Of merged classes the files do not tell the confidence.
     values = derived | values if merging is None else values | derived
     if rejection:
-        values = {kind: np.where(rejected, np.nan, each) for kind, each in values.items()}
+        values = {kind: np.where(labelled, each, np.nan) for kind, each in values.items()}
     for kind, of_points in values.items():
         for name, group in groups.items():
             counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)

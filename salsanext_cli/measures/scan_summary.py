@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.errors import counted, first_few
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.fitting.scan_checks import UNCHECKED, Finding, ScanCheck
@@ -133,33 +134,39 @@ class RunSummary:
         if not math.isnan(scan.confidence):
             self.confidences[scan.file.name] = scan.confidence
         for finding in scan.check.findings:
-            self.add_finding(scan.file, finding)
+            self.add_finding(scan.file.name, finding)
         if scan.check.traits is not None:
             self.traits[scan.file] = scan.check.traits
         if scan.class_points is not None:
             before = 0 if self.class_points is None else self.class_points
             self.class_points = before + scan.class_points
 
-    def add_finding(self, file: ScanFile, finding: Finding) -> None:
-        """Add a reason to doubt a scan; say it at once if it is the first of its kind."""
+    def add_finding(self, name: str, finding: Finding) -> None:
+        """Add a reason to doubt a scan; log it at once if it is the first of its kind."""
         if finding.code not in self.findings:
-            # Handlers of other programs may not take what is no text.
-            name = file.name.encode(errors="backslashreplace").decode()
-            log.warning("%s: %s; %s (%s)", name, finding.found, finding.remedy, finding.code)
-        self.findings.setdefault(finding.code, []).append((file.name, finding))
+            log_finding(name, finding)
+        self.findings.setdefault(finding.code, []).append((name, finding))
 
     def add_sequence(self, name: str, findings: Iterable[Finding]) -> None:
-        """Add what is doubtful about a whole sequence, and say it."""
+        """Add what is doubtful about a whole sequence, and log it."""
         self.looked_at.add(name)
         for finding in findings:
-            words = finding.found, finding.remedy, finding.code
-            log.warning("sequence %s: %s; %s (%s)", name, *words)
+            log_finding(f"sequence {name}", finding)
             self.findings.setdefault(finding.code, []).append((name, finding))
 
-    def finished(self) -> RunSummary:
-        """Compare the scans with each other, at the end of the run; return itself."""
+    def compare_scans(self) -> None:
+        """Compare the scans that were added since the last call with each other."""
         for file, finding in mixed_sensors(self.traits).items():
-            self.add_finding(file, finding)
+            self.add_finding(file.name, finding)
+        self.traits.clear()
+
+    def finished(self) -> RunSummary:
+        """Compare the scans, and log which others have what was logged; return the summary."""
+        self.compare_scans()
+        for code, found in sorted(self.findings.items()):
+            if others := sorted(name for name, _ in found[1:] if "/" in name):
+                count, names = counted(len(others), "more scan"), _text(first_few(others))
+                log.warning("%s in %s: %s", code, count, names)
         return self
 
     @contextmanager
@@ -168,14 +175,16 @@ class RunSummary:
         try:
             yield
         finally:
-            self.finished()
+            self.compare_scans()
             texts_of_scan: dict[str, list[Texts]] = {}
             for name, finding in chain.from_iterable(self.findings.values()):
                 texts_of_scan.setdefault(name, []).append(finding)
             earlier = run.keep_findings(texts_of_scan, self.looked_at)
-            for name in earlier.keys() & {file.name for file in scans if run.is_there(file)}:
+            there = {file.name for file in scans if run.is_there(file)}
+            for name in sorted(earlier.keys() & there):
                 for texts in earlier[name]:
-                    self.findings.setdefault(texts[0], []).append((name, Finding(*texts)))
+                    self.add_finding(name, Finding(*texts))
+            self.finished()
 
     def warnings(self) -> list[dict[str, Any]]:
         """Return what was found, by code, in the words of the first scan, with all scans."""
@@ -191,6 +200,12 @@ class RunSummary:
         """Share of the points, 0…1, of housing and vehicle, over the scans of this run."""
         return sum(self.ego_shares) / max(len(self.ego_shares), 1)
 
+    @property
+    def unlabelled_share(self) -> float:
+        """Share of the points, 0…1, without a label; before any are labelled, `ego_share`."""
+        points = self.class_points
+        return self.ego_share if points is None else float(points[0] / max(points.sum(), 1))
+
     def expected_accuracy(self) -> ExpectedAccuracy | None:
         """Return the accuracy to expect of the scans of this run, None if the weights lack it."""
         warnings = {code: [name for name, _ in given] for code, given in self.findings.items()}
@@ -203,9 +218,26 @@ class RunSummary:
         return largest_classes(self.space, self.class_points)
 
 
+def log_finding(name: str, finding: Finding) -> None:
+    """Log a reason to doubt a scan or sequence as a warning."""
+    log.warning("%s: %s; %s (%s)", _text(name), finding.found, finding.remedy, finding.code)
+
+
+def log_recorded(warnings: Iterable[Mapping[str, Any]]) -> None:
+    """Log what an earlier run found, as `RunSummary.warnings` lists it."""
+    for each in warnings:
+        finding = Finding(each["code"], each["message"], each["remedy"])
+        log_finding(first_few(each["scans"]), finding)
+
+
+def _text(names: str) -> str:
+    # Handlers of other programs may not take what is no text.
+    return names.encode(errors="backslashreplace").decode()
+
+
 def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:
-    """Return the share of points (C,) by train id, 0…1, of the largest classes, by name."""
-    largest = np.argsort(-points, kind="stable")[:CLASSES_SHOWN]
+    """Return the share of points (C,) by train id, 0…1, of the largest classes but 0, by name."""
+    largest = np.argsort(-points[1:], kind="stable")[:CLASSES_SHOWN] + 1
     return {space.names[i]: float(points[i] / points.sum()) for i in largest if points[i]}
 
 

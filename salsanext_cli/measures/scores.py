@@ -48,6 +48,11 @@ def scored_rows(confusion: Counts, space: LabelSpace) -> Counts:
     return np.where(space.scored[:, None], confusion, 0)
 
 
+def accepted(confusion: Counts) -> Counts:
+    """Return the matrix (C, C) of the points with a label: those predicted as class 0 are none."""
+    return np.where(np.arange(len(confusion)) > 0, confusion, 0)
+
+
 def ratio(part: Counts, whole: Counts) -> Ratios:
     """Divide counts; NaN where there is nothing to divide by."""
     quotient: Ratios = np.full(whole.shape, np.nan)

@@ -29,6 +29,8 @@ CHANGES = {
 PAGE = """<!doctype html><meta charset="utf-8"><title>{title}</title><style>
 body{{background:#16181d;color:#e8e8ea;font:15px sans-serif;margin:2em}}img{{max-width:100%}}
 </style><h1>{title}</h1>{body}"""
+INTERVAL = "* the interval, over scans, leaves out 0; of scans of one drive it is too narrow\n"
+ACCEPTED = "coverage: share of the points with a label; risk: share of these that is wrong"
 DIFFERENCE = ("before %", "after %", "difference", "95 % interval")
 
 
@@ -49,35 +51,33 @@ def comparison_tables(compared: RunComparison) -> Group:
     if compared.scores:
         rows = [(name, *_cells(score)) for name, score in compared.scores.items()]
         title = f"{counted(len(compared.sums), 'scan')} with truth, not trained on"
-        caption = (
-            "* the interval, over scans, leaves out 0; of scans of one drive it is too narrow\n"
-            "score of a class: its IoU"
-        )
+        caption = INTERVAL + (ACCEPTED if compared.rejecting else "score of a class: its IoU")
         tables.append(table_of(("score", *DIFFERENCE), rows, title=title, caption=caption))
     if compared.bands:
         rows = [(name, *_cells(mean)) for name, (_, mean) in compared.bands.items()]
-        title = "Mean IoU of the same classes"
+        title = "Risk" if compared.rejecting else "Mean IoU of the same classes"
         tables.append(table_of(("distance", *DIFFERENCE), rows, title=title))
-    turns = (
-        (before, after, f"{points:,}", percent(share))
-        for before, after, points, share in compared.turns()
-    )
-    same = percent(1 - changed(compared.turned))
-    title = f"Labels of {counted(len(compared.pairs), 'scan')}: {same} % are the same"
-    headings = ("before", "after", "points", "share %")
-    scans = (
-        (p.file.name, percent(changed(p.turned)), _signed(p.gain), "trained on" * p.trained_on)
+    scans = [
+        (p.file.name, percent(changed(p.turned)), _signed(compared.difference(p)), p.trained_on)
         for p in compared.most_changed()
-    )
+    ]
     seen = sum(pair.trained_on for pair in compared.pairs)
     if seen:
         which = "all scans" if seen == len(compared.pairs) else counted(seen, "scan")
         tables.append(f"{which} not scored: the weights of a run were trained on them")
-    return Group(
-        *tables,
-        table_of(headings, turns, texts=["after"], title=title),
-        table_of(("scan", "changed %", "accuracy", "note"), scans, title="Scans that changed most"),
+    of_scans = f"Labels of {counted(len(compared.pairs), 'scan')}"
+    if not scans:
+        return Group(*tables, f"{of_scans}: all are the same")
+    turns = (
+        (before, after, f"{points:,}", percent(share))
+        for before, after, points, share in compared.turns()
     )
+    title = f"{of_scans}: {percent(1 - changed(compared.turned))} % are the same"
+    headings = ("before", "after", "points", "share %")
+    tables.append(table_of(headings, turns, texts=["after"], title=title))
+    of_rows = ((*cells, "trained on" * of_training) for *cells, of_training in scans)
+    headings = ("scan", "changed %", "risk" if compared.rejecting else "accuracy", "note")
+    return Group(*tables, table_of(headings, of_rows, title="Scans that changed most"))
 
 
 def change_picture(
@@ -91,6 +91,7 @@ def change_picture(
     kind = (train["before"] != train["after"]).astype(np.intp)
     if "truth" in train:
         judged = space.scored[train["truth"]] & (kind > 0)
+        judged &= True if after.rejected is None else ~after.rejected
         kind[judged & (train["after"] == train["truth"])] = 2
         kind[judged & (train["before"] == train["truth"])] = 3
     views = {name: screen_colours(space)[ids] for name, ids in train.items()}

@@ -50,8 +50,10 @@ STRIP_HEIGHT_PX = 128
 """Height of a strip: 64 rows are drawn twice as high as they are."""
 MAX_IN_A_ROW = 4
 OVERSAMPLING = 2
-REACH_M = 45.0
-GRID_M = 10.0
+GRIDS_M = {5.0: 1.0, 10.0: 2.0, 20.0: 5.0, 45.0: 10.0}
+"""Metres from the middle to an edge, of which few are chosen, and between two circles."""
+REACH_M = max(GRIDS_M)
+INSIDE = 0.99  # Least share of the points of a small scan that are shown
 TITLES = {
     "label": "prediction",
     "wrong": "errors of the prediction",
@@ -88,6 +90,8 @@ def picture_of_results(
         scale = scales.get(colour)
         colours = PointColours(colour, scale or (0.0, 1.0), space, dark=True).of_points(columns)
         title = TITLES.get(colour, colour)
+        if colour == "wrong" and (found := results.accepted_text(space)):
+            title = f"errors of the accepted labels: {found}"
         if colour in views:
             of_views[title] = colours
         if colour in strips:
@@ -122,15 +126,21 @@ def scan_picture(
     strips: Sequence[Strip] = (),
     legend: Legend = (),
     absent: Collection[str] = (),
-    reach: float = REACH_M,
+    reach: float | None = None,
     way: Float | None = None,
 ) -> bytes:
     """Draw a scan from above and its strips below that, as a PNG.
 
     `points` (N, 3) float32, metres, sensor frame; `views`: colours of the points (N, 3) by title;
-    `absent`: entries of the legend that are not shown; `reach`: metres from the middle to an edge;
-    `way` (S, 3): of a drive, instead of the sensor's place.
+    `absent`: entries of the legend that are not shown; `reach`: metres from the middle to an edge,
+    by default as far as the scan needs, `REACH_M` at most; `way` (S, 3): of a drive, instead of the
+    sensor's place.
     """
+    if reach is None:
+        distances = np.abs(points[:, :2]).max(axis=1)
+        distances = distances[(distances > 0) & np.isfinite(distances)]
+        enough = (each for each in GRIDS_M if (distances < each).mean() >= INSIDE)
+        reach = next(enough, REACH_M) if len(distances) else REACH_M
     width = NARROW_PX if len(views) == 1 else WIDTH_PX
     in_row = max(1, min(len(views), MAX_IN_A_ROW))
     size = (width - (in_row - 1) * MARGIN_PX) // in_row
@@ -194,12 +204,12 @@ def raster(points: Float, colours: Colours, reach: float, size: int, spread: int
 def _draw_from_above(
     axes: Axes, points: Float, colours: Colours, size: int, reach: float, way: Float
 ) -> None:
-    """Draw points from above, with circles every `GRID_M` metres, more if far, and the way."""
+    """Draw points from above, with circles around the middle, and the way."""
     from matplotlib.patches import Circle
     from matplotlib.patheffects import withStroke
 
     # Drawn larger and averaged down, so that edges of points are soft.
-    step = GRID_M * max(1, round(reach / REACH_M))
+    step = GRIDS_M.get(reach) or GRIDS_M[REACH_M] * max(1, round(reach / REACH_M))
     large = raster(points, colours, reach, size * OVERSAMPLING, spread=3)
     blocks = large.reshape(size, OVERSAMPLING, size, OVERSAMPLING, 3)
     picture = blocks.mean(axis=(1, 3)).round().astype(np.uint8)

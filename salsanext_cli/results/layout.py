@@ -104,8 +104,13 @@ def drive_order(file: ScanFile) -> tuple[Any, ...]:
     return file.sequence, [int(word) if word.isdecimal() else word for word in words], file.stem
 
 
-def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[ScanFile]:
-    """Find the scans of a file, folder, data set or recording, sorted by sequence and stem."""
+def find_scans(
+    source: Path, sequences: Collection[str] | None = None, *, unique: bool = True
+) -> list[ScanFile]:
+    """Find the scans of a file, folder, data set or recording, sorted by sequence and stem.
+
+    `unique`: whether several scans of one name are refused.
+    """
     try:
         is_file = present(source) and not source.is_dir()
         if is_file and not scan_suffix(source.name) and not recording_of(_absolute(source)):
@@ -123,7 +128,8 @@ def find_scans(source: Path, sequences: Collection[str] | None = None) -> list[S
         raise _nothing_in(source, [source / name for name in others])
     if sequences is not None:
         scans = of_sequences(scans, sequences, source)
-    require_unique_stems(scans)
+    if unique:
+        require_unique_stems(scans)
     return scans
 
 

@@ -140,30 +140,26 @@ def _merged(recorded: StageRecord, wanted: StageRecord) -> StageRecord:
     """Return a record of what was done before with the same settings, and of what is wanted."""
     scans = dict(recorded.scans)
     for sequence, source in wanted.scans.items():
-        before = scans[sequence].stems if sequence in scans else frozenset()
-        scans[sequence] = ScanSource(source.folder, source.stems | before)
+        before = scans[sequence].suffixes if sequence in scans else {}
+        scans[sequence] = ScanSource(source.folder, before | source.suffixes)
     folders = tuple(sorted({*recorded.folders, *wanted.folders}))
     return replace(wanted, folders=folders, scans=scans, kept=wanted.kept | recorded.kept)
 
 
 def _scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]:
-    """Return where scans lie and their stems, by sequence."""
-    known: dict[str, str] = {}
-    for record in StageRecords(out).records().values():
-        known |= {sequence: source.folder for sequence, source in record.scans.items()}
-    stems: dict[str, set[str]] = {}
+    """Return where scans lie, and their files, by sequence; refuse others than recorded ones."""
+    known, sources = StageRecords(out).sources(), dict[str, ScanSource]()
     for scan in scans:
-        folder = str(scan.path.parent)
-        recorded = known.setdefault(scan.sequence, folder)
-        if recorded != folder:
-            raise OutputError(
-                out,
-                f"sequence {scan.sequence} came from {shortened(recorded, MAX_PATH_CHARACTERS)}",
-                f"scans from there, not from {folder}",
-                "use another output folder",
-            )
-        stems.setdefault(scan.sequence, set()).add(scan.stem)
-    return {name: ScanSource(known[name], frozenset(names)) for name, names in stems.items()}
+        folder, suffix = str(scan.path.parent), scan.path.name[len(scan.stem) :]
+        source = sources.setdefault(scan.sequence, ScanSource(folder, {}))
+        recorded = known.get(scan.sequence, source)
+        other = scan.stem + (recorded.suffixes.get(scan.stem) or suffix)
+        if recorded.folder != folder or other != scan.path.name:
+            came_from = shortened(str(Path(recorded.folder, other)), MAX_PATH_CHARACTERS)
+            found = f"results of sequence {scan.sequence} came from {came_from}"
+            raise OutputError(out, found, f"not {scan.path}", "use another output folder")
+        source.suffixes[scan.stem] = suffix
+    return sources
 
 
 @contextmanager

@@ -6,6 +6,7 @@ import os
 import shlex
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from salsanext_cli.results.layout import (
     find_scans,
     names_in,
     output_path,
+    require_unique_stems,
     with_outputs,
 )
 from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery
@@ -72,8 +74,10 @@ class ScanResults:
     uncertainty: dict[str, Float] = field(default_factory=dict)
     # That the distances are measured from; otherwise it is the origin of the points
     sensor: Sensor | None = None
-    # (N,) bool or None: points whose label was taken away
+    # (N,) bool or None: points without a label in a run that rejects labels
     rejected: npt.NDArray[np.bool_] | None = None
+    # (N,) uint16 or None: numbers of the predicted objects, 0 for none
+    instance: npt.NDArray[np.uint16] | None = None
 
     @property
     def range(self) -> Float:
@@ -83,7 +87,7 @@ class ScanResults:
             return measured_ranges(scan.points)[0].astype(np.float32)
 
     def wrong(self, space: LabelSpace) -> Float:
-        """Return 1 where the label is wrong, 0 where right, NaN where either does not count."""
+        """Return 1 where the label is wrong, 0 where right, NaN where the point does not count."""
         if self.label is None or self.truth is None:
             raise ValueError("a wrong label needs a label and a truth")
         truth = space.to_train(self.truth, strict=False)
@@ -93,13 +97,24 @@ class ScanResults:
             counts = counts & ~self.rejected
         return np.where(counts, wrong, np.float32(np.nan))
 
+    def accepted_text(self, space: LabelSpace) -> str:
+        """Return coverage and risk of the labels that were accepted; empty where all are."""
+        if self.rejected is None or self.truth is None:
+            return ""
+        known = space.scored[space.to_train(self.truth, strict=False)]
+        wrong = self.wrong(space)
+        judged = wrong[~np.isnan(wrong)]
+        coverage, risk = len(judged) / max(known.sum(), 1), judged.sum() / max(len(judged), 1)
+        return f"coverage {coverage:.1%}, risk {risk:.1%}"
+
     def rejecting(self, max_error: float, space: LabelSpace) -> "ScanResults":
         """Return the same with the points unlabelled whose error is above a threshold."""
         if self.label is None:
             return self
         above = self.uncertainty["error"] > max_error
+        unaccepted = above if self.rejected is None else above | self.rejected
         unlabelled = space.to_raw(np.zeros(1, np.uint8)).astype(self.label.dtype)
-        return replace(self, label=np.where(above, unlabelled, self.label), rejected=above)
+        return replace(self, label=np.where(above, unlabelled, self.label), rejected=unaccepted)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,20 +139,19 @@ class ResultFolder(StageRecords):
         self._require_current()
         there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(self.root, folder)}
         wanted = {key for key in there if sequence in (None, key[0])}
-        sequences = sorted({name for name, _ in wanted})
+        sequences, known = sorted({name for name, _ in wanted}), self.sources()
         if not sequences:
             found = "holds no results" if self.root.is_dir() else "no such folder"
             expected = "the output folder of an earlier stage"
             raise NoInputError(self.root, found, expected, PREDICT.format(out=self.root))
         if self.dataset and len(sequences) == 1 and _holds_scans(self.dataset):
             # The scans themselves, or the recording, which may have another name by now.
-            scans = [replace(each, sequence=sequences[0]) for each in find_scans(self.dataset)]
+            found_scans = find_scans(self.dataset, unique=False)
+            scans = [replace(each, sequence=sequences[0]) for each in found_scans]
         else:
-            known: dict[str, ScanSource] = {}
-            for record in self.records().values():
-                known |= record.scans
-            found_scans = (self._of_sequence(name, known.get(name)) for name in sequences)
-            scans = [scan for of_sequence in found_scans for scan in of_sequence]
+            of_sequences = (self._of_sequence(name, known.get(name)) for name in sequences)
+            scans = [scan for of_sequence in of_sequences for scan in of_sequence]
+        scans = _one_of_each_name(scans, known, wanted)
         if gone := sorted(wanted - {(scan.sequence, scan.stem) for scan in scans}):
             names = first_few(["/".join(key) for key in gone])
             what = "with results not found any more and left out"
@@ -164,13 +178,14 @@ class ResultFolder(StageRecords):
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
         folder = Path(source.folder) if source else None
         if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
-            scans = find_scans(folder)
-            return scans + _scans_named_themselves(source, {scan.stem for scan in scans})
+            scans = find_scans(folder, unique=False)
+            return scans + _scans_named_themselves(source, scans)
         root = self.dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
         if (root / "sequences").is_dir():
             own = root / "sequences" / sequence / SCAN_FOLDER
             # Not all of a data set once for each of its sequences.
-            return find_scans(own) if is_folder(own) else find_scans(root, [sequence])
+            named = None if is_folder(own) else [sequence]
+            return find_scans(root if named else own, named, unique=False)
         looked_in = shortened(str(self.dataset or folder or root.absolute()), MAX_PATH_CHARACTERS)
         raise NoInputError(
             self.root / "sequences" / sequence,
@@ -260,24 +275,23 @@ class ResultFolder(StageRecords):
         scan = read_scan(file.path, sensor)
         sensor = sensor and sensor_of(scan, sensor)
         count = len(scan)
-        label = _labels(self._path(file, "label"), count)
-        rejection, rejected = self.rejection(), None
-        own_space = self.label_space() if rejection else None
-        unlabelled = np.zeros(count, np.bool_)
-        if label is not None and own_space:
-            unlabelled = own_space.to_train(label, strict=False) == 0
+        label, instance = _labels(self._path(file, "label"), count)
+        recorded = self.settings_of("predictions")
+        if instance is not None and not (instance.any() or (recorded and "objects" in recorded)):
+            instance = None
         if label is not None and classes is not None:
             label = classes.to_raw(classes.to_train(label, strict=False))
-        truth = _labels(file.label_path, count) if truth_in else None
+        rejected, predicted_in = None, classes or self.label_space()
+        if label is not None and predicted_in and self.rejection():
+            rejected = predicted_in.to_train(label, strict=False) == 0
+        truth, _ = _labels(file.label_path, count) if truth_in else (None, None)
         if truth is not None and truth_in:
             own, space = truth_in
             train = own.to_train(truth, strict=False, source=file.label_path)
             truth = truth if own.learning_map == space.learning_map else space.to_raw(train)
         paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
         uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
-        if rejection and rejection.kind in uncertainty:
-            rejected = rejection.of_points(uncertainty[rejection.kind], unlabelled)
-        return ScanResults(scan, label, truth, uncertainty, sensor, rejected)
+        return ScanResults(scan, label, truth, uncertainty, sensor, rejected, instance)
 
     def with_column(self, column: str, scans: Sequence[ScanFile]) -> list[ScanFile]:
         """Return those scans of which there is what a column, one of `COLOURINGS`, is made of."""
@@ -323,6 +337,8 @@ def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArr
     columns = {"intensity": cloud.scan.intensity, "range": cloud.range}
     if cloud.label is not None:
         columns["label"] = cloud.label.astype(np.uint16)
+    if cloud.instance is not None:
+        columns["instance"] = cloud.instance
     if cloud.truth is not None:
         columns["truth"] = cloud.truth.astype(np.uint16)
         if cloud.label is not None:
@@ -336,13 +352,30 @@ def _holds_scans(dataset: Path) -> bool:
     return bool(recording_of(dataset.absolute())) or (dataset.is_dir() and not is_data_set)
 
 
-def _scans_named_themselves(source: ScanSource, known: Container[str]) -> list[ScanFile]:
+def _one_of_each_name(
+    scans: Iterable[ScanFile], sources: Mapping[str, ScanSource], wanted: Container[tuple[str, str]]
+) -> list[ScanFile]:
+    """Choose among files of one name the recorded one, sorted; refuse a choice that matters."""
+    chosen = []
+    for key, group in groupby(sorted(scans), lambda scan: (scan.sequence, scan.stem)):
+        files = list(group)
+        if len(files) > 1 and key[0] in sources:
+            name = key[1] + sources[key[0]].suffixes.get(key[1], "")
+            files = [file for file in files if file.path.name == name] or files
+        if key in wanted:
+            require_unique_stems(files)
+        chosen.append(files[0])
+    return chosen
+
+
+def _scans_named_themselves(source: ScanSource, known: Iterable[ScanFile]) -> list[ScanFile]:
     """Return the files of a folder that were asked for by name and are no scans otherwise."""
-    wanted = {stem for stem in source.stems if stem not in known}
+    listed = {name for scan in known for name in (scan.stem, scan.path.name)}
+    wanted = {s: suffix for s, suffix in source.suffixes.items() if s + suffix not in listed}
     folder = Path(source.folder)
     tables = [name for name in names_in(folder) if scan_suffix(name)] if wanted else []
     scans = [scan for name in tables for scan in find_scans(folder / name)]
-    return [scan for scan in scans if scan.stem in wanted]
+    return [s for s in scans if wanted.get(s.stem) in ("", s.path.name[len(s.stem) :])]
 
 
 def _missing(
@@ -352,11 +385,15 @@ def _missing(
 
     def is_asked_for(scan: ScanFile) -> bool:
         recorded = [of_stage[scan.sequence] for of_stage in sources if scan.sequence in of_stage]
-        return not recorded or any(scan.stem in source.stems for source in recorded)
+        return not recorded or any(scan.stem in source.suffixes for source in recorded)
 
     missing = tuple(scan for scan in listed if is_asked_for(scan))
     return MissingResults(missing, len(listed) - len(missing))
 
 
-def _labels(path: Path, count: int) -> RawIds | None:
-    return read_labels(path, count) & np.uint32(0xFFFF) if present(path) else None
+def _labels(path: Path, count: int) -> tuple[RawIds, npt.NDArray[np.uint16]] | tuple[None, None]:
+    """Read raw ids and numbers of objects; None if there is no such file."""
+    if not present(path):
+        return None, None
+    labels = read_labels(path, count)
+    return labels & np.uint32(0xFFFF), (labels >> 16).astype(np.uint16)

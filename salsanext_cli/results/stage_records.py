@@ -9,14 +9,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import LabelError, OutputError, first_few, shortened
 from salsanext_cli.files.identity import identity
 from salsanext_cli.files.json_files import RecordedSettings, read_json, write_json
+from salsanext_cli.formats import scan_suffix
 from salsanext_cli.network.card import parted
 from salsanext_cli.results.layout import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
 from salsanext_cli.results.selection import space_of
@@ -35,17 +33,20 @@ class ScanSource:
     """Scans of one sequence that a stage worked on."""
 
     folder: str  # Where they lie, absolute
-    stems: frozenset[str]  # Those that the stage was asked for in any of its runs, done or failed
+    # Suffixes of the files by stem, of those that the stage was asked for in any of its runs, done
+    # or failed; empty for scans of a recording, and in older records
+    suffixes: dict[str, str]
 
     @classmethod
     def from_dict(cls, entry: Mapping[str, Any]) -> "ScanSource":
         """Read the entry of a sequence; anything amiss raises a `TypeError` or the like."""
-        folder, stems = entry["folder"], entry["asked_for"]
-        if not isinstance(stems, list) or "\0" in folder:
+        folder, names = entry["folder"], entry["asked_for"]
+        if not isinstance(names, list) or "\0" in folder:
             raise TypeError
-        if not all(isinstance(text, str) for text in (folder, *stems)):
+        if not all(isinstance(text, str) for text in (folder, *names)):
             raise TypeError
-        return cls(folder, frozenset(stems))
+        lengths = (len(name) - len(scan_suffix(name)) for name in names)
+        return cls(folder, {n[:end]: n[end:] for n, end in zip(names, lengths, strict=True)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +66,8 @@ class StageRecord:
     def to_dict(self) -> dict[str, Any]:
         """Return the content of the record's file."""
         scans = {
-            sequence: {"folder": source.folder, "asked_for": sorted(source.stems)}
-            for sequence, source in sorted(self.scans.items())
+            name: {"folder": each.folder, "asked_for": sorted(map("".join, each.suffixes.items()))}
+            for name, each in sorted(self.scans.items())
         }
         written = {"stage": self.stage, "version": __version__, "settings": self.settings}
         record = written | {"writes": list(self.folders), "scans": scans}
@@ -100,16 +101,8 @@ def _read_record(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord |
 class Rejection(NamedTuple):
     """Rule by which a run left points unlabelled."""
 
-    kind: str  # Kind of uncertainty
-    above: float  # Points above it are unlabelled
-    lowest: float  # The lowest of the thresholds that classes have of their own, else the same
+    above: float  # Points above it are unlabelled; classes may have thresholds of their own
     chosen_on: frozenset[str]  # Digests of the scans that `tune risk` chose it on
-
-    def of_points(
-        self, uncertainty: npt.NDArray[Any], unlabelled: npt.NDArray[np.bool_]
-    ) -> npt.NDArray[np.bool_]:
-        """Return which points (N,) it took the label from."""
-        return (uncertainty > self.above) | (unlabelled & (uncertainty > self.lowest))
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +120,15 @@ class StageRecords:
         """Read the records of all stages that ran here, by stage."""
         records = {stage: self.record(stage) for stage in RESULT_STAGES}
         return {stage: record for stage, record in records.items() if record is not None}
+
+    def sources(self) -> dict[str, ScanSource]:
+        """Return where the scans of all stages came from, by sequence."""
+        sources: dict[str, ScanSource] = {}
+        for record in self.records().values():
+            for sequence, each in record.scans.items():
+                before = sources[sequence].suffixes if sequence in sources else {}
+                sources[sequence] = ScanSource(each.folder, before | each.suffixes)
+        return sources
 
     def settings(self, stage: str) -> RecordedSettings | None:
         """Return the settings a stage ran with, None if it did not."""
@@ -255,10 +257,8 @@ class StageRecords:
         above = settings.get("reject")
         if above is None:
             return None
-        promised = settings.get("promised", {})
-        lowest = min([above, *promised.get("classes", {}).values()])
-        kind = settings.get("reject_by", "error")
-        return Rejection(kind, above, lowest, self._digests(promised, "digests"))
+        chosen_on = self._digests(settings.get("promised", {}), "digests")
+        return Rejection(above, chosen_on)
 
 
 def recorded_sensor(settings: RecordedSettings | None) -> Sensor | None:

@@ -133,7 +133,8 @@ def compare(
     for total, run in zip(totals, runs, strict=True):
         for text in total.label_warnings(compared):
             log.warning("%s: %s", run.root, text)
-    result = RunComparison(compared, sorted(pairs, key=lambda pair: pair.file))
+    rejecting = any(run.rejection() for run in runs)
+    result = RunComparison(compared, sorted(pairs, key=lambda pair: pair.file), rejecting)
     pictures = []
     for pair in result.most_changed()[:SHOWN]:
         try:

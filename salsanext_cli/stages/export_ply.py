@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import NOTICE, NoInputError, UsageError, counted
+from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.formats.label_scalars import PREFIX
 from salsanext_cli.formats.las import asprs_class, classification, encode_las, import_laspy
 from salsanext_cli.formats.ply import encode_ply
@@ -23,7 +23,6 @@ from salsanext_cli.fusion.drive_map import (
     drive_of_map,
     one_per_voxel,
 )
-from salsanext_cli.fusion.poses import POSES
 from salsanext_cli.fusion.window import require_near
 from salsanext_cli.options import FusionReach
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -63,6 +62,7 @@ def export_scan(
         raise ResultFolder(output.root).missing_column(colours.colour, file)
     (folder,), points = output.folders, dict(zip("xyz", results.scan.points.T, strict=True))
     more = [] if max_error is None else [f"unlabelled where error is above {max_error:g}"]
+    more += [text] if (text := results.accepted_text(colours.space)) else []
     cloud = encode_cloud(output.path(file, folder), points, columns, colours, more)
     output.write(output.path(file, folder), cloud)
     return 0 if results.rejected is None else int(results.rejected.sum())
@@ -201,10 +201,6 @@ def map_of_drive(
     """Return the map of scans of a sequence with fused labels; no columns if none can be read."""
     files = tuple(sorted(files, key=drive_order))
     drive = drive_of_map(results, files)
-    if drive is None:
-        path = results.root / "sequences" / files[0].sequence / POSES
-        remedy = f"run `salsanext fuse {results.root}`, and give the folder of the fused labels"
-        raise NoInputError(path, "no poses", "those that `fuse` wrote", remedy)
     clouds, origins = list[Columns](), drive.origins
     ways = drive.poses[:, :3, 3] - origins[drive.parts]
     require_near(ways, voxel, "--map-voxel", "make a map of larger voxels")

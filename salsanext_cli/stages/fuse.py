@@ -288,8 +288,8 @@ def _beside(files: Sequence[ScanFile]) -> Path | None:
 
 
 def _read_given(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
-    beside = sorted(find_scans(files[0].path.parent), key=drive_order)
-    stems, wanted = ([file.stem for file in each] for each in (beside, files))
+    beside = sorted(find_scans(files[0].path.parent, unique=False), key=drive_order)
+    stems, wanted = ([*dict.fromkeys(file.stem for file in each)] for each in (beside, files))
     return pose_readings(path, stems, wanted)
 
 

@@ -14,6 +14,7 @@ from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.scan_fit import EGO, fitted_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.geometry.network_input import NO_INTENSITY
 from salsanext_cli.geometry.projection import project, without_ego
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.measures.survey import Survey, survey
@@ -122,9 +123,9 @@ def _inspect(
 def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[Survey, ScanSummary]:
     """Read, check, project and count one scan."""
     scan = read_scan(file.path, sensor)
-    # The scale that is usual, whatever weights the sensor may be of.
-    plain = replace(sensor, intensity_quantiles=())
-    check = check_scan(file.path, scan, plain, plain)
+    # Whatever the scale of the intensity is, `predict` matches it.
+    matched = replace(sensor, intensity_quantiles=NO_INTENSITY)
+    check = check_scan(file.path, scan, matched, matched)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
     counts = survey(without_ego(scan, sensor), project(scan, sensor), raw)
     return counts, ScanSummary(file, check)

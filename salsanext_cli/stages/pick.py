@@ -26,7 +26,7 @@ from salsanext_cli.labelling.picked_data_set import (
     PickRecord,
 )
 from salsanext_cli.labelling.scan_choice import choose_scans, require_choice
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, log_recorded
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Failure, NetworkTask, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.picked import (
@@ -125,6 +125,7 @@ def pick(
         recorded = as_json(choice | {"samples": SAMPLES} | settings.record(network))
         record = data_set.earlier(recorded, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
+            log_recorded(record.warnings)
             outcome = Outcome(len(record.picked), _failures(record, scans), 0)
             return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
         resolved = settings.resolved(network)

@@ -63,11 +63,12 @@ class Report:
     compared: Comparison | None  # Scores of the labelled scans, if there are any
     shown: dict[str, str]  # Scans that it shows point by point, and why
     failures: tuple[Failure, ...]  # Scans that could not be read, left out
+    unmapped: list[str]  # Reasons why maps of fused drives are missing
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
         counts, scores = self.run.counts, self.compared and self.compared.scores
-        kept = self.compared and self.compared.uncertainty.kept
+        best, kept = (c.uncertainty.kept, c.kept) if (c := self.compared) else (None, None)
         return {
             "stage": "report",
             "page": str(self.page),
@@ -76,11 +77,14 @@ class Report:
             "trained_on": counts.left_out if counts else 0,
             "on_training_scans": bool(counts and counts.trained_on),
             "shown": self.shown,
-            "accuracy": scores and plain(scores.accuracy),
-            "iou_mean_present": scores and plain(scores.iou_mean_present),
-            "sentence": kept and kept.sentence,
+            "accuracy": plain(scores.accuracy) if scores and not kept else None,
+            "iou_mean_present": plain(scores.iou_mean_present) if scores and not kept else None,
+            "coverage": kept and kept.coverage,
+            "risk": kept and kept.risk,
+            "sentence": best and best.sentence,
             **self.run.missing.to_dict(),
             "failures": [failure.to_dict() for failure in self.failures],
+            "unmapped": self.unmapped,
         }
 
 
@@ -93,32 +97,37 @@ def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice])
     rows = {row.file.name: row for row in run.rows}
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
-    reasons = [failure.reason for failure in failures]
     maps, unmapped = _maps(run, choice.get("options", RunOptions()))
-    reasons += unmapped
+    reasons = [*(failure.reason for failure in failures), *unmapped]
     written = html_of(run, compared, shown, scales_of(shown), reasons, maps).encode()
     OwnedFolder(out).replace({page: written})
-    return Report(page, run, compared, {each.name: each.reason for each in shown}, failures)
+    reason_of = {each.name: each.reason for each in shown}
+    return Report(page, run, compared, reason_of, failures, unmapped)
 
 
 def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[str]]:
     """Draw the drives whose labels `fuse` wrote, from above; return also why some are not."""
     maps, reasons = dict[str, bytes](), list[str]()
     space, results = run.reader.space, ResultFolder(run.reader.out)
+    if results.owner("predictions") != "fuse":
+        return maps, reasons
     for name, group in groupby((row.file for row in run.rows), lambda file: file.sequence):
         in_order = sorted(results.with_column("label", [*group]), key=drive_order)
         files = tuple(evenly_spaced(in_order, MAP_SCANS))
         try:
-            if not files or (drive := drive_of_map(results, files)) is None:
+            if not files:
                 continue
+            drive = drive_of_map(results, files)
             # About those that a pixel shows.
             way, borders = drive.poses[:, :3, 3], np.flatnonzero(np.diff(drive.parts)) + 1
             span = float(np.ptp(way, axis=0).max()) + 2 * REACH_M
             way = np.insert(way, borders, np.nan, axis=0)
-            columns, _ = map_of_drive(results, files, space, max(0.1, span / NARROW_PX), options)
+            voxel = max(0.1, span / NARROW_PX)
+            columns, outcome = map_of_drive(results, files, space, voxel, options)
         except SalsanextError as error:
-            reasons.append(str(error))
+            reasons.append(f"no map of {name}: {error}")
             continue
+        reasons += [f"not on the map: {failure.reason}" for failure in outcome.failures]
         if not columns:
             continue
         points = np.stack([columns[axis] for axis in "xyz"], axis=1)

@@ -76,7 +76,8 @@ class Training:
             raise TrainingError(self.run, found, "one folder that all workers see")
         if first and group.is_main:
             epochs = f"{state.epoch} of {self.learner.recipe.epochs} epochs"
-            log.log(NOTICE, "going on after %s, step %d, from %s", epochs, first, checkpoint)
+            begun = "going on" if state.epoch < self.learner.recipe.epochs else "complete"
+            log.log(NOTICE, "%s after %s, step %d, from %s", begun, epochs, first, checkpoint)
         pinned = self.learner.device.type == "cuda"
         stream = batches(self.samples, first, self.workers, pinned=pinned, group=group)
         with tensorboard_in(self.run, wanted=group.is_main) as write_epoch:

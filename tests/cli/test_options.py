@@ -61,7 +61,7 @@ def test_tasks_of_an_array_share_the_scans(run, data, tmp_path, weights, monkeyp
     assert len(labels_below(out)) == 2
     assert only_json(run("eval", "--out", out, "--json"))["scans"] == 2
     scans = json.loads((out / "predict.json").read_text())["scans"]
-    assert scans["08"]["asked_for"] == ["000000", "000001"]
+    assert scans["08"]["asked_for"] == ["000000.bin", "000001.bin"]
     # What is typed goes before the array.
     result = run(*call, "--shard", "1/1", "--json")
     assert only_json(result)["skipped"] == 2

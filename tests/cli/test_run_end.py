@@ -4,12 +4,13 @@
 import shlex
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import yaml
 from command_line import only_json
 from evaluated import CAR, ROAD, World
-from scans import SMALL, write_sequence
+from scans import SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import label_space
 from salsanext_cli.cli.run_end import next_command
@@ -68,6 +69,34 @@ def test_next_commands(stage, split, done, expected, tmp_path):
     assert next_command("export-ply", Outcome(0, (), done), "a b", ()) is None
     assert next_command("convert", Outcome(1, (), 0), "a b", ()) == "salsanext predict 'a b'"
     assert next_command("convert", Outcome(0, (), 0), "a b", ()) is None
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_each_warning_is_printed_once(run, data, tmp_path, count):
+    sensor = tmp_path / "upwards.toml"
+    sensor.write_text("fov_up = 30.0\nfov_down = -2.0\nheight = 16\nwidth = 128\n")
+    given = ("project", data, tmp_path / "out", "--sensor", sensor, "--limit", count)
+    inspected = ("inspect", data, "--sensor", sensor, "--limit", count)
+    # The second time from the record.
+    for arguments in (given, given, inspected):
+        result = run(*arguments)
+        assert result.exit_code == 0, result.output
+        assert result.stderr.count("(out-of-view)") == 1
+        assert result.stderr.count("out-of-view in 1 more scan: 08/000001") == count - 1
+        assert result.stderr.count("out-of-view") == count
+
+
+def test_without_scans_nothing_is_read_and_no_folder_is_made(run, data, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    write_bin(tmp_path / "here/0.bin", make_scan())
+    for command in ("predict", "project", "uncertainty", "inspect"):
+        result = run(command)
+        assert result.exit_code == 2
+        assert result.stderr.startswith("error: SCANS · none given")
+    assert [path.name for path in Path().iterdir()] == ["0.bin"]
+    monkeypatch.chdir(data)
+    assert run("inspect").exit_code == 0
 
 
 @pytest.fixture

@@ -26,7 +26,12 @@ def test_set_changes_the_recipe_that_the_run_folder_and_the_weights_record(run, 
     precision = "bfloat16" if bfloat16_instructions() else "float32"
     wanted = recipe("quick").with_changes(precision=precision, batch=1, schedule="decay", epochs=1)
     assert recipe(folder / "recipe.toml") == wanted
-    assert read_card(Path(only_json(result)["best"])).recipe == wanted.to_dict()
+    best = only_json(result)["best"]
+    assert read_card(Path(best)).recipe == wanted.to_dict()
+    assert f"next: salsanext predict SCANS OUT --weights {best}" in result.stderr
+    again = run(*given, *changes)
+    assert "complete after 1 of 1 epochs" in again.stderr
+    assert "going on" not in again.stderr
 
 
 def test_a_batch_too_small_for_the_workers(run, data, tmp_path, monkeypatch):

@@ -34,8 +34,9 @@ def test_the_largest_classes_are_those_counted_slowly(scans):
     counts = Counter(SPACE.names[i] for train_ids in scans for i in train_ids)
     found = summary.largest_classes()
     assert all(share == counts[name] / counts.total() for name, share in found.items())
-    largest = [count / counts.total() for _, count in counts.most_common(5)]
-    assert list(found.values()) == largest
+    total, unlabelled = counts.total(), counts.pop(SPACE.names[0], 0)
+    assert list(found.values()) == [count / total for _, count in counts.most_common(5)]
+    assert summary.unlabelled_share == unlabelled / max(total, 1)
 
 
 def test_labels_of_little_probability_are_doubted():

@@ -14,6 +14,7 @@ from salsanext_cli import Scan, label_space
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.errors import FormatError
 from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.animation import MAX_PX, encode_gif
 from salsanext_cli.report.canvas import MARGIN_PX
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, screen_colours
@@ -145,6 +146,20 @@ def test_a_higher_point_hides_a_lower_one(spread):
 def test_points_outside_the_view_are_left_out(point):
     assert (seen([point], [RED]) == EMPTY).all()
     assert (seen(np.zeros((0, 3)), np.zeros((0, 3))) == EMPTY).all()
+
+
+@pytest.mark.parametrize(
+    ("farthest", "reach"), [(0.5, 5), (4.9, 5), (5.1, 10), (19, 20), (30, 45), (90, 45)]
+)
+def test_a_picture_from_above_is_as_wide_as_the_scan(farthest, reach, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(scan_pictures, "_draw_from_above", lambda *given: drawn.append(given[4]))
+    monkeypatch.setattr("salsanext_cli.report.canvas.png_of", lambda _: b"")
+    points = np.zeros((1000, 3), np.float32)
+    points[:700, 1] = np.linspace(0.1, farthest, 700)
+    points[0, 0], points[1] = 80, np.nan  # One that is far, and one without a measurement
+    scan_picture("", points, {"": np.zeros((1000, 3), np.uint8)})
+    assert drawn == [reach]
 
 
 def test_a_sample_shows_truth_prediction_and_errors(tmp_path):

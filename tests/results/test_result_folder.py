@@ -7,8 +7,9 @@ from scans import SMALL, make_scan, write_array, write_sequence
 from world import begin_and_end
 
 from salsanext_cli import Scan, label_space
-from salsanext_cli.errors import FormatError, LabelError, NoInputError
+from salsanext_cli.errors import FormatError, LabelError, NoInputError, OutputError
 from salsanext_cli.formats.kitti import write_labels
+from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, scalar_columns
@@ -111,6 +112,38 @@ def test_a_table_that_was_named_itself_is_found_again_beside_clouds(world, tmp_p
     assert names == ["000000.bin", "table.npy"]
 
 
+@pytest.mark.parametrize("suffix", [".bin", ".ply", ".npy"])
+def test_the_file_that_was_predicted_is_found_beside_others_of_its_stem(world, tmp_path, suffix):
+    folder = write_sequence(tmp_path / "drive", ["a", "b"], labels=False) / "velodyne"
+    for stem in "ab":
+        write_ply(folder / f"{stem}.ply", dict.fromkeys("xyz", np.ones(5, np.float32)))
+    write_array(folder / "a.npy", np.ones((5, 4)))
+    with pytest.raises(OutputError, match="2 scans of that name"):
+        find_scans(folder)
+    named = find_scans(folder / f"a{suffix}")
+    ask(world, named)
+    write_labels(world.out / "sequences/drive/predictions/a.label", np.zeros(5, np.uint32))
+    # A table among clouds is no scan of a folder that is named.
+    for dataset in (None,) if suffix == ".npy" else (None, folder):
+        found = ResultFolder(world.out, dataset).scans()
+        assert [scan for scan in found if scan.stem == "a"] == named
+    other = find_scans(folder / ("a.ply" if suffix == ".bin" else "a.bin"))
+    with pytest.raises(OutputError, match=rf"came from .*a\{suffix} · expected not .*a\."):
+        ask(world, other)
+
+
+def test_a_file_of_the_same_stem_is_refused_if_the_record_does_not_name_one(world, tmp_path):
+    folder = write_sequence(tmp_path / "drive", ["a"], labels=False) / "velodyne"
+    ask(world, find_scans(folder))
+    write_labels(world.out / "sequences/drive/predictions/a.label", np.zeros(5, np.uint32))
+    path = world.out / "predict.json"
+    path.write_text(path.read_text().replace("a.bin", "a"))  # As earlier versions recorded it
+    assert [scan.path.name for scan in ResultFolder(world.out).scans()] == ["a.bin"]
+    write_ply(folder / "a.ply", dict.fromkeys("xyz", np.ones(5, np.float32)))
+    with pytest.raises(OutputError, match="2 scans of that name"):
+        ResultFolder(world.out).scans()
+
+
 SPACE = label_space()
 CAR, ROAD, MOVING_CAR = 10, 40, 252
 
@@ -137,9 +170,10 @@ def test_everything_that_is_known(world, file):
         write_array(world.result(f"uncertainty/{kind}"), np.linspace(0, 1, 1500, dtype=np.float32))
     cloud = ResultFolder(world.out).read(file, truth_in=(SPACE, SPACE))
     assert set(scalar_columns(cloud, SPACE)) == {
-        *("intensity", "range", "label", "truth", "wrong"),
+        *("intensity", "range", "label", "truth", "wrong", "instance"),
         *("entropy", "total"),
     }
+    assert set(cloud.instance) == {3}
     assert set(cloud.label) == {CAR}
     np.testing.assert_allclose(cloud.range, np.sqrt((cloud.scan.points**2).sum(1)), rtol=1e-6)
 

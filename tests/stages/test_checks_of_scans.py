@@ -68,7 +68,9 @@ def test_doubtful_scans_are_named_by_both(dataset, caplog, changes, codes):
     assert {*found(warnings)} == codes
     assert all(scans == ["00/1"] for scans in found(warnings).values())
     inspected = inspect(dataset, sensor=SMALL)
-    assert found(inspected.warnings) == found(warnings)
+    # `predict` matches the intensity; a training from the start takes it as it is.
+    assert {*found(inspected.warnings)} == codes - {"intensity-scale"}
+    assert all(scans == ["00/1"] for scans in found(inspected.warnings).values())
     assert inspected.to_dict()["warnings"] == inspected.warnings
     assert caplog.text.count("(mixed-sensors)") == 2 * ("mixed-sensors" in codes)
     assert "auto" not in "".join(warning["remedy"] for warning in warnings)

@@ -94,6 +94,16 @@ def test_scans_of_either_training_are_marked_and_have_no_part_in_the_scores(runs
     assert data["agreement"] < 1
 
 
+def test_equal_runs_have_no_empty_tables(runs):
+    shutil.rmtree(runs[1].out)
+    shutil.copytree(runs[0].out, runs[1].out)
+    compared(runs)
+    page = (runs[1].out / "compare.html").read_text()
+    assert "scans: all are the same" in page
+    assert "Scans that changed most" not in page
+    assert "share %" not in page
+
+
 def test_what_cannot_be_compared_is_said(runs, tmp_path, caplog):
     output_path(runs[1].out, "08", "predictions", "0").unlink()
     runs[1].add("1", None, [CAR] * 3)

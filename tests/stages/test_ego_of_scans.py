@@ -37,8 +37,12 @@ def typed(world, line, out=None):
     return CliRunner().invoke(app, [str(places.get(word, word)) for word in shlex.split(line)])
 
 
+def world_labels(world):
+    return sorted(world.out.rglob("*.label"))
+
+
 def unlabelled(world):
-    labels = [read_labels(path) for path in sorted(world.out.rglob("*.label"))]
+    labels = [read_labels(path) for path in world_labels(world)]
     return [(found[:NEAR] == 0).mean() for found in labels], [found[NEAR:] for found in labels]
 
 
@@ -47,8 +51,12 @@ def test_the_housing_is_unlabelled_and_it_is_said(housed):
     shares, others = unlabelled(housed)
     assert shares == [1.0] * 3
     assert np.mean(np.concatenate(others) > 0) > 0.9
-    said = re.search(r"unlabelled: about ([\d.]+) % of the points", result.stderr)
+    (said,) = re.findall(r"unlabelled: ([\d.]+) % of the points, about ([\d.]+) %", result.stderr)
+    labels = np.concatenate([read_labels(path) for path in world_labels(housed)])
+    assert float(said[0]) == pytest.approx(100 * (labels == 0).mean(), abs=0.05)
     assert float(said[1]) == pytest.approx(100 * NEAR / (NEAR + 1500), abs=1)
+    (classes,) = (line for line in result.stderr.splitlines() if line.startswith("largest "))
+    assert "unlabeled" not in classes
     assert "nearer than 1 m" in result.stderr
 
 

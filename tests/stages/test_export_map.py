@@ -10,7 +10,13 @@ from typer.testing import CliRunner
 
 from salsanext_cli import Scan, label_space, read_labels, read_scan, write_labels
 from salsanext_cli.cli.app import app
-from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError
+from salsanext_cli.errors import (
+    NOTICE,
+    NoInputError,
+    OutputError,
+    SalsanextError,
+    UsageError,
+)
 from salsanext_cli.fusion import drive_map
 from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.drive_map import MapTask
@@ -243,3 +249,33 @@ def test_a_report_shows_the_drive_from_above_or_says_why_not(fused):
     page = report(fused.out / "fused").page.read_text()
     assert "4 lines" in page
     assert 'alt="08: ' not in page
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("drive.json", '{"scans": 3}'),
+        ("drive.json", '{"scans": ["0'),
+        ("drive.json", None),
+        ("poses.txt", "1 0 0\n"),
+        ("poses.txt", None),
+    ],
+)
+def test_a_map_that_is_missing_is_an_error(fused, name, content):
+    path = fused.out / "fused/sequences/08" / name
+    path.unlink() if content is None else path.write_text(content)
+    result = CliRunner().invoke(app, ["report", str(fused.out / "fused")])
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: no map of 08: ")
+    assert name in result.stderr.splitlines()[0]
+    page = (fused.out / "fused/report.html").read_text()
+    assert 'alt="08: ' not in page
+    assert "no map of 08" in page
+    with pytest.raises(SalsanextError, match=name.replace(".", r"\.")):
+        export(fused)
+
+
+def test_scans_that_are_not_on_the_map_are_named(fused):
+    (fused.out / "fused/sequences/08/views/000001.npy").write_bytes(b"no array")
+    (reason,) = report(fused.out / "fused").unmapped
+    assert "000001.npy" in reason

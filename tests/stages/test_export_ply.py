@@ -109,6 +109,22 @@ def test_las_holds_what_ply_does(sampled):
     assert export(sampled, colour="wrong", form=form).skipped == 3
 
 
+def test_clouds_hold_the_numbers_of_objects(world):
+    laspy = pytest.importorskip("laspy")
+    predict_scans(world.data, world.out, settings=world.network, extras=("objects",))
+    path = world.result("predictions")
+    raw = np.fromfile(path, "<u4")  # A network without training finds none in one of the scans.
+    raw[:5] = raw[:5] & 0xFFFF | np.array([0, 1, 2, 2, 65535], np.uint32) << 16
+    raw.tofile(path)
+    export(world)
+    export(world, form="laz")
+    for values in (column(world, "instance"), laspy.read(world.result("laz"))["instance"]):
+        np.testing.assert_array_equal(values, raw >> 16)
+    # The other scans have the property, too, whatever was found.
+    assert "scalar_instance" in [p.name for p in ply(world, "00")["vertex"].properties]
+    np.testing.assert_array_equal(column(world, "label"), raw & 0xFFFF)
+
+
 def test_las_without_laspy_is_refused_before_anything_is_done(predicted, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
     with pytest.raises(MissingDependency, match=r"--format laz · LAS needs laspy · pip install"):

@@ -6,6 +6,7 @@ import socket
 import struct
 import subprocess
 import sys
+from contextlib import ExitStack
 from dataclasses import replace
 from http.client import HTTPConnection
 
@@ -15,6 +16,7 @@ from scans import SMALL
 from served import served
 
 from salsanext_cli.errors import UsageError
+from salsanext_cli.report.page.server import MAX_CONNECTIONS, _Handler
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import report, view
@@ -98,6 +100,42 @@ def test_a_browser_that_leaves_is_no_error(ask, world, capfd):
         connection.close()
         assert asker(server)("/")[0] == 200
     assert "Traceback" not in capfd.readouterr().err
+
+
+def half_asked(server):
+    """Return a connection over which half a request was sent."""
+    connection = socket.create_connection(("127.0.0.1", server.server_port), timeout=20)
+    connection.sendall(b"GET / HTTP/1.1\r\nHo")
+    return connection
+
+
+def test_half_requests_do_not_keep_others_out(world):
+    with ExitStack() as stack, view(world.out, query=ResultQuery(world.dataset)) as server:
+        stack.enter_context(served(server))
+        halves = [stack.enter_context(half_asked(server)) for _ in range(300)]
+        assert asker(server)("/")[0] == 200
+        # All but the last ones are ended, and so are their threads.
+        for connection in halves[: 300 - MAX_CONNECTIONS]:
+            assert ended(connection)
+        assert len(server._open) <= MAX_CONNECTIONS
+        halves[-1].sendall(b"st: localhost\r\n\r\n")
+        assert halves[-1].recv(12) == b"HTTP/1.0 200"
+
+
+def test_a_request_that_does_not_come_is_not_waited_for(world, monkeypatch):
+    monkeypatch.setattr(_Handler, "timeout", 0.1)
+    with view(world.out, query=ResultQuery(world.dataset)) as server, served(server):
+        with half_asked(server) as connection:
+            assert ended(connection)
+        assert asker(server)("/")[0] == 200
+
+
+def ended(connection):
+    """Say whether the other side has ended a connection, or does within its timeout."""
+    try:
+        return connection.recv(1) == b""
+    except ConnectionError:
+        return True
 
 
 def test_a_scan_moved_away_is_an_answer_and_not_the_end(world, ask):

@@ -17,7 +17,7 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, escaped, printable
-from salsanext_cli.measures.scan_counts import BAND_NAMES
+from salsanext_cli.measures.scan_counts import BAND_NAMES, ScanCounts
 from salsanext_cli.measures.scores import Counts, band_rows, largest_confusions, scored_rows, scores
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
 from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
@@ -91,7 +91,7 @@ def html_of(
         "map": map_colours(COLOUR_MAP)[steps.astype(np.intp)].ravel().tolist(),
         "shown": [{"name": name, "reason": reason} for name, reason in offered.items()],
         "drive": _drive(run.rows, class_points, list(offered)),
-        "occurring": _occurring(class_points, compared),
+        "occurring": _occurring(class_points, run.counts),
     }
     blocks = [script_data("data", {**escaped(data), "live": live, "token": token})]
     for i, each in enumerate(shown):
@@ -147,14 +147,19 @@ def _tiles(rows: Sequence[ScanRow], compared: Comparison | None) -> str:
     if compared:
         found, scans = compared.scores, counted(compared.counts.scans, "scan")
         which = "trained on" if compared.counts.trained_on else "with labels"
-        present = sum(each.points > 0 for each in found.classes)
-        tiles += [
-            (f"accuracy, {scans} {which}", percent(found.accuracy, 1, " %")),
-            (f"mean IoU of {present} classes present", percent(found.iou_mean_present, 1, " %")),
-        ]
-        if present < len(found.classes):
-            official = percent(found.iou_mean_official, 1, " %")
-            tiles.append((f"mean IoU of all {len(found.classes)}, official", official))
+        if kept := compared.kept:
+            tiles += [
+                (f"coverage: accepted points of {scans} {which}", percent(kept.coverage, 1, " %")),
+                ("risk: wrong ones of the accepted points", percent(kept.risk, 1, " %")),
+            ]
+        else:
+            present = sum(each.points > 0 for each in found.classes)
+            iou = percent(found.iou_mean_present, 1, " %")
+            tiles.append((f"accuracy, {scans} {which}", percent(found.accuracy, 1, " %")))
+            tiles.append((f"mean IoU of {present} classes present", iou))
+            if present < len(found.classes):
+                official = percent(found.iou_mean_official, 1, " %")
+                tiles.append((f"mean IoU of all {len(found.classes)}, official", official))
     return "".join(f"<div><b>{_text(value)}</b>{_text(name)}</div>" for name, value in tiles)
 
 
@@ -181,7 +186,9 @@ def _shares(
         return "<p>No stage has predicted labels.</p>"
     ious = {c.train_id: c.iou for c in compared.scores.classes if c.points} if compared else {}
     shares = points / points.sum()
-    heading = "<th>class</th><th>share of the points</th>" + "<th>IoU</th>" * bool(ious)
+    heading = "<th>class</th><th>share of the points</th>"
+    if ious and compared:
+        heading += f"<th>IoU{' of accepted points' * bool(compared.kept)}</th>"
     rows = []
     for i in np.argsort(-shares, kind="stable").tolist():
         if not points[i] and i not in ious:
@@ -248,9 +255,9 @@ def _confusions(confusion: Counts, space: LabelSpace) -> list[str]:
     ]
 
 
-def _occurring(class_points: Counts, compared: Comparison | None) -> dict[str, list[int]]:
+def _occurring(class_points: Counts, counts: ScanCounts | None) -> dict[str, list[int]]:
     """Return the classes of some scan, by colour: the legend is the same for all scans."""
-    true = compared.counts.confusion.sum(axis=1) if compared else ()
+    true = counts.confusion.sum(axis=1) if counts else ()
     found = {"label": class_points.sum(axis=0), "truth": true, "wrong": np.ones(3)}
     return {name: np.flatnonzero(points).tolist() for name, points in found.items()}
 

@@ -9,7 +9,7 @@ import random
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from salsanext_cli.measures.risk_control import (
     promise,
 )
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts, count_scan, read_softmax
-from salsanext_cli.measures.scores import Counts, Scores, scored_rows, scores
+from salsanext_cli.measures.scores import Counts, Scores, accepted, scored_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
@@ -86,11 +86,12 @@ class ScanRow:
     points: int  # Number of its points that have a label or an uncertainty
     class_points: Counts | None  # (C,) int64 or None: number of points by predicted train id
     uncertainty: dict[str, float]  # Mean over the points by kind; NaN without any
-    confusion: Counts | None = None  # (C, C) as `scored_rows`; None without labels
+    # (C, C) as `scored_rows`, of a run that rejected labels those accepted; None without labels
+    confusion: Counts | None = None
 
     @property
     def wrong(self) -> float:
-        """Share of the labelled points that is wrong, 0…1; NaN without any."""
+        """Share of the points of `confusion` that is wrong, 0…1; NaN without any."""
         if self.confusion is None or not self.confusion.any():
             return math.nan
         return float(1 - self.confusion.trace() / self.confusion.sum())
@@ -121,6 +122,7 @@ def read_row(
         file, out, space, by_distance, *compared_in, trained_on, rejection=reader.rejection
     )
     confusion = scored_rows(counts.confusion, space)
+    confusion = accepted(confusion) if reader.rejection else confusion
     return ScanRow(file, points, class_points, uncertainty, confusion), counts
 
 
@@ -161,10 +163,11 @@ def read_boxes(path: Path, space: LabelSpace) -> list[list[float]]:
 class Comparison:
     """Comparison of the scans that have labels with these."""
 
-    counts: ScanCounts  # Counts of their points
+    counts: ScanCounts  # Counts of their points; of a run that rejected labels, of accepted ones
     scores: Scores  # Scores of the labels
     uncertainty: UncertaintyEvaluation  # Results for the probabilities and uncertainties
-    sentences: list[str]  # Coverage and risk of a run that rejected labels, and its promise
+    kept: KeptLabels | None  # Coverage and risk of a run that rejected labels
+    sentences: list[str]  # The same in words, and the promise of the run
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,14 +194,15 @@ class RunResults:
         """Divide the counts; None without labels."""
         if self.counts is None:
             return None
-        space = self.reader.space
-        uncertainty = evaluate_uncertainty(self.counts, space)
-        confusion, kept, sentences = self.counts.confusion, self.counts.kept, list[str]()
-        if kept:
-            sentences += KeptLabels.of_confusion(confusion, space, kept).sentences
-        if self.promise:
-            sentences.append(self.promise.sentence)
-        return Comparison(self.counts, scores(confusion, space), uncertainty, sentences)
+        counts, space, kept = self.counts, self.reader.space, None
+        uncertainty = evaluate_uncertainty(counts, space)
+        if counts.kept:
+            kept = KeptLabels.of_confusion(counts.confusion, space, counts.kept)
+            bands = tuple(map(accepted, counts.bands))
+            counts = replace(counts, confusion=accepted(counts.confusion), bands=bands)
+        sentences = [*(kept.sentences if kept else ())]
+        sentences += [self.promise.sentence] if self.promise else []
+        return Comparison(counts, scores(counts.confusion, space), uncertainty, kept, sentences)
 
     @property
     def promise(self) -> RiskBoundCheck | None:
@@ -240,9 +244,8 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
         means = [row.uncertainty.get(kind, math.nan) for row in rows]
         words = f"most uncertain (mean {kind.replace('_', ' ')}"
         add_largest(means, lambda value: f"{words} {value:.3g})")
-    add_largest(
-        [row.wrong for row in rows], lambda share: f"most wrong ({100 * share:.1f} % of the points)"
-    )
+    wrong = [row.wrong for row in rows]
+    add_largest(wrong, lambda share: f"most wrong ({100 * share:.1f} % of the judged points)")
     worst = _worst_class(rows, space)
     if worst is not None:
         missed = [_missed(row.confusion, worst) for row in rows]

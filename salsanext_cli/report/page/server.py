@@ -9,14 +9,19 @@ import re
 import secrets
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from socket import SHUT_RDWR
+from threading import Lock
 from typing import Any
 from urllib.parse import urlsplit
 
 from salsanext_cli.errors import SalsanextError, UsageError
 
 LOOPBACK = "127.0.0.1"
+TIMEOUT_S = 10.0  # Longest wait for the next bytes of a request, or until some are taken
+MAX_CONNECTIONS = 64  # Of a browser there are six
 OWN_NAMES = (LOOPBACK, "localhost")
 """Hosts that a browser may ask for, so that no page of another name here can read the scans."""
 
@@ -25,10 +30,13 @@ class PageServer(ThreadingHTTPServer):
     """Server, on the loopback interface, of a page and of the clouds that a subclass gives."""
 
     page = b""
+    request_queue_size = MAX_CONNECTIONS
 
     def __init__(self, port: int) -> None:
         # Part of the address of the clouds: the page of an earlier server gets none of this one's.
         self.token = secrets.token_urlsafe(12)
+        self._open: dict[Any, None] = {}  # Connections, the oldest first
+        self._lock = Lock()
         try:
             super().__init__((LOOPBACK, port), _Handler)
         except OSError as error:
@@ -46,6 +54,24 @@ class PageServer(ThreadingHTTPServer):
         """Return the cloud of a scan by its place, as plain data; None if there is no such scan."""
         raise NotImplementedError
 
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread of its own; end the oldest connection if there are too many."""
+        with self._lock:
+            self._open[request] = None
+            oldest = next(iter(self._open)) if len(self._open) > MAX_CONNECTIONS else None
+            if oldest:
+                del self._open[oldest]
+                # Its thread reads the end of the request, and closes it.
+                with suppress(OSError):
+                    oldest.shutdown(SHUT_RDWR)
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        with self._lock:
+            self._open.pop(request, None)
+        super().shutdown_request(request)
+
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of a browser that no longer waits for its answer."""
         if not isinstance(sys.exception(), ConnectionError):
@@ -56,6 +82,7 @@ class _Handler(BaseHTTPRequestHandler):
     """Answers to GET requests for ``/`` and ``/cloud/TOKEN/3``."""
 
     server: PageServer
+    timeout = TIMEOUT_S
 
     def do_GET(self) -> None:
         """Answer one request."""

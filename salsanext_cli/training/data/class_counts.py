@@ -20,7 +20,7 @@ from salsanext_cli.files.identity import identity
 from salsanext_cli.files.json_files import encode_json, read_json
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.labelling.label_records import require_truth
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, log_recorded
 from salsanext_cli.network.card import parted, scan_digest
 from salsanext_cli.records import Double, Mask
 from salsanext_cli.results.layout import ScanFile
@@ -105,6 +105,7 @@ def class_counts(
     digest = data_digest([*sources, validation], validated, also if further else 0.0)
     files = [file for source in sources for file in source.files]
     if kept := _kept(path, digest, files, space.names):
+        log_recorded(kept.warnings)
         return kept
     of_validation, summaries, _ = count_classes(validation, jobs)
     scored = {*validated}
@@ -136,11 +137,10 @@ def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[dict[str
     """Return the reasons to doubt scans; each fitted sequence may have a sensor of its own."""
     summary = RunSummary(source.sensor)
     for _, members in groupby(summaries, lambda each: source.fitted and each.file.sequence):
-        summary.traits.clear()
         for scan in members:
             summary.add(scan)
-        summary.finished()
-    return summary.warnings()
+        summary.compare_scans()
+    return summary.finished().warnings()
 
 
 def _kept(

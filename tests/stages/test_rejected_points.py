@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: MIT
+"""Points that `predict --reject` left without a label are neither right nor wrong."""
+
+import json
+
+import numpy as np
+import plyfile
+import pytest
+from evaluated import CAR, ROAD, SPACE, World
+
+from salsanext_cli import sensor
+from salsanext_cli.report.scan_pictures import picture_of_results
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.query import ResultQuery
+from salsanext_cli.results.stage_records import StageRecord
+from salsanext_cli.stages import picture as pictures
+from salsanext_cli.stages.compare import compare
+from salsanext_cli.stages.evaluate import evaluate
+from salsanext_cli.stages.export_ply import export_ply
+from salsanext_cli.stages.picture import picture
+from salsanext_cli.stages.report import report, view
+
+NONE, TREE = 0, 70
+TRUTH = [CAR, CAR, ROAD, ROAD, ROAD, TREE, TREE, TREE, NONE, NONE]
+LABELS = [CAR, NONE, ROAD, CAR, NONE, NONE, NONE, NONE, CAR, NONE]
+"""Three of eight points of known classes have a label, and one of these is wrong."""
+
+
+def recorded(world, **settings):
+    settings |= {"label_space": SPACE.to_dict(), "sensor": sensor("hdl64").to_dict()}
+    StageRecord("predict", settings, ("predictions",)).write(world.out)
+
+
+@pytest.fixture
+def world(tmp_path):
+    """Return a run that rejected points; scan 1 has no wrong label and the fewest labels."""
+    world = World(tmp_path)
+    world.add("0", TRUTH, LABELS)
+    world.add("1", TRUTH, [CAR] + [NONE] * 9, distance=15)
+    recorded(world, reject=0.5)
+    return world
+
+
+@pytest.fixture
+def query(world):
+    return ResultQuery(world.dataset)
+
+
+def test_the_report_gives_coverage_and_risk(world, query):
+    found = report(world.out, query=query, by_distance=True)
+    numbers = found.to_dict()
+    assert (numbers["coverage"], numbers["risk"]) == (4 / 16, 1 / 4)
+    assert (numbers["accuracy"], numbers["iou_mean_present"]) == (None, None)
+    assert found.shown["08/0"].startswith("most wrong (33.3 % of the judged points)")
+    page = found.page.read_text()
+    assert "<b>25.0 %</b>coverage: accepted points of 2 scans" in page
+    assert "<b>25.0 %</b>risk" in page
+    assert "accuracy, 2 scans" not in page
+    confusions = page.partition("Largest confusions")[2].partition("</ol>")[0]
+    assert "<li>road taken for car: 50.0 % of 2 points</li></ol>" in f"{confusions}</ol>"
+    # By distance, the accuracy is of accepted points, too.
+    assert "<td>0–10 m</td><td>50.0</td><td>66.7</td><td>3</td>" in page
+    rejection = evaluate(find_scans(world.dataset), world.out, SPACE).to_dict()["rejection"]
+    assert (rejection["points"], rejection["kept"], rejection["wrong"]) == (16, 4, 1)
+
+
+def test_the_page_that_is_served_does_not_judge_them(world, query):
+    with view(world.out, query=query) as server:
+        assert b"<b>25.0 %</b>risk" in server.page
+        shown = server._run.read(server._run.rows[0])
+    wrong = shown.results.wrong(SPACE)
+    assert np.isnan(wrong).sum() == 7
+    assert wrong[[0, 2, 3]].tolist() == [0, 0, 1]
+
+
+def test_pictures_and_clouds_say_coverage_and_risk(world, query, monkeypatch):
+    titles = []
+    monkeypatch.setattr("salsanext_cli.report.scan_pictures.scan_picture", _titles_into(titles))
+    # In the place of what draws nothing, which `undrawn` in conftest.py has put there
+    monkeypatch.setattr(pictures, "picture_of_results", picture_of_results)
+    picture(world.out, colours=["wrong"], query=query)
+    assert titles[0] == "errors of the accepted labels: coverage 37.5%, risk 33.3%"
+    export_ply(world.out, colour="wrong", query=query)
+    cloud = plyfile.PlyData.read(world.out / "sequences/08/ply/0.ply")
+    assert "coverage 37.5%, risk 33.3%" in cloud.comments
+    assert np.isnan(cloud["vertex"]["scalar_wrong"]).sum() == 7
+
+
+def test_runs_are_compared_by_coverage_and_risk(world, query, tmp_path):
+    other = World(tmp_path)
+    other.out = tmp_path / "all"
+    for stem, distance in (("0", 5), ("1", 15)):
+        other.add(
+            stem, TRUTH, [CAR, CAR, ROAD, CAR, CAR, TREE, TREE, TREE, CAR, CAR], "08", distance
+        )
+    recorded(other)
+    found, _ = compare(other.out, world.out, query=query, by_distance=True)
+    assert {name: each[:2] for name, each in found.scores.items()} == {
+        "coverage": (1, 4 / 16),
+        "risk": (2 / 8, 1 / 4),
+    }
+    assert found.bands["0–10 m"][1][:2] == (2 / 8, 1 / 3)
+    data = json.loads((world.out / "compare.json").read_text())
+    assert {each["scan"]: each["risk"] for each in data["changed_most"]} == {
+        "08/0": pytest.approx(1 / 3 - 2 / 8),
+        "08/1": -2 / 8,
+    }
+
+
+def _titles_into(titles):
+    def drawn(_heading, _points, views, *_, **__):
+        titles.extend(views)
+        return b"picture"
+
+    return drawn
