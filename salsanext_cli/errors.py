@@ -171,6 +171,12 @@ def warn_once(log: logging.Logger, message: str) -> None:
     log.warning("%s", message)
 
 
+@cache
+def notice_once(log: logging.Logger, message: str) -> None:
+    """Log a notice that this process has not logged yet."""
+    log.log(NOTICE, "%s", message)
+
+
 def out_of_memory(error: BaseException) -> bool:
     """Say whether memory ran out: Python's, or a GPU's, whose error torch defines."""
     return isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"

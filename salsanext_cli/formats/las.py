@@ -12,14 +12,17 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import MOVING, LabelSpace, RawIds
-from salsanext_cli.errors import MissingDependency, OutputError
+from salsanext_cli.errors import FormatError, MissingDependency, OutputError
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import MAX_DISTANCE_M, Columns, scan_of
 from salsanext_cli.records import Scan
 
-PLACES = struct.Struct("<96xII")
-"""Offset of the points, and number of the records of variable length before them, in a header."""
+PLACES = struct.Struct("<4s20xBB70xII")
+"""Signature, version, offset of the points, and number of the records of variable length before them."""
+NEWEST = (1, 4)  # Newest version that laspy and lazrs read
+GEO_KEYS, WKT = 34735, 2112  # Numbers of the records of the coordinate system
+MODEL, GEOGRAPHIC = 1024, 2  # Key of the kind of system, and the value of one in degrees
 RECORD_BYTES = 54  # Least size of a record of variable length
 COMPRESSED_SUFFIX = ".laz"
 MAX_POINTS_PER_BYTE = 16
@@ -54,7 +57,10 @@ def read_points(path: Path, *, further_records: bool = False) -> tuple[Any, Any]
         laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
         size = size_of(file)
         # laspy looks for as many records as a header promises, and in memory for what is between.
-        offset, record_count = PLACES.unpack(file.read(PLACES.size))
+        signature, major, minor, offset, record_count = PLACES.unpack(file.read(PLACES.size))
+        if signature == b"LASF" and (major, minor) > NEWEST:
+            remedy = "convert it to LAS 1.4, with PDAL for example"
+            raise FormatError(path, f"LAS {major}.{minor}", "LAS 1.0 to 1.4", remedy)
         if record_count * RECORD_BYTES > offset or offset > size:
             raise ValueError("its header promises more than it holds")
         file.seek(0)
@@ -63,6 +69,9 @@ def read_points(path: Path, *, further_records: bool = False) -> tuple[Any, Any]
             file, closefd=False, read_evlrs=further_records, laz_backend=backend
         ) as reader:
             header = reader.header
+            if _is_in_degrees(header):
+                found, remedy = "coordinates in degrees, as of a map", "project them to metres"
+                raise FormatError(path, found, "metres from a sensor at the origin", remedy)
             room = size // header.point_format.size
             if header.are_points_compressed:
                 import_laspy(path, compressed=True)  # in a .las too
@@ -73,6 +82,16 @@ def read_points(path: Path, *, further_records: bool = False) -> tuple[Any, Any]
         if len(points) != header.point_count:
             raise ValueError("it lacks points")
     return header, points
+
+
+def _is_in_degrees(header: Any) -> bool:
+    """Say whether a header names a geographic coordinate system."""
+    records = {each.record_id: each for each in header.vlrs}
+    keys = getattr(records.get(GEO_KEYS), "geo_keys", ())
+    text = getattr(records.get(WKT), "string", "")
+    return any((key.id, key.value_offset) == (MODEL, GEOGRAPHIC) for key in keys) or (
+        "GEOG" in text and "PROJ" not in text
+    )
 
 
 def encode_las(

@@ -10,7 +10,7 @@ from io import BufferedReader
 from pathlib import Path
 from threading import Lock
 
-from salsanext_cli.errors import FormatError
+from salsanext_cli.errors import FormatError, error_text
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import Columns
@@ -25,13 +25,15 @@ PCAP_BYTE_ORDER = {
 }
 """Byte order of a packet's header by the first bytes of the file."""
 NS_PER_PCAP_TIME = 1000
-KIND = "Ouster"
+KIND, IMU_ONLY = "Ouster", "Ouster, measurements of its IMU only"
 
 log = logging.getLogger(__name__)
 
 
 class OusterRecording:
     """Recording of one or more Ouster sensors, which are its topics, as bags have them."""
+
+    CONTENT = ("no frames of a LiDAR", "packets of an Ouster sensor")
 
     def __init__(self, path: Path) -> None:
         import_extra("ouster.sdk", "ouster")
@@ -45,21 +47,33 @@ class OusterRecording:
         if not is_pcap:
             _probe(path)
         with refusing_damage(path, EXPECTED, REMEDY):
-            self._source = open_source(str(path), collate=False, index=True)
+            try:
+                self._source = open_source(str(path), collate=False, index=True)
+            except RuntimeError as error:
+                if "Duplicate" not in str(error):
+                    raise
+                found = f"several sensors that send to one port: {error_text(error)}"
+                expected = "each sensor with a port of its own"
+                raise FormatError(path, found, expected, "record them again") from error
             unit = NS_PER_PCAP_TIME if is_pcap else 1
             self._times = {
                 f"sensor{number}": [int(time) * unit for time in index[:, 0]]
                 for number, index in enumerate(self._source.individual_index)
             }
+            self._kinds = [
+                IMU_ONLY if str(info.format.udp_profile_lidar) == "OFF" else KIND
+                for info in self._source.sensor_info
+            ]
         weakref.finalize(self, self._source.close)
 
     def topics(self) -> dict[str, str]:
         """Return the sensors that have frames, as topics of a kind."""
-        return {name: KIND for name, times in self._times.items() if times}
+        kinds = zip(self._times, self._kinds, strict=True)
+        return {name: kind for name, kind in kinds if self._times[name]}
 
     def clouds(self) -> list[str]:
         """Return the sensors that have frames."""
-        return [*self.topics()]
+        return [name for name, kind in self.topics().items() if kind == KIND]
 
     def times(self, topic: str) -> list[int]:
         """Return the times of the frames of a sensor in nanoseconds, sorted."""
@@ -74,11 +88,18 @@ class OusterRecording:
             raise FormatError(path, "not there", "a scan that the recording lists")
         with refusing_damage(path, EXPECTED, REMEDY), self._lock:
             of_sensor = self._source.single([*self._times].index(topic))
-            frame = of_sensor[places[number]][0]
-            distances = frame.field("RANGE")
+            try:
+                frame = of_sensor[places[number]][0]
+            except IndexError as error:
+                found = "listed, but not readable, as by a wrong checksum"
+                raise FormatError(path, found, EXPECTED, "copy the recording again") from error
+            distances, reflectivity = frame.field("RANGE"), frame.field("REFLECTIVITY")
+            if distances.any() and not reflectivity[distances > 0].any():
+                found = "reflectivities that are all 0, as of a field that cannot be decoded"
+                raise FormatError(path, found, EXPECTED, "copy the recording again")
             points = XYZLut(frame.sensor_info)(distances) * (distances > 0)[..., None]
             columns = {axis: points[..., n].ravel() for n, axis in enumerate("xyz")}
-            return columns | {"reflectivity": frame.field("REFLECTIVITY").ravel()}
+            return columns | {"reflectivity": reflectivity.ravel()}
 
 
 def _is_cut(file: BufferedReader) -> bool:

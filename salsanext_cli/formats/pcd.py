@@ -7,6 +7,7 @@ with uninitialised values where ascii files are short or DATA is in upper case.
 """
 
 import io
+import logging
 import math
 from io import BufferedIOBase, BufferedReader
 from pathlib import Path
@@ -15,18 +16,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from salsanext_cli.errors import notice_once, warn_once
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import Columns
+from salsanext_cli.records import Double
+
+log = logging.getLogger(__name__)
 
 TYPES = {
     **{f"F{size}": f"<f{size}" for size in (4, 8)},
     **{f"I{size}": f"<i{size}" for size in (1, 2, 4, 8)},
     **{f"U{size}": f"<u{size}" for size in (1, 2, 4, 8)},
+    "D8": "<f8",  # of programs that take TYPE for C's types
 }
 """numpy's type of each TYPE and SIZE."""
+COMMAS = "commas in .pcd files are taken for blanks"
 PADDING = "_"
 MAX_HEADER_BYTES = 1 << 16
+MAX_SHORT_SHARE = 0.01  # Largest share of the lines of an ascii file that may lack values
 MAX_RATIO = 264 / 3  # Largest compression ratio of LZF: three bytes stand for up to 264
 
 
@@ -74,18 +82,45 @@ def pcd_columns(path: Path) -> Columns:
 def _read_ascii(file: BufferedReader, header: Header) -> Columns:
     shapes = [header.point[name].shape for name in header.point.names or ()]
     first = np.cumsum([0, *map(math.prod, shapes)])
-    text, values = file.read(), np.empty((0, first[-1]))
-    if text.strip():
-        values = np.loadtxt(io.BytesIO(text), np.float64, comments=None, ndmin=2)
-    if values.shape != (header.point_count, first[-1]):
-        found = f"{len(values)} lines of {values.shape[1]} values"
-        raise ValueError(f"{found}, not {header.point_count} of {first[-1]}")
+    values = _numbers(file.read(), int(first[-1]), header.point_count)
     column_of = dict(zip(header.point.names or (), first[:-1], strict=True))
     # A NaN in an integer field that is not used is no reason to fail.
     with np.errstate(invalid="ignore", over="ignore"):
         return {
             name: values[:, column_of[name]].astype(header.point[name]) for name in header.scalars
         }
+
+
+def _numbers(text: bytes, width: int, count: int) -> Double:
+    """Return the numbers of lines of so many, (N, width) float64; N is `count`, or else logged."""
+    if b"," in text:
+        text = text.replace(b",", b" ")
+        notice_once(log, COMMAS)
+    values = np.empty((0, width))
+    if text.strip():
+        try:
+            values = np.loadtxt(io.BytesIO(text), np.float64, comments=None, ndmin=2)
+        except ValueError:
+            lines = _filled(text, width)
+            values = np.loadtxt(lines, np.float64, comments=None, ndmin=2)
+    is_whole = len(values) > 0 and text.endswith(b"\n")
+    if values.shape[1] != width or (len(values) != count and not is_whole):
+        raise ValueError(f"{len(values)} lines of {values.shape[1]} values, not {count} of {width}")
+    if len(values) != count:
+        found = "the header of a .pcd file gives another number of points than it has lines"
+        warn_once(log, f"{found}: all lines are read; points may be missing")
+    return values
+
+
+def _filled(text: bytes, width: int) -> list[bytes]:
+    """Return lines in which a few short ones, but not the last, are points of NaN."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    short = [place for place, line in enumerate(lines) if len(line.split()) < width]
+    if 0 < len(short) <= MAX_SHORT_SHARE * len(lines) and short[-1] < len(lines) - 1:
+        notice_once(log, "short lines in .pcd files are taken for points without a measurement")
+        for place in short:
+            lines[place] = b"nan " * width
+    return lines
 
 
 def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:
@@ -152,7 +187,9 @@ def _entries(file: BufferedIOBase) -> dict[str, list[str]]:
         line = file.readline(MAX_HEADER_BYTES)
         if not line or file.tell() > MAX_HEADER_BYTES:
             raise ValueError("no PCD header")
-        words = line.decode("ascii", "replace").split()
+        words = line.decode("ascii", "replace").replace(",", " ").split()
         if words and not words[0].startswith("#"):
+            if b"," in line:
+                notice_once(log, COMMAS)
             entries[words[0]] = words[1:]
     return entries

@@ -2,22 +2,26 @@
 """Scans as text: a point in each line, its values separated by commas, semicolons or blanks."""
 
 import io
+import logging
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.errors import FormatError, shortened
+from salsanext_cli.errors import FormatError, notice_once, shortened
 from salsanext_cli.files.reading import reading
-from salsanext_cli.formats.columns import INTENSITY_NAMES, Columns, columns_of_width
+from salsanext_cli.formats.columns import USED_NAMES, Columns, columns_of_width
 from salsanext_cli.formats.kitti import CONTROL, TEXT_BYTES
 from salsanext_cli.records import Double
+
+log = logging.getLogger(__name__)
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 COMMENT_MARKS = ("#", "//")
 MAX_HEADER_BYTES = 1 << 16
-USED = {"x", "y", "z", *INTENSITY_NAMES}
+COMPONENT = re.compile(r"points(?:_m_xyz)?[:_]([012])")
+"""Name of a coordinate, in lower case, as VeloView and ParaView write it."""
 EXPECTED = "a point in each line, with the same number of columns"
 DECIMAL_COMMA = re.compile(rb'(?:^|[;\s"])-?\d*,\d+(?:[;\s"]|$)')
 """Number whose comma separates no columns, since blanks or semicolons do."""
@@ -43,8 +47,8 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
     try:
         layout = layout_of(content, has_names=bool(names))
         names = layout.names or columns_of_width(layout.width, names, path)
-        used = {name: i for i, name in enumerate(names) if name in USED}
-        if len(used) < sum(name in USED for name in names):
+        used = {name: i for i, name in enumerate(names) if name in USED_NAMES}
+        if len(used) < sum(name in USED_NAMES for name in names):
             raise ValueError(f"a column twice among {shortened(', '.join(names))}")
         if not {"x", "y", "z"} & set(used):
             raise ValueError(f"points of {shortened(', '.join(names))}")
@@ -89,7 +93,13 @@ def layout_of(content: bytes, has_names: bool) -> Layout:
 
 def _words(line: str, delimiter: str | None) -> tuple[str, ...]:
     """Return the fields of a line, in lower case, without blanks and quotes around them."""
-    return tuple(word.strip(' "\t').lower() for word in line.split(delimiter))
+    words = [word.strip(' "\t').lower() for word in line.split(delimiter)]
+    components = [COMPONENT.fullmatch(word) for word in words]
+    if {match[1] for match in components if match} == {*"012"}:
+        notice_once(log, "columns such as Points:0, Points:1, Points:2 are taken for x, y, z")
+        pairs = zip(words, components, strict=True)
+        words = ["xyz"[int(match[1])] if match else word for word, match in pairs]
+    return tuple(words)
 
 
 def _is_number(word: str) -> bool:
