@@ -172,9 +172,9 @@ def warn_once(log: logging.Logger, message: str) -> None:
 
 
 @cache
-def notice_once(log: logging.Logger, message: str) -> None:
-    """Log a notice that this process has not logged yet."""
-    log.log(NOTICE, "%s", message)
+def notice_once(message: str, level: int = NOTICE) -> None:
+    """Log what a reader assumes, which this process has not logged yet."""
+    logging.getLogger(__name__).log(level, "%s", message)
 
 
 def out_of_memory(error: BaseException) -> bool:

@@ -30,6 +30,11 @@ def scan_suffix(name: str) -> str:
     return next((suffix for suffix in SCAN_SUFFIXES if name.lower().endswith(suffix)), "")
 
 
+def names_fields(path: Path) -> bool:
+    """Say whether the format of a scan has names of fields, so that nobody else names them."""
+    return scan_suffix(path.name) in ("", ".pcd", ".ply", ".las", ".laz", ".feather")
+
+
 def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     """Read a scan in the format that its suffix names, upper or lower case.
 

@@ -56,8 +56,6 @@ def columns_of(message: Any, path: Path) -> Columns:
 class Bag:
     """ROS bag, read by `rosbags`, by any number of threads."""
 
-    CONTENT = ("no messages", "clouds, such as sensor_msgs/PointCloud2")
-
     def __init__(self, path: Path, files: list[Path]) -> None:
         require_rosbags()
         from rosbags.highlevel import AnyReader

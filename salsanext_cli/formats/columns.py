@@ -79,15 +79,14 @@ def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[st
 
 
 def require_no_matrix(points: Float, path: Path) -> None:
-    """Refuse the matrix of a pose (3 or 4 rows) or of a camera, whose rows look like points."""
-    matrix = points[:3]
-    if len(points) not in (3, 4) or not np.isfinite(matrix).all():
-        return
+    """Refuse the matrix of a pose or of a camera, whose three or four rows look like points."""
+    rows = points[:3]
     with np.errstate(over="ignore", invalid="ignore"):
-        is_rotation = np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3)
-    if is_rotation or matrix[2].tolist() == [0, 0, 1]:
-        found = f"a matrix of {len(points)} rows, as of a pose or a camera"
-        raise FormatError(path, found, "the points of a scan", "give the scans themselves")
+        if len(points) in (3, 4) and (
+            np.allclose(rows @ rows.T, np.eye(3), atol=1e-3) or rows[2].tolist() == [0, 0, 1]
+        ):
+            found, expected = "a matrix, as of a pose or a camera", "the points of a scan"
+            raise FormatError(path, found, expected, "give the scans themselves")
 
 
 def _require_near_origin(points: Float, path: Path) -> None:

@@ -19,12 +19,7 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import (
-    USUAL_COLUMNS,
-    require_no_matrix,
-    scan_of,
-    unnamed_columns,
-)
+from salsanext_cli.formats.columns import USUAL_COLUMNS, require_no_matrix, scan_of, unnamed_columns
 from salsanext_cli.records import Double, Float, Mask, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
@@ -39,13 +34,10 @@ MAX_CLASS = 0xFFFF  # Largest label of four bytes without an instance
 
 def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring, or of `columns`."""
-    has_ring = path.name.lower().removesuffix(GZIP_SUFFIX).endswith(".pcd.bin")
-    width = len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS)
+    width = len(columns) or _usual_width(path)
     values, size = _read_floats(path, width)
     count = evident_count(values, width)
-    if count and not are_coordinates(values[:, None]):
-        raise _no_coordinates(path, width)
-    if count:
+    if count and are_coordinates(values[:, None]):
         raise _other_count(path, count, width)
     if size % (4 * width):
         remedy = "it is cut off or of another kind"
@@ -58,10 +50,16 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
             np.ascontiguousarray(table[:, :3], np.float32),
             normalised_intensity(table[:, 3], intensity_scale),
         )
-    if not are_coordinates(scan.points):
-        raise _no_coordinates(path, width)
+    if count or not are_coordinates(scan.points):
+        found = "numbers that are no coordinates in metres, or no float32"
+        raise FormatError(path, found, f"{width} float32 per point", ANEW)
     require_no_matrix(scan.points, path)
     return scan
+
+
+def _usual_width(path: Path) -> int:
+    has_ring = path.name.lower().removesuffix(GZIP_SUFFIX).endswith(".pcd.bin")
+    return COLUMNS_WITH_RING if has_ring else COLUMNS
 
 
 def _read_floats(path: Path, width: int) -> tuple[Float, int]:
@@ -73,8 +71,10 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
             file, size = decompressed(opened, path)
         if size == 0:
             raise FormatError(path, "is empty", _expected(width), "copy it again, or remove it")
-        if other := other_kind(file.read(TEXT_BYTES)):
-            raise FormatError(path, f"is {other[0]}", f"{width} float32 per point", other[1])
+        if kind := other_kind(file.read(TEXT_BYTES)):
+            remedy = f"rename it to {kind} if it holds points" if kind[0] == "." else ANEW
+            found = "text" if kind == TEXT_SUFFIX else f"a {kind} file" if kind[0] == "." else kind
+            raise FormatError(path, f"is {found}", f"{width} float32 per point", remedy)
         file.seek(0)
         values = read_values(file, path, "<f4", size // 4)
     if are_float64(values):
@@ -96,16 +96,13 @@ def _expected(width: int) -> str:
     return f"a multiple of {4 * width} ({width} float32 per point)"
 
 
-def _no_coordinates(path: Path, width: int) -> FormatError:
-    found = "numbers that are no coordinates in metres, or no float32"
-    return FormatError(path, found, f"{width} float32 per point", ANEW)
-
-
 def _other_count(path: Path, count: int, expected: int) -> FormatError:
     """Return the error of a file of another number of columns, with names to try."""
     names = ",".join((*USUAL_COLUMNS, *count * [UNUSED_COLUMN])[:count])
     remedy = f"name its columns, with --columns {names} for example"
-    if suffix := {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count):
+    if count == _usual_width(path):
+        remedy = "leave --columns out"
+    elif suffix := {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count):
         remedy = f"give it the suffix {suffix}, or {remedy}"
     return FormatError(path, f"holds {count} columns", f"{expected} float32 per point", remedy)
 
@@ -182,17 +179,12 @@ MAGIC = {
     b"\x1f\x8b": ".bin.gz",
     b"#ROSBAG": ".bag",
     b"\x89MCAP0": ".mcap",
-    b"SQLite format 3": ".db3",
-    b"\xd4\xc3\xb2\xa1": ".pcap",
-}
-"""Suffixes of other formats by the bytes that their files begin with."""
-UNREAD = {
-    b"\x00\x01\x00\x00": "a message of ROS 2",  # encapsulated CDR, little endian
     b"ASTM-E57": "an E57 file",
-    b"\x89HDF": "an HDF5 file",
+    b"\x00\x01\x00\x00": "a message of ROS 2",  # in CDR, little endian
 }
-"""Kinds of files that are not read, by the bytes that they begin with."""
-TERRASCAN = b"\xa1\xce\x0e\x00CXYZ"  # Bytes 8 to 16 of such a file
+"""Suffixes or names of other formats by the bytes that their files begin with."""
+TEXT_SUFFIX = ".csv"
+TERRASCAN = b"\xa1\xce\x0e\x00CXYZ"  # Bytes 8 to 16 of files of TerraScan
 TEXT_BYTES = 4096  # Size of the start of a file that shows whether it is text
 MIN_TEXT_BYTES = 256
 """Size from which on float32 values hold some of the bytes that do not occur in text."""
@@ -210,20 +202,13 @@ MIN_POSSIBLE_SHARE_OF_FLOAT64 = 0.9
 SAMPLE = 4096  # Rows that are looked at, evenly spaced
 
 
-def other_kind(start: bytes) -> tuple[str, str] | None:
-    """Return kind and remedy of a file that begins as one of another format or text, else None."""
-    for magic, suffix in MAGIC.items():
-        if start.startswith(magic):
-            return f"a {suffix} file", f"rename it to {suffix}"
-    for magic, kind in UNREAD.items():
-        if start.startswith(magic):
-            return kind, ANEW
-    if start[8:16] == TERRASCAN:
-        return "a TerraScan file", ANEW
+def other_kind(start: bytes) -> str | None:
+    """Return the suffix or name of the format that a file begins as, or of text, else None."""
+    of_magic = (kind for magic, kind in MAGIC.items() if start.startswith(magic))
     least = MIN_ASCII_BYTES if start.isascii() else MIN_TEXT_BYTES
-    if len(start) >= least and not CONTROL.search(start):
-        return "text", "rename it to .csv if it is a table of points"
-    return None
+    is_text = len(start) >= least and not CONTROL.search(start)
+    other = TEXT_SUFFIX if is_text else "a TerraScan file" if start[8:16] == TERRASCAN else None
+    return next(of_magic, other)
 
 
 def are_float64(values: Float) -> bool:
@@ -276,9 +261,6 @@ scans the right one has 0.97 or more, in tables of others 4 has 0.4 or less."""
 MIN_EXPLAINED, MIN_EXPLAINED_BY_CHANCE = 0.05, 40
 """Explained variance below which nothing is said; the second is by the number of values."""
 MIN_VARIANCE = 0.005  # Variance of a property below which it is not looked at
-MIN_COMPARED, MAX_DISTANCE = 400, 0.1
-"""Fewest rows whose columns are compared, and largest distance of columns of one kind; of random
-rows it is 0.1 in one of 40 comparisons of so few, and hardly ever in those of a scan."""
 RANGE_LOG10 = 3.0  # Magnitudes count up to a factor of a thousand
 
 
@@ -286,18 +268,19 @@ def evident_count(values: Float, expected: int) -> int | None:
     """Return another number of columns than expected that values (M,) evidently have, else None."""
     if len(values) < 2 * max(expected, *COUNTS):
         return None
-    if _are_in_turn(values, expected):
-        return _padded_count(values, expected) or _divided_count(values, expected, in_turn=True)
-    explained = {n: _explained(values, n) for n in {*COUNTS, expected}}
-    most = max(explained.values())
-    if most < MIN_EXPLAINED + MIN_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE):
-        return None
-    if explained[expected] >= SHARE_OF_LARGEST * most:
-        return _divided_count(values, expected, in_turn=False)
-    # Of beams in turn, explained variance grows with the number of rows taken for one.
-    in_turn = (n for n in COUNTS if _are_in_turn(values, n))
-    count = next(in_turn, min(n for n in COUNTS if explained[n] >= SHARE_OF_LARGEST * most))
-    return _padded_count(values, count) or count
+    count = expected
+    if not _are_in_turn(values, expected):
+        explained = {n: _explained(values, n) for n in {*COUNTS, expected}}
+        most = max(explained.values())
+        if most < MIN_EXPLAINED + MIN_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE):
+            return None
+        if explained[expected] < SHARE_OF_LARGEST * most:
+            # Of beams in turn, explained variance grows with the number of rows taken for one.
+            in_turn = (n for n in COUNTS if _are_in_turn(values, n))
+            least = min(n for n in COUNTS if explained[n] >= SHARE_OF_LARGEST * most)
+            count = next(in_turn, least)
+    count = _padded_count(values, count) or _least_count(values, count)
+    return None if count == expected else count
 
 
 def _rows(values: Float, columns: int, length: int = ROWS) -> Double:
@@ -320,29 +303,15 @@ def _are_in_turn(values: Float, columns: int) -> bool:
     return int((steps < STEP_DEG).sum()) > IN_TURN * max(1, int(steps.size))
 
 
-def _divided_count(values: Float, expected: int, *, in_turn: bool) -> int | None:
-    """Return the number of columns of which those expected are a multiple, else None."""
-    for count in (n for n in COUNTS if n < expected and expected % n == 0):
-        points = _rows(values, expected).reshape(-1, expected // count, count)[..., :3]
-        if in_turn:
-            measured = points[..., :2].any(axis=2).mean(axis=0)
-            is_multiple = measured.min() > measured.max() / 2 and _are_in_turn(values, count)
-        else:
-            is_multiple = len(points) >= MIN_COMPARED and all(
-                _distance(points[:, 0, axis], points[:, other, axis]) < MAX_DISTANCE
-                for other in range(1, expected // count)
-                for axis in range(3)
-            )
-        if is_multiple:
-            return count
-    return None
-
-
-def _distance(a: Double, b: Double) -> float:
-    """Return the largest distance of the distributions of values (N,) and (N,), from 0 to 1."""
-    both = np.concatenate([a, b])
-    ranks = [np.searchsorted(np.sort(each), both, "right") for each in (a, b)]
-    return float(np.abs(ranks[0] - ranks[1]).max()) / len(a)
+def _least_count(values: Float, count: int) -> int:
+    """Return the number of columns of one point, of which a number may be a multiple."""
+    for least in (n for n in COUNTS if n < count and count % n == 0):
+        points = _rows(values, count).reshape(-1, count // least, least)
+        measured = points[..., :2].any(axis=2).mean(axis=0)
+        in_turn = measured.min() > measured.max() / 2 and _are_in_turn(values, least)
+        if in_turn or _explained(values, least) > SHARE_OF_LARGEST * _explained(values, count):
+            return least
+    return count
 
 
 def _padded_count(values: Float, columns: int) -> int | None:

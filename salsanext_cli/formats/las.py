@@ -3,6 +3,7 @@
 
 import io
 import logging
+import re
 import struct
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -19,10 +20,14 @@ from salsanext_cli.formats.columns import MAX_DISTANCE_M, Columns, scan_of
 from salsanext_cli.records import Scan
 
 PLACES = struct.Struct("<4s20xBB70xII")
-"""Signature, version, offset of the points, and number of the records of variable length before them."""
+"""Signature, version, offset of the points, and number of the records of variable length."""
 NEWEST = (1, 4)  # Newest version that laspy and lazrs read
-GEO_KEYS, WKT = 34735, 2112  # Numbers of the records of the coordinate system
-MODEL, GEOGRAPHIC = 1024, 2  # Key of the kind of system, and the value of one in degrees
+IN_DEGREES = re.compile(
+    rb"\x01\x00\x01\x00.\x00.\x00\x00\x04\x00\x00\x01\x00\x02\x00"
+    rb"|\A(?!.*PROJC(?:S|RS)\[).*GEOGC(?:S|RS)\[",
+    re.DOTALL,
+)
+"""Geographic coordinate system in the records of a file: the first key, or the text of a name."""
 RECORD_BYTES = 54  # Least size of a record of variable length
 COMPRESSED_SUFFIX = ".laz"
 MAX_POINTS_PER_BYTE = 16
@@ -63,15 +68,15 @@ def read_points(path: Path, *, further_records: bool = False) -> tuple[Any, Any]
             raise FormatError(path, f"LAS {major}.{minor}", "LAS 1.0 to 1.4", remedy)
         if record_count * RECORD_BYTES > offset or offset > size:
             raise ValueError("its header promises more than it holds")
+        if IN_DEGREES.search(file.read(offset - PLACES.size)):
+            found, expected = "coordinates in degrees, as of a map", "metres around a sensor"
+            raise FormatError(path, found, expected, "project them to metres")
         file.seek(0)
         backend = laspy.LazBackend.Lazrs
         with laspy.open(
             file, closefd=False, read_evlrs=further_records, laz_backend=backend
         ) as reader:
             header = reader.header
-            if _is_in_degrees(header):
-                found, remedy = "coordinates in degrees, as of a map", "project them to metres"
-                raise FormatError(path, found, "metres from a sensor at the origin", remedy)
             room = size // header.point_format.size
             if header.are_points_compressed:
                 import_laspy(path, compressed=True)  # in a .las too
@@ -82,16 +87,6 @@ def read_points(path: Path, *, further_records: bool = False) -> tuple[Any, Any]
         if len(points) != header.point_count:
             raise ValueError("it lacks points")
     return header, points
-
-
-def _is_in_degrees(header: Any) -> bool:
-    """Say whether a header names a geographic coordinate system."""
-    records = {each.record_id: each for each in header.vlrs}
-    keys = getattr(records.get(GEO_KEYS), "geo_keys", ())
-    text = getattr(records.get(WKT), "string", "")
-    return any((key.id, key.value_offset) == (MODEL, GEOGRAPHIC) for key in keys) or (
-        "GEOG" in text and "PROJ" not in text
-    )
 
 
 def encode_las(

@@ -2,7 +2,6 @@
 """Scans in numpy's files: `.npy` tables, plain or with named fields, and `.npz` archives."""
 
 import io
-import logging
 import re
 import zipfile
 from collections.abc import Mapping
@@ -13,15 +12,8 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, first_few, notice_once, shortened
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import (
-    USED_NAMES,
-    Columns,
-    columns_of_width,
-    unnamed_columns,
-)
+from salsanext_cli.formats.columns import USED_NAMES, Columns, columns_of_width, unnamed_columns
 from salsanext_cli.formats.npy import load_array, load_npy
-
-log = logging.getLogger(__name__)
 
 EXPECTED = "a table (N, columns), or columns x, y, z, of numbers"
 TABLE_NAMES = ("points", "xyz")  # Names of the table in an archive of several
@@ -36,16 +28,13 @@ def npy_columns(path: Path, names: tuple[str, ...]) -> Columns:
 
 
 def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
-    """Read a `.npz` file: columns x, y, z …, or a table as of `npy_columns` and further columns.
-
-    Arrays that are all columns without names are named as those of a table are.
-    """
+    """Read a `.npz` file: columns with or without names, or a table and further columns."""
     arrays = npz_arrays(path)[0]
     single = {name: values.ravel() for name, values in arrays.items() if _is_column(values)}
     if len(single) == len(arrays) > 1 and all(map(UNNAMED.fullmatch, single)):
         names = columns_of_width(len(single), names, path)
         single = dict(zip(names, single.values(), strict=True))
-        notice_once(log, f"arrays without names are taken for {', '.join(names)}")
+        notice_once(f"arrays without names are taken for {', '.join(names)}")
     elif not {"x", "y", "z"} <= {name.lower() for name in single}:
         single |= _columns(_table(arrays, path), names, path)
     counts = sorted({len(each) for name, each in single.items() if name.lower() in USED_NAMES})
@@ -54,7 +43,7 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
         raise FormatError(path, found, "one length")
     others = [name for name, each in single.items() if counts and len(each) != counts[0]]
     if others:
-        notice_once(log, f"arrays of another length than the points are skipped: {first_few(others)}")
+        notice_once(f"arrays of another length than the points are skipped: {first_few(others)}")
     return {name: values for name, values in single.items() if name not in others}
 
 
@@ -104,7 +93,7 @@ def _columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Col
         return {name: table[name] for name in table.dtype.names if table[name].ndim == 1}
     is_plain = table.dtype.kind in "iuf"
     if is_plain and is_transposed(table, len(names)):
-        notice_once(log, "tables of shape (columns, N) are transposed to (N, columns)")
+        notice_once("tables of shape (columns, N) are transposed to (N, columns)")
         return unnamed_columns(table.T, names, path)
     if is_plain and table.ndim == 2:
         return unnamed_columns(table, names, path)

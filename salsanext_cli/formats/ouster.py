@@ -10,7 +10,7 @@ from io import BufferedReader
 from pathlib import Path
 from threading import Lock
 
-from salsanext_cli.errors import FormatError, error_text
+from salsanext_cli.errors import FormatError
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import Columns
@@ -25,15 +25,13 @@ PCAP_BYTE_ORDER = {
 }
 """Byte order of a packet's header by the first bytes of the file."""
 NS_PER_PCAP_TIME = 1000
-KIND, IMU_ONLY = "Ouster", "Ouster, measurements of its IMU only"
+KIND = "Ouster"
 
 log = logging.getLogger(__name__)
 
 
 class OusterRecording:
     """Recording of one or more Ouster sensors, which are its topics, as bags have them."""
-
-    CONTENT = ("no frames of a LiDAR", "packets of an Ouster sensor")
 
     def __init__(self, path: Path) -> None:
         import_extra("ouster.sdk", "ouster")
@@ -49,31 +47,26 @@ class OusterRecording:
         with refusing_damage(path, EXPECTED, REMEDY):
             try:
                 self._source = open_source(str(path), collate=False, index=True)
-            except RuntimeError as error:
-                if "Duplicate" not in str(error):
-                    raise
-                found = f"several sensors that send to one port: {error_text(error)}"
-                expected = "each sensor with a port of its own"
-                raise FormatError(path, found, expected, "record them again") from error
+            except Exception as error:
+                if "Duplicate" in str(error):
+                    found, expected = "several sensors send to one port", "a port for each"
+                    raise FormatError(path, found, expected, "record them again") from error
+                raise
             unit = NS_PER_PCAP_TIME if is_pcap else 1
-            self._times = {
-                f"sensor{number}": [int(time) * unit for time in index[:, 0]]
+            profiles = [str(info.format.udp_profile_lidar) for info in self._source.sensor_info]
+            self._times = {  # A sensor that is off may have frames of its IMU.
+                f"sensor{number}": [int(t) * unit for t in index[:, 0] if profiles[number] != "OFF"]
                 for number, index in enumerate(self._source.individual_index)
             }
-            self._kinds = [
-                IMU_ONLY if str(info.format.udp_profile_lidar) == "OFF" else KIND
-                for info in self._source.sensor_info
-            ]
         weakref.finalize(self, self._source.close)
 
     def topics(self) -> dict[str, str]:
         """Return the sensors that have frames, as topics of a kind."""
-        kinds = zip(self._times, self._kinds, strict=True)
-        return {name: kind for name, kind in kinds if self._times[name]}
+        return {name: KIND for name, times in self._times.items() if times}
 
     def clouds(self) -> list[str]:
         """Return the sensors that have frames."""
-        return [name for name, kind in self.topics().items() if kind == KIND]
+        return [*self.topics()]
 
     def times(self, topic: str) -> list[int]:
         """Return the times of the frames of a sensor in nanoseconds, sorted."""

@@ -2,7 +2,6 @@
 """Scans as text: a point in each line, its values separated by commas, semicolons or blanks."""
 
 import io
-import logging
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +14,13 @@ from salsanext_cli.formats.columns import USED_NAMES, Columns, columns_of_width
 from salsanext_cli.formats.kitti import CONTROL, TEXT_BYTES
 from salsanext_cli.records import Double
 
-log = logging.getLogger(__name__)
-
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 COMMENT_MARKS = ("#", "//")
 MAX_HEADER_BYTES = 1 << 16
-COMPONENT = re.compile(r"points(?:_m_xyz)?[:_]([012])")
-"""Name of a coordinate, in lower case, as VeloView and ParaView write it."""
+AXES = {
+    f"{name}:{place}": "xyz"[place] for name in ("points_m_xyz", "points") for place in range(3)
+}
+"""Axes by the names of their columns, in lower case, in what VeloView and ParaView write."""
 EXPECTED = "a point in each line, with the same number of columns"
 DECIMAL_COMMA = re.compile(rb'(?:^|[;\s"])-?\d*,\d+(?:[;\s"]|$)')
 """Number whose comma separates no columns, since blanks or semicolons do."""
@@ -94,12 +93,9 @@ def layout_of(content: bytes, has_names: bool) -> Layout:
 def _words(line: str, delimiter: str | None) -> tuple[str, ...]:
     """Return the fields of a line, in lower case, without blanks and quotes around them."""
     words = [word.strip(' "\t').lower() for word in line.split(delimiter)]
-    components = [COMPONENT.fullmatch(word) for word in words]
-    if {match[1] for match in components if match} == {*"012"}:
-        notice_once(log, "columns such as Points:0, Points:1, Points:2 are taken for x, y, z")
-        pairs = zip(words, components, strict=True)
-        words = ["xyz"[int(match[1])] if match else word for word, match in pairs]
-    return tuple(words)
+    if not AXES.keys().isdisjoint(words):
+        notice_once("columns Points:0, Points:1, Points:2 are taken for x, y, z")
+    return tuple(AXES.get(word, word) for word in words)
 
 
 def _is_number(word: str) -> bool:

@@ -27,7 +27,6 @@ STACKS = (
     (re.compile(r"resBlock(\d)\.(\w+)\.(\w+)"), "block{number}", RESIDUAL_UNITS),
     (re.compile(r"upBlock(\d)\.(\w+)\.(\w+)"), "up{number}.stack", UP_UNITS),
 )
-MAGIC = (b"PK\x03\x04", b"\x80")  # First bytes of files of `torch.save`, of now and of before 1.6
 UNREADABLE = (
     *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
     *(RecursionError, RuntimeError, TypeError, ValueError, UnpicklingError, struct.error),
@@ -91,11 +90,6 @@ def _read_torch_file(path: Path) -> Any:
         content = path.read_bytes()
     except OSError as error:
         raise WeightsError(path, f"cannot be read: {reason(error)}") from error
-    if not content.startswith(MAGIC):
-        is_onnx = path.suffix.lower() == ".onnx"
-        found = "an ONNX file" if is_onnx else "no file of torch.save"
-        remedy = "one of `export-onnx` is used as it is: --weights" if is_onnx else ""
-        raise WeightsError(path, found, "a checkpoint by torch.save, or .safetensors", remedy)
     ignored: list[str] = []
     while True:
         stand_ins = [(STAND_INS.get(name, Ignored), name) for name in ignored]
@@ -111,9 +105,10 @@ def _read_torch_file(path: Path) -> Any:
             names = [name] if "." in name else [f"{module}.{name}" for module in BUILTINS]
             if not name or names[0] in ignored or len(ignored) > MAX_IGNORED:
                 # Torch's own text advises to run what the file says.
-                what = f"it names {name}" if name else type(error).__name__
-                found = f"not readable safely: {what}"
-                raise WeightsError(path, found, "a file of torch.save") from error
+                found = f"not readable safely: it names {name}" if name else "of another kind"
+                is_onnx = path.suffix.lower() == ".onnx"
+                remedy = "give it to --weights if `export-onnx` wrote it" if is_onnx else ""
+                raise WeightsError(path, found, "a file of torch.save", remedy) from error
             ignored += names
 
 

@@ -6,10 +6,10 @@ import pytest
 
 pytest.importorskip("ouster.sdk")
 
-from ouster_recordings import START, STEP, write_recording
+from ouster_recordings import START, STEP, frames, write_recording
 
 from salsanext_cli import read_scan
-from salsanext_cli.errors import FormatError, SalsanextError
+from salsanext_cli.errors import FormatError, NoInputError, SalsanextError
 from salsanext_cli.results.layout import find_scans
 
 TIMES = [f"{START + n * STEP}" for n in range(4)]
@@ -66,3 +66,39 @@ def test_a_file_at_which_the_library_crashes_is_one_error(tmp_path, monkeypatch)
     path.write_bytes(b"x")
     with pytest.raises(FormatError, match="crashes at it"):
         find_scans(path)
+
+
+def test_reflectivities_that_were_not_decoded_are_refused(tmp_path):
+    from ouster.sdk import osf
+    from ouster.sdk.core import LidarMode, SensorInfo
+
+    info = SensorInfo.from_default(LidarMode._512x10)
+    writer = osf.Writer(str(tmp_path / "drive.osf"), info)
+    for frame in frames(info, 1):
+        frame.field("REFLECTIVITY")[:] = 0
+        writer.save(0, frame, START)
+    writer.close()
+    (scan,) = find_scans(tmp_path / "drive.osf")
+    with pytest.raises(FormatError, match="reflectivities that are all 0"):
+        read_scan(scan.path)
+
+
+def test_packets_of_no_lidar_are_named(tmp_path):
+    path = write_recording(tmp_path / "drive.pcap", 1)
+    path.write_bytes(path.read_bytes()[:24])
+    with pytest.raises(NoInputError, match="no packets of a LiDAR") as caught:
+        find_scans(path)
+    assert "PointCloud2" not in str(caught.value)
+
+
+@pytest.mark.real
+def test_reported_recordings_are_refused_by_what_they_are(real_data):
+    for name, found in {
+        "bad_encoding.osf": "reflectivities that are all 0",
+        "bad_crc32.osf": "a wrong checksum",
+        "imu_zm_no_lidar.pcap": "no packets of a LiDAR, only of its IMU",
+        "same_ports.pcap": "several sensors send to one port",
+    }.items():
+        with pytest.raises(SalsanextError, match=found):
+            for scan in find_scans(real_data / "data/reported/ouster" / name):
+                read_scan(scan.path)
