@@ -97,7 +97,7 @@ def test_no_vertices_are_named_and_blanks_at_the_ends_of_lines_are_no_damage(tmp
         path.write_bytes(content)
         with pytest.raises(FormatError, match="no vertices · expected a PLY file with an element"):
             read_scan(path)
-    path.write_bytes(header().replace(b"\n", b" \t\n") + struct.pack("<8f", *range(8)))
+    path.write_bytes(header().replace(b"1.0\n", b"1.0 \t\n") + struct.pack("<8f", *range(8)))
     assert read_scan(path).points.tolist() == [[0, 1, 2], [4, 5, 6]]
 
 

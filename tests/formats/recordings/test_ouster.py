@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("ouster.sdk")
 
-from ouster_recordings import START, STEP, frames, write_recording
+from ouster_recordings import START, STEP, write_recording
 
 from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, NoInputError, SalsanextError
@@ -68,17 +68,9 @@ def test_a_file_at_which_the_library_crashes_is_one_error(tmp_path, monkeypatch)
         find_scans(path)
 
 
-def test_reflectivities_that_were_not_decoded_are_refused(tmp_path):
-    from ouster.sdk import osf
-    from ouster.sdk.core import LidarMode, SensorInfo
-
-    info = SensorInfo.from_default(LidarMode._512x10)
-    writer = osf.Writer(str(tmp_path / "drive.osf"), info)
-    for frame in frames(info, 1):
-        frame.field("REFLECTIVITY")[:] = 0
-        writer.save(0, frame, START)
-    writer.close()
-    (scan,) = find_scans(tmp_path / "drive.osf")
+@pytest.mark.parametrize("suffix", [".osf", ".pcap"])
+def test_reflectivities_that_were_not_decoded_are_refused(tmp_path, suffix):
+    (scan,) = find_scans(write_recording(tmp_path / f"drive{suffix}", 1, brightest=0))
     with pytest.raises(FormatError, match="reflectivities that are all 0"):
         read_scan(scan.path)
 
@@ -100,5 +92,4 @@ def test_reported_recordings_are_refused_by_what_they_are(real_data):
         "same_ports.pcap": "several sensors send to one port",
     }.items():
         with pytest.raises(SalsanextError, match=found):
-            for scan in find_scans(real_data / "data/reported/ouster" / name):
-                read_scan(scan.path)
+            [read_scan(scan.path) for scan in find_scans(real_data / "data/reported/ouster" / name)]
