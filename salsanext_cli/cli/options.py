@@ -38,8 +38,10 @@ def _shared(name: str) -> Any:
 Scans = Annotated[
     Path | None, typer.Argument(metavar="SCANS", help=SCANS_HELP, show_default="the data set")
 ]
-FORMATS = ".bin .bin.gz .pcd.bin .pcd.bin.gz .pcd .ply .las .laz .xyz .npy .npz .feather .csv .txt .asc .pts"
-SEVERAL_HELP = f"{SCANS_HELP} Several may be given, before OUT. Formats of scans: {FORMATS}."
+FORMATS = ".bin .pcd.bin .pcd .ply .las .laz .xyz .npy .npz .feather .csv .txt .asc .pts"
+SEVERAL_HELP = (
+    f"{SCANS_HELP} Several may be given, before OUT. Formats of scans: {FORMATS}; .bin.gz."
+)
 SeveralScans = Annotated[
     Path | None, typer.Argument(metavar="SCANS...", help=SEVERAL_HELP, show_default="the data set")
 ]

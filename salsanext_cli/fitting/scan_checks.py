@@ -23,7 +23,7 @@ from salsanext_cli.fitting.mounting_fit import (
     UPSIDE_DOWN_DEG,
     ground_of,
 )
-from salsanext_cli.formats import names_fields
+from salsanext_cli.formats import NAMING_SUFFIXES, scan_suffix
 from salsanext_cli.geometry.network_input import (
     BRIGHT,
     INTENSITY_FACTOR,
@@ -215,7 +215,7 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     ]
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
-        name_it = RENAME_IT if names_fields(path) else NAME_IT
+        name_it = RENAME_IT if scan_suffix(path.name) in NAMING_SUFFIXES else NAME_IT
         findings += intensity_findings(bright, reason, sensor, trained, name_it)
     traits = ScanTraits.of(sines, bright, len(scan) * (1 - ego_share) * share / count)
     return ScanCheck(tuple(findings), traits, ego_share)

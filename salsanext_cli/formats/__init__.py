@@ -22,17 +22,14 @@ CLOUD_SUFFIXES = (
 """Suffixes of files that are scans wherever they lie; longer ones first: they decide the stem."""
 TABLE_SUFFIXES = (".npy", ".npz", ".feather", ".csv", ".txt", ".asc", ".pts")
 """Suffixes of files that often are something else, in the order in which a folder is searched."""
+NAMING_SUFFIXES = ("", ".pcd", ".ply", ".las", ".laz", ".feather")
+"""Suffixes of formats with names of fields, which --columns does not change; of recordings none."""
 SCAN_SUFFIXES = (*CLOUD_SUFFIXES, *TABLE_SUFFIXES)  # Suffixes of scans, upper or lower case
 
 
 def scan_suffix(name: str) -> str:
     """Return the suffix that makes a file a scan, in lower case; empty if it is none."""
     return next((suffix for suffix in SCAN_SUFFIXES if name.lower().endswith(suffix)), "")
-
-
-def names_fields(path: Path) -> bool:
-    """Say whether the format of a scan has names of fields, so that nobody else names them."""
-    return scan_suffix(path.name) in ("", ".pcd", ".ply", ".las", ".laz", ".feather")
 
 
 def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
