@@ -15,8 +15,9 @@ from salsanext_cli.records import Indices
 def feather_columns(path: Path) -> Columns:
     """Read the columns of a Feather file."""
     table = read_table(path)
-    pairs = zip(table.column_names, table.columns, strict=True)
-    columns = {name: values.to_numpy() for name, values in pairs}
+    with refusing_damage(path, "columns of numbers"):
+        pairs = zip(table.column_names, table.columns, strict=True)
+        columns = {name: values.to_numpy() for name, values in pairs}
     if any(columns[axis].dtype == "f2" for axis in "xyz" if axis in columns):
         notice_once("coordinates of 16 bits, as of Argoverse 2, are rounded: 3 cm at 100 m")
     return columns
@@ -25,7 +26,11 @@ def feather_columns(path: Path) -> Columns:
 def read_table(path: Path) -> Any:
     """Read the table of a Feather file, of version 2, as pyarrow does."""
     with reading(path) as file, refusing_damage(path, "a whole .feather file"):
-        table = import_extra("pyarrow.ipc", "argoverse").open_file(file.read()).read_all()
+        ipc = import_extra("pyarrow.ipc", "argoverse")
+        try:
+            table = ipc.open_file(file.read()).read_all()
+        except MemoryError as error:  # of a damaged length
+            raise ValueError(str(error)) from error
         table.validate(full=True)
     return table
 

@@ -53,7 +53,8 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
     if count or not are_coordinates(scan.points):
         found = "numbers that are no coordinates in metres, or no float32"
         raise FormatError(path, found, f"{width} float32 per point", ANEW)
-    require_no_matrix(scan.points, path)
+    if len(scan) in (3, 4):
+        require_no_matrix(scan.points, path)
     return scan
 
 
