@@ -26,7 +26,7 @@ def feather_columns(path: Path) -> Columns:
 def read_table(path: Path) -> Any:
     """Read the table of a Feather file, of version 2, as pyarrow does."""
     with reading(path) as file, refusing_damage(path, "a whole .feather file"):
-        ipc = import_extra("pyarrow.ipc", "argoverse")
+        ipc = import_extra("pyarrow", "argoverse").ipc
         try:
             table = ipc.open_file(file.read()).read_all()
         except MemoryError as error:  # of a damaged length
