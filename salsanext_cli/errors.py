@@ -176,6 +176,12 @@ def warn_once(log: logging.Logger, message: str) -> None:
     log.warning("%s", message)
 
 
+@cache
+def notice_once(message: str, level: int = NOTICE) -> None:
+    """Log what a reader assumes, which this process has not logged yet."""
+    logging.getLogger(__name__).log(level, "%s", message)
+
+
 def out_of_memory(error: BaseException | None) -> bool:
     """Say whether memory ran out, by an error that is not yet explained or one that it followed."""
     while error is not None and not isinstance(error, SalsanextError):

@@ -13,7 +13,7 @@ START, STEP = 1_600_000_000_000_000_000, 100_000_000
 """Time of the first frame, and between two, in nanoseconds."""
 
 
-def frames(info: Any, count: int) -> Iterator[Any]:
+def frames(info: Any, count: int, brightest: int) -> Iterator[Any]:
     """Make frames of which every second column measured, at 5 m, 6 m and so on."""
     from ouster.sdk.core import LidarFrame
 
@@ -23,11 +23,11 @@ def frames(info: Any, count: int) -> Iterator[Any]:
         frame.status[:], frame.frame_id = 1, number
         frame.measurement_id[:] = np.arange(frame.w)
         frame.field("RANGE")[:, ::2] = 5000 + number * 1000
-        frame.field("REFLECTIVITY")[:] = np.arange(frame.w) % 256
+        frame.field("REFLECTIVITY")[:] = np.arange(frame.w) % (brightest + 1)
         yield frame
 
 
-def write_recording(path: Path, count: int) -> Path:
+def write_recording(path: Path, count: int, brightest: int = 255) -> Path:
     """Write a `.pcap` with its metadata, or a `.osf`, of 64×512 pixels."""
     from ouster.sdk import osf, pcap
     from ouster.sdk.core import LidarMode, SensorInfo
@@ -38,12 +38,12 @@ def write_recording(path: Path, count: int) -> Path:
     info.config.udp_port_lidar, info.config.udp_port_imu = 7502, 7503
     if path.suffix == ".osf":
         writer = osf.Writer(str(path), info)
-        for frame in frames(info, count):
+        for frame in frames(info, count, brightest):
             writer.save(0, frame, int(frame.timestamp[0]))
         writer.close()
         return path
     packets = []
-    for frame in frames(info, count):
+    for frame in frames(info, count, brightest):
         for number, packet in enumerate(frame_to_packets(frame, info)):
             packet.host_timestamp = int(frame.timestamp[0]) + number * 1_000_000
             packets.append(packet)

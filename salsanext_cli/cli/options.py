@@ -38,7 +38,10 @@ def _shared(name: str) -> Any:
 Scans = Annotated[
     Path | None, typer.Argument(metavar="SCANS", help=SCANS_HELP, show_default="the data set")
 ]
-SEVERAL_HELP = f"{SCANS_HELP} Several may be given, before OUT."
+FORMATS = ".bin .pcd.bin .pcd .ply .las .laz .xyz .npy .npz .feather .csv .txt .asc .pts"
+SEVERAL_HELP = (
+    f"{SCANS_HELP} Several may be given, before OUT. Formats of scans: {FORMATS}; .bin.gz."
+)
 SeveralScans = Annotated[
     Path | None, typer.Argument(metavar="SCANS...", help=SEVERAL_HELP, show_default="the data set")
 ]

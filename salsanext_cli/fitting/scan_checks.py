@@ -23,6 +23,7 @@ from salsanext_cli.fitting.mounting_fit import (
     UPSIDE_DOWN_DEG,
     ground_of,
 )
+from salsanext_cli.formats import NAMING_SUFFIXES, scan_suffix
 from salsanext_cli.geometry.network_input import (
     BRIGHT,
     INTENSITY_FACTOR,
@@ -73,6 +74,7 @@ NAME_IT = (
     "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or its "
     "scale, intensity_scale in a file for --sensor"
 )
+RENAME_IT = "if the files hold one of another name, rename that field to intensity"
 
 MAX_SHARE_OUTSIDE = 0.2
 """Largest share of points outside without a warning; a matching sensor has 0.07 or less."""
@@ -107,14 +109,14 @@ ORIGIN = (
 
 
 def intensity_findings(
-    bright: float, reason: str, sensor: Sensor, trained: Sensor
+    bright: float, reason: str, sensor: Sensor, trained: Sensor, name_it: str = NAME_IT
 ) -> Iterator[Finding]:
     """Compare an upper intensity with what is expected; `reason` says why it is none, if so."""
     matched = sensor.intensity_quantiles
     can_match = trained.intensity_quantiles and not matched
     if reason:
         found = reason if matched else f"{reason}; the network takes it as it is"
-        yield Finding("no-intensity", found, "--intensity none" if can_match else NAME_IT)
+        yield Finding("no-intensity", found, "--intensity none" if can_match else name_it)
         return
     if matched == NO_INTENSITY:
         return
@@ -187,7 +189,8 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     ]
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
-        findings += intensity_findings(bright, reason, sensor, trained)
+        name_it = RENAME_IT if scan_suffix(path.name) in NAMING_SUFFIXES else NAME_IT
+        findings += intensity_findings(bright, reason, sensor, trained, name_it)
     per_point = len(scan) * (1 - ego_share) * share / count
     traits = ScanTraits.of(sines, bright, per_point, sensor)
     return ScanCheck(tuple(findings), traits, ego_share)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.formats.columns import scan_of
+from salsanext_cli.formats.feather import feather_columns
 from salsanext_cli.formats.kitti import read_bin
 from salsanext_cli.formats.las import read_las
 from salsanext_cli.formats.numpy_scans import npy_columns, npz_columns
@@ -19,8 +20,10 @@ CLOUD_SUFFIXES = (
     *(".pcd.bin.gz", ".bin.gz", ".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".xyz"),
 )
 """Suffixes of files that are scans wherever they lie; longer ones first: they decide the stem."""
-TABLE_SUFFIXES = (".npy", ".npz", ".csv", ".txt", ".asc", ".pts")
+TABLE_SUFFIXES = (".npy", ".npz", ".feather", ".csv", ".txt", ".asc", ".pts")
 """Suffixes of files that often are something else, in the order in which a folder is searched."""
+NAMING_SUFFIXES = ("", ".pcd", ".ply", ".las", ".laz", ".feather")
+"""Suffixes of formats with names of fields, which --columns does not change; of recordings none."""
 SCAN_SUFFIXES = (*CLOUD_SUFFIXES, *TABLE_SUFFIXES)  # Suffixes of scans, upper or lower case
 
 
@@ -64,6 +67,8 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
             columns = npy_columns(path, names)
         case ".npz":
             columns = npz_columns(path, names)
+        case ".feather":
+            columns = feather_columns(path)
         case ".xyz" | ".csv" | ".txt" | ".asc" | ".pts":
             columns = text_columns(path, names)
         case _ if recording_of(path) not in (None, path):

@@ -16,6 +16,7 @@ Columns = Mapping[str, npt.NDArray[Any]]  # Values by name, each (N,)
 
 INTENSITY_NAMES = ("intensity", "scalar_intensity", "reflectivity", "reflectance", "remission", "i")
 """Names of the intensity, in lower case; the first one found counts."""
+USED_NAMES = {"x", "y", "z", *INTENSITY_NAMES}  # Names of the columns that make a scan
 MAX_SHOWN_CHARACTERS = 300
 USUAL_COLUMNS = ("x", "y", "z", "intensity")
 MAX_UNNAMED_COLUMNS = 5
@@ -28,6 +29,7 @@ def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
     """Make a scan of the columns x, y, z and the intensity; without intensity it is 0."""
     points = coordinates(columns, path)
     _require_near_origin(points, path)
+    require_no_matrix(points, path)
     known = {name.lower(): values for name, values in columns.items() if values.dtype.kind in "iuf"}
     intensities = (known[name] for name in INTENSITY_NAMES if name in known)
     intensity = next(intensities, np.zeros(len(points), np.float32))
@@ -63,7 +65,10 @@ def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[st
         raise FormatError(path, counted(count, "column"), expected, "name all with --columns")
     if names:
         return names
-    if not 3 <= count <= MAX_UNNAMED_COLUMNS:
+    if count < 3:
+        remedy = "give the scan itself, if these are labels or other values of its points"
+        raise FormatError(path, counted(count, "column"), "x, y, z at least", remedy)
+    if count > MAX_UNNAMED_COLUMNS:
         raise FormatError(
             path,
             f"{counted(count, 'column')} without names",
@@ -71,6 +76,17 @@ def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[st
             "name them, with --columns x,y,z,intensity,_,ring for example",
         )
     return (*USUAL_COLUMNS, UNUSED_COLUMN)[:count]
+
+
+def require_no_matrix(points: Float, path: Path) -> None:
+    """Refuse the matrix of a pose or of a camera, whose three or four rows look like points."""
+    rows = points[:3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        if len(points) in (3, 4) and (
+            np.allclose(rows @ rows.T, np.eye(3), atol=1e-3) or rows[2].tolist() == [0, 0, 1]
+        ):
+            found, expected = "a matrix, as of a pose or a camera", "the points of a scan"
+            raise FormatError(path, found, expected, "give the scans themselves")
 
 
 def _require_near_origin(points: Float, path: Path) -> None:

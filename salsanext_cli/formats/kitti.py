@@ -19,7 +19,7 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import USUAL_COLUMNS, scan_of, unnamed_columns
+from salsanext_cli.formats.columns import USUAL_COLUMNS, require_no_matrix, scan_of, unnamed_columns
 from salsanext_cli.records import Double, Float, Mask, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 
@@ -34,10 +34,10 @@ MAX_CLASS = 0xFFFF  # Largest label of four bytes without an instance
 
 def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring, or of `columns`."""
-    has_ring = path.name.lower().removesuffix(GZIP_SUFFIX).endswith(".pcd.bin")
-    width = len(columns) or (COLUMNS_WITH_RING if has_ring else COLUMNS)
+    width = len(columns) or _usual_width(path)
     values, size = _read_floats(path, width)
-    if count := evident_count(values, width):
+    count = evident_count(values, width)
+    if count and are_coordinates(values[:, None]):
         raise _other_count(path, count, width)
     if size % (4 * width):
         remedy = "it is cut off or of another kind"
@@ -50,10 +50,17 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
             np.ascontiguousarray(table[:, :3], np.float32),
             normalised_intensity(table[:, 3], intensity_scale),
         )
-    if not are_coordinates(scan.points):
+    if count or not are_coordinates(scan.points):
         found = "numbers that are no coordinates in metres, or no float32"
         raise FormatError(path, found, f"{width} float32 per point", ANEW)
+    if len(scan) in (3, 4):
+        require_no_matrix(scan.points, path)
     return scan
+
+
+def _usual_width(path: Path) -> int:
+    has_ring = path.name.lower().removesuffix(GZIP_SUFFIX).endswith(".pcd.bin")
+    return COLUMNS_WITH_RING if has_ring else COLUMNS
 
 
 def _read_floats(path: Path, width: int) -> tuple[Float, int]:
@@ -65,10 +72,10 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
             file, size = decompressed(opened, path)
         if size == 0:
             raise FormatError(path, "is empty", _expected(width), "copy it again, or remove it")
-        if suffix := other_suffix(file.read(TEXT_BYTES)):
-            kind = "text" if suffix == TEXT_SUFFIX else f"a {suffix} file"
-            remedy = f"rename it to {suffix} if it is a table of points"
-            raise FormatError(path, f"is {kind}", f"{width} float32 per point", remedy)
+        if kind := other_kind(file.read(TEXT_BYTES)):
+            remedy = f"rename it to {kind} if it holds points" if kind[0] == "." else ANEW
+            found = "text" if kind == TEXT_SUFFIX else f"a {kind} file" if kind[0] == "." else kind
+            raise FormatError(path, f"is {found}", f"{width} float32 per point", remedy)
         file.seek(0)
         values = read_values(file, path, "<f4", size // 4)
     if are_float64(values):
@@ -94,7 +101,9 @@ def _other_count(path: Path, count: int, expected: int) -> FormatError:
     """Return the error of a file of another number of columns, with names to try."""
     names = ",".join((*USUAL_COLUMNS, *count * [UNUSED_COLUMN])[:count])
     remedy = f"name its columns, with --columns {names} for example"
-    if suffix := {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count):
+    if count == _usual_width(path):
+        remedy = "leave --columns out"
+    elif suffix := {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count):
         remedy = f"give it the suffix {suffix}, or {remedy}"
     return FormatError(path, f"holds {count} columns", f"{expected} float32 per point", remedy)
 
@@ -169,9 +178,14 @@ MAGIC = {
     b"\x93NUMPY": ".npy",
     b"PK\x03\x04": ".npz",
     b"\x1f\x8b": ".bin.gz",
+    b"#ROSBAG": ".bag",
+    b"\x89MCAP0": ".mcap",
+    b"ASTM-E57": "an E57 file",
+    b"\x00\x01\x00\x00": "a message of ROS 2",  # in CDR, little endian
 }
-"""Suffixes of other formats by the bytes that their files begin with."""
+"""Suffixes or names of other formats by the bytes that their files begin with."""
 TEXT_SUFFIX = ".csv"
+TERRASCAN = b"\xa1\xce\x0e\x00CXYZ"  # Bytes 8 to 16 of files of TerraScan
 TEXT_BYTES = 4096  # Size of the start of a file that shows whether it is text
 MIN_TEXT_BYTES = 256
 """Size from which on float32 values hold some of the bytes that do not occur in text."""
@@ -189,12 +203,13 @@ MIN_POSSIBLE_SHARE_OF_FLOAT64 = 0.9
 SAMPLE = 4096  # Rows that are looked at, evenly spaced
 
 
-def other_suffix(start: bytes) -> str | None:
-    """Return the suffix for a file that begins as one of another format or text does, else None."""
-    of_magic = (suffix for magic, suffix in MAGIC.items() if start.startswith(magic))
+def other_kind(start: bytes) -> str | None:
+    """Return the suffix or name of the format that a file begins as, or of text, else None."""
+    of_magic = (kind for magic, kind in MAGIC.items() if start.startswith(magic))
     least = MIN_ASCII_BYTES if start.isascii() else MIN_TEXT_BYTES
     is_text = len(start) >= least and not CONTROL.search(start)
-    return next(of_magic, TEXT_SUFFIX if is_text else None)
+    other = TEXT_SUFFIX if is_text else "a TerraScan file" if start[8:16] == TERRASCAN else None
+    return next(of_magic, other)
 
 
 def are_float64(values: Float) -> bool:
@@ -254,18 +269,19 @@ def evident_count(values: Float, expected: int) -> int | None:
     """Return another number of columns than expected that values (M,) evidently have, else None."""
     if len(values) < 2 * max(expected, *COUNTS):
         return None
-    if _are_in_turn(values, expected):
-        return _padded_count(values, expected)
-    explained = {n: _explained(values, n) for n in {*COUNTS, expected}}
-    most = max(explained.values())
-    if most < MIN_EXPLAINED + MIN_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE):
-        return None
-    if explained[expected] >= SHARE_OF_LARGEST * most:
-        return None
-    # Of beams in turn, explained variance grows with the number of rows taken for one.
-    in_turn = (n for n in COUNTS if _are_in_turn(values, n))
-    count = next(in_turn, min(n for n in COUNTS if explained[n] >= SHARE_OF_LARGEST * most))
-    return _padded_count(values, count) or count
+    count = expected
+    if not _are_in_turn(values, expected):
+        explained = {n: _explained(values, n) for n in {*COUNTS, expected}}
+        most = max(explained.values())
+        if most < MIN_EXPLAINED + MIN_EXPLAINED_BY_CHANCE / min(len(values), SAMPLE):
+            return None
+        if explained[expected] < SHARE_OF_LARGEST * most:
+            # Of beams in turn, explained variance grows with the number of rows taken for one.
+            in_turn = (n for n in COUNTS if _are_in_turn(values, n))
+            least = min(n for n in COUNTS if explained[n] >= SHARE_OF_LARGEST * most)
+            count = next(in_turn, least)
+    count = _padded_count(values, count) or _least_count(values, count)
+    return None if count == expected else count
 
 
 def _rows(values: Float, columns: int, length: int = ROWS) -> Double:
@@ -286,6 +302,17 @@ def _are_in_turn(values: Float, columns: int) -> bool:
     # What follows from one block to the next is little.
     steps = np.abs((np.diff(azimuth[measured]) + 180) % 360 - 180)
     return int((steps < STEP_DEG).sum()) > IN_TURN * max(1, int(steps.size))
+
+
+def _least_count(values: Float, count: int) -> int:
+    """Return the number of columns of one point, of which a number may be a multiple."""
+    for least in (n for n in COUNTS if n < count and count % n == 0):
+        points = _rows(values, count).reshape(-1, count // least, least)
+        measured = points[..., :2].any(axis=2).mean(axis=0)
+        in_turn = measured.min() > measured.max() / 2 and _are_in_turn(values, least)
+        if in_turn or _explained(values, least) > SHARE_OF_LARGEST * _explained(values, count):
+            return least
+    return count
 
 
 def _padded_count(values: Float, columns: int) -> int | None:

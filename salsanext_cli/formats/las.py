@@ -3,6 +3,7 @@
 
 import io
 import logging
+import re
 import struct
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -12,14 +13,21 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import MOVING, LabelSpace, RawIds
-from salsanext_cli.errors import MissingDependency, OutputError
+from salsanext_cli.errors import FormatError, MissingDependency, OutputError
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import MAX_DISTANCE_M, Columns, scan_of
 from salsanext_cli.records import Scan
 
-PLACES = struct.Struct("<96xII")
-"""Offset of the points, and number of the records of variable length before them, in a header."""
+PLACES = struct.Struct("<4s20xBB70xII")
+"""Signature, version, offset of the points, and number of the records of variable length."""
+NEWEST = (1, 4)  # Newest version that laspy and lazrs read
+IN_DEGREES = re.compile(
+    rb"\x01\x00\x01\x00.\x00.\x00\x00\x04\x00\x00\x01\x00\x02\x00"
+    rb"|\A(?!.*PROJC(?:S|RS)\[).*GEOGC(?:S|RS)\[",
+    re.DOTALL,
+)
+"""Geographic coordinate system in the records of a file: the first key, or the text of a name."""
 RECORD_BYTES = 54  # Least size of a record of variable length
 COMPRESSED_SUFFIX = ".laz"
 MAX_POINTS_PER_BYTE = 16
@@ -54,9 +62,15 @@ def read_points(path: Path, *, further_records: bool = False) -> tuple[Any, Any]
         laspy = import_laspy(path, compressed=path.suffix.lower() == COMPRESSED_SUFFIX)
         size = size_of(file)
         # laspy looks for as many records as a header promises, and in memory for what is between.
-        offset, record_count = PLACES.unpack(file.read(PLACES.size))
+        signature, major, minor, offset, record_count = PLACES.unpack(file.read(PLACES.size))
+        if signature == b"LASF" and (major, minor) > NEWEST:
+            remedy = "convert it to LAS 1.4, with PDAL for example"
+            raise FormatError(path, f"LAS {major}.{minor}", "LAS 1.0 to 1.4", remedy)
         if record_count * RECORD_BYTES > offset or offset > size:
             raise ValueError("its header promises more than it holds")
+        if IN_DEGREES.search(file.read(offset - PLACES.size)):
+            found, expected = "coordinates in degrees, as of a map", "metres around a sensor"
+            raise FormatError(path, found, expected, "project them to metres")
         file.seek(0)
         backend = laspy.LazBackend.Lazrs
         with laspy.open(

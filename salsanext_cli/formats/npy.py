@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from salsanext_cli.errors import FormatError, shortened
+from salsanext_cli.errors import FormatError, notice_once, shortened
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.records import Float, Mask
 
@@ -57,6 +57,9 @@ def read_integers(path: Path) -> npt.NDArray[np.integer[Any]]:
     """Read an array (N,) of integers of any size."""
     expected = "a .npy file of integers (N,)"
     array = load_npy(path, expected)
+    if array.ndim == 2 and 1 in array.shape:
+        notice_once("labels of shape (N, 1) are taken as (N,)")
+        array = array.ravel()
     if array.dtype.kind not in "iu" or array.ndim != 1:
         remedy = "save array.ravel().astype(np.uint32)"
         raise FormatError(path, f"{array.dtype.str} {_words(array.shape)}", expected, remedy)

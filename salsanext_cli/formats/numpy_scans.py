@@ -2,6 +2,7 @@
 """Scans in numpy's files: `.npy` tables, plain or with named fields, and `.npz` archives."""
 
 import io
+import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,14 +10,15 @@ from typing import Any
 
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, shortened
+from salsanext_cli.errors import FormatError, first_few, notice_once, shortened
 from salsanext_cli.files.reading import reading, refusing_damage, size_of
-from salsanext_cli.formats.columns import Columns, unnamed_columns
+from salsanext_cli.formats.columns import USED_NAMES, Columns, columns_of_width, unnamed_columns
 from salsanext_cli.formats.npy import load_array, load_npy
 
 EXPECTED = "a table (N, columns), or columns x, y, z, of numbers"
 TABLE_NAMES = ("points", "xyz")  # Names of the table in an archive of several
 USUAL_WIDTHS = range(3, 17)  # Lengths of the last axis of an array of points
+UNNAMED = re.compile(r"arr_\d+")  # Name that numpy gives to an array without one
 MAX_RATIO = 100  # Largest size of an archive's content, as a multiple of its own
 
 
@@ -26,16 +28,23 @@ def npy_columns(path: Path, names: tuple[str, ...]) -> Columns:
 
 
 def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
-    """Read a `.npz` file: columns x, y, z …, or a table as of `npy_columns` and further columns."""
+    """Read a `.npz` file: columns with or without names, or a table and further columns."""
     arrays = npz_arrays(path)[0]
     single = {name: values.ravel() for name, values in arrays.items() if _is_column(values)}
-    if not {"x", "y", "z"} <= {name.lower() for name in single}:
+    if len(single) == len(arrays) > 1 and all(map(UNNAMED.fullmatch, single)):
+        names = columns_of_width(len(single), names, path)
+        single = dict(zip(names, single.values(), strict=True))
+        notice_once(f"arrays without names are taken for {', '.join(names)}")
+    elif not {"x", "y", "z"} <= {name.lower() for name in single}:
         single |= _columns(_table(arrays, path), names, path)
-    counts = sorted({len(values) for values in single.values()})
+    counts = sorted({len(each) for name, each in single.items() if name.lower() in USED_NAMES})
     if len(counts) > 1:
         found = f"columns of {counts[0]} and of {counts[-1]} points"
         raise FormatError(path, found, "one length")
-    return single
+    others = [name for name, each in single.items() if counts and len(each) != counts[0]]
+    if others:
+        notice_once(f"arrays of another length than the points are skipped: {first_few(others)}")
+    return {name: values for name, values in single.items() if name not in others}
 
 
 def npz_arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], bool]:
@@ -49,6 +58,12 @@ def npz_arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], bool]:
             array = load_array(io.BytesIO(content), len(content), path, EXPECTED)
             arrays[name.removesuffix(".npy")] = array
         return arrays, any(member.compress_type for member in archive.infolist())
+
+
+def is_transposed(table: npt.NDArray[Any], columns: int = 0) -> bool:
+    """Say whether a table has a column for each point, so (C, N), of 3 or 4 values or so many."""
+    rows, width = table.shape if table.ndim == 2 else (0, 0)
+    return rows in ((columns,) if columns else (3, 4)) and width >= USUAL_WIDTHS.stop
 
 
 def _is_column(values: npt.NDArray[Any]) -> bool:
@@ -77,6 +92,9 @@ def _columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Col
     if table.dtype.names and table.ndim == 1:
         return {name: table[name] for name in table.dtype.names if table[name].ndim == 1}
     is_plain = table.dtype.kind in "iuf"
+    if is_plain and is_transposed(table, len(names)):
+        notice_once("tables of shape (columns, N) are transposed to (N, columns)")
+        return unnamed_columns(table.T, names, path)
     if is_plain and table.ndim == 2:
         return unnamed_columns(table, names, path)
     remedy = ""

@@ -45,10 +45,17 @@ class OusterRecording:
         if not is_pcap:
             _probe(path)
         with refusing_damage(path, EXPECTED, REMEDY):
-            self._source = open_source(str(path), collate=False, index=True)
+            try:
+                self._source = open_source(str(path), collate=False, index=True)
+            except Exception as error:
+                if "Duplicate" in str(error):
+                    found, expected = "several sensors send to one port", "a port for each"
+                    raise FormatError(path, found, expected, "record them again") from error
+                raise
             unit = NS_PER_PCAP_TIME if is_pcap else 1
-            self._times = {
-                f"sensor{number}": [int(time) * unit for time in index[:, 0]]
+            profiles = [str(info.format.udp_profile_lidar) for info in self._source.sensor_info]
+            self._times = {  # A sensor that is off may have frames of its IMU.
+                f"sensor{number}": [int(t) * unit for t in index[:, 0] if profiles[number] != "OFF"]
                 for number, index in enumerate(self._source.individual_index)
             }
         weakref.finalize(self, self._source.close)
@@ -74,11 +81,18 @@ class OusterRecording:
             raise FormatError(path, "not there", "a scan that the recording lists")
         with refusing_damage(path, EXPECTED, REMEDY), self._lock:
             of_sensor = self._source.single([*self._times].index(topic))
-            frame = of_sensor[places[number]][0]
-            distances = frame.field("RANGE")
+            try:
+                frame = of_sensor[places[number]][0]
+            except IndexError as error:
+                found = "listed, but not readable, as by a wrong checksum"
+                raise FormatError(path, found, EXPECTED, "copy the recording again") from error
+            distances, reflectivity = frame.field("RANGE"), frame.field("REFLECTIVITY")
+            if distances.any() and not reflectivity[distances > 0].any():
+                found = "reflectivities that are all 0, as of a field that cannot be decoded"
+                raise FormatError(path, found, EXPECTED, "copy the recording again")
             points = XYZLut(frame.sensor_info)(distances) * (distances > 0)[..., None]
             columns = {axis: points[..., n].ravel() for n, axis in enumerate("xyz")}
-            return columns | {"reflectivity": frame.field("REFLECTIVITY").ravel()}
+            return columns | {"reflectivity": reflectivity.ravel()}
 
 
 def _is_cut(file: BufferedReader) -> bool:

@@ -7,6 +7,7 @@ with uninitialised values where ascii files are short or DATA is in upper case.
 """
 
 import io
+import logging
 import math
 from io import BufferedIOBase, BufferedReader
 from pathlib import Path
@@ -15,16 +16,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from salsanext_cli.errors import notice_once
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import Columns
+from salsanext_cli.records import Double
 
 TYPES = {
-    **{f"F{size}": f"<f{size}" for size in (4, 8)},
-    **{f"I{size}": f"<i{size}" for size in (1, 2, 4, 8)},
-    **{f"U{size}": f"<u{size}" for size in (1, 2, 4, 8)},
+    **{kind + size: f"<{kind.lower()}{size}" for kind in "IU" for size in "1248"},
+    **{"F4": "<f4", "F8": "<f8", "D8": "<f8"},
 }
 """numpy's type of each TYPE and SIZE."""
+COMMAS = "commas in .pcd files are taken for blanks"
 PADDING = "_"
 MAX_HEADER_BYTES = 1 << 16
 MAX_RATIO = 264 / 3  # Largest compression ratio of LZF: three bytes stand for up to 264
@@ -74,18 +77,42 @@ def pcd_columns(path: Path) -> Columns:
 def _read_ascii(file: BufferedReader, header: Header) -> Columns:
     shapes = [header.point[name].shape for name in header.point.names or ()]
     first = np.cumsum([0, *map(math.prod, shapes)])
-    text, values = file.read(), np.empty((0, first[-1]))
-    if text.strip():
-        values = np.loadtxt(io.BytesIO(text), np.float64, comments=None, ndmin=2)
-    if values.shape != (header.point_count, first[-1]):
-        found = f"{len(values)} lines of {values.shape[1]} values"
-        raise ValueError(f"{found}, not {header.point_count} of {first[-1]}")
+    values = _numbers(file.read(), int(first[-1]), header.point_count)
     column_of = dict(zip(header.point.names or (), first[:-1], strict=True))
     # A NaN in an integer field that is not used is no reason to fail.
     with np.errstate(invalid="ignore", over="ignore"):
         return {
             name: values[:, column_of[name]].astype(header.point[name]) for name in header.scalars
         }
+
+
+def _numbers(text: bytes, width: int, count: int) -> Double:
+    """Return the numbers of lines of so many, (N, width) float64; N is `count`, or else logged."""
+    if b"," in text:
+        text = text.replace(b",", b" ")
+        notice_once(COMMAS)
+    values = np.empty((0, width))
+    if text.strip():
+        try:
+            values = np.loadtxt(io.BytesIO(text), np.float64, comments=None, ndmin=2)
+        except ValueError:
+            values = np.loadtxt(_filled(text, width), np.float64, comments=None, ndmin=2)
+    is_whole = len(values) > 0 and text.endswith(b"\n")
+    if values.shape[1] != width or (len(values) != count and not is_whole):
+        raise ValueError(f"{len(values)} lines of {values.shape[1]} values, not {count} of {width}")
+    if len(values) != count:
+        found = "the header of a .pcd file gives another number of points than it has lines"
+        notice_once(f"{found}: all lines are read; points may be missing", logging.WARNING)
+    return values
+
+
+def _filled(text: bytes, width: int) -> list[bytes]:
+    """Return lines in which short ones, but not the last, which is cut off, are points of NaN."""
+    *lines, last = (line for line in text.splitlines() if line.strip())
+    filled = [line if len(line.split()) >= width else b"nan " * width for line in lines]
+    if filled != lines:
+        notice_once("short lines in .pcd files are taken for points without a measurement")
+    return [*filled, last]
 
 
 def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:
@@ -126,6 +153,8 @@ def read_compressed(file: BufferedIOBase, header: Header) -> Columns:
 def read_header(file: BufferedIOBase) -> Header:
     """Read up to the line DATA; an unusable header raises `ValueError`."""
     entries = _entries(file)
+    if "D" in entries.get("TYPE", ()):
+        notice_once("TYPE D in .pcd files is taken for F")
     try:
         names = entries["FIELDS"]
         counts = [*map(int, entries.get("COUNT", ["1"] * len(names)))]
@@ -152,7 +181,9 @@ def _entries(file: BufferedIOBase) -> dict[str, list[str]]:
         line = file.readline(MAX_HEADER_BYTES)
         if not line or file.tell() > MAX_HEADER_BYTES:
             raise ValueError("no PCD header")
-        words = line.decode("ascii", "replace").split()
+        words = line.decode("ascii", "replace").replace(",", " ").split()
         if words and not words[0].startswith("#"):
+            if b"," in line:
+                notice_once(COMMAS)
             entries[words[0]] = words[1:]
     return entries

@@ -19,6 +19,8 @@ from salsanext_cli.formats.columns import Columns
 MAX_HEADER_BYTES = 1 << 20
 COUNT = re.compile(rb"(?:^|[\r\n])\s*element\s+\S+\s+(\S+)")
 """Number of elements of a kind, in a line of a header."""
+VERTICES = re.compile(rb"(?:^|[\r\n])\s*element\s+vertex\s")
+BLANKS = re.compile(rb"[ \t]+(?=[\r\n])")  # Blanks at the end of a line, which plyfile refuses
 
 
 def ply_columns(path: Path) -> Columns:
@@ -35,21 +37,21 @@ def read_ply(path: Path, content: bytes) -> Any:
     with refusing_damage(path, "a whole .ply file"), warnings.catch_warnings():
         # plyfile warns of empty lines before it refuses them.
         warnings.simplefilter("ignore")
-        _require_room(content)
-        data = plyfile.PlyData.read(io.BytesIO(content))
-    if "vertex" not in data:
-        raise FormatError(path, "no vertices", "a PLY file with an element vertex")
-    return data
+        head, body = _header(content)
+        if not VERTICES.search(head):
+            raise FormatError(path, "no vertices", "a PLY file with an element vertex")
+        return plyfile.PlyData.read(io.BytesIO(BLANKS.sub(b"", head) + body))
 
 
-def _require_room(content: bytes) -> None:
-    """Refuse a PLY file that promises more than it holds: plyfile would allocate it."""
+def _header(content: bytes) -> tuple[bytes, bytes]:
+    """Divide a PLY file; refuse one that promises more than it holds: plyfile would allocate it."""
     end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
     if end < 0:
         raise ValueError("no PLY header")
     counts = [int(count) for count in COUNT.findall(content[:end])]
     if min(counts, default=0) < 0 or sum(counts) > len(content):
         raise ValueError("its header promises more than it holds")
+    return content[:end], content[end:]
 
 
 def encode_ply(columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] = ()) -> bytes:

@@ -21,6 +21,7 @@ from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats import kitti, las, numpy_scans, pcd, ply, scan_suffix, text
 from salsanext_cli.formats.bags import EXPECTED, POINT_CLOUD2, REMEDY, Bag, columns_of
+from salsanext_cli.formats.feather import feather_subset, read_table
 from salsanext_cli.formats.npy import load_npy
 from salsanext_cli.records import Mask
 
@@ -41,9 +42,12 @@ def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Callable[[Mask], byte
     if suffix in (".las", ".laz"):
         return partial(_las_subset, path, *las.read_points(path, further_records=True))
     if suffix == ".npy":
-        return partial(_npy_subset, path, load_npy(path, numpy_scans.EXPECTED))
+        return partial(_npy_subset, path, load_npy(path, numpy_scans.EXPECTED), len(names))
     if suffix == ".npz":
         return partial(_npz_subset, path, *numpy_scans.npz_arrays(path))
+    if suffix == ".feather":
+        table = read_table(path)
+        return lambda keep: feather_subset(table, _kept(np.arange(len(table)), keep, path))
     number, width = NUMBERS, 0
     with reading(path) as file, refusing_damage(path, f"a whole {suffix} file"):
         head, body = b"", file.read()
@@ -116,17 +120,23 @@ def _ply_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
     return content[: end.end()], body[: width * vertices.count] if width else body, width
 
 
-def _npy_subset(path: Path, table: npt.NDArray[Any], keep: Mask) -> bytes:
+def _npy_subset(path: Path, table: npt.NDArray[Any], columns: int, keep: Mask) -> bytes:
+    transposed = numpy_scans.is_transposed(table, columns)
     with io.BytesIO() as buffer:
-        np.save(buffer, _kept(table, keep, path))
+        np.save(buffer, _kept(table.T, keep, path).T if transposed else _kept(table, keep, path))
         return buffer.getvalue()
 
 
 def _npz_subset(
     path: Path, arrays: dict[str, npt.NDArray[Any]], compressed: bool, keep: Mask
 ) -> bytes:
-    """Return an archive in which all arrays of N rows are of the points that stay."""
+    """Return an archive in which all arrays of N rows or columns are of the points that stay."""
     of_points = {name: each[keep] for name, each in arrays.items() if each.shape[:1] == keep.shape}
+    of_points |= {
+        name: each[:, keep]
+        for name, each in arrays.items()
+        if each.ndim == 2 and each.shape[1:] == keep.shape != each.shape[:1]
+    }
     _kept(keep[: len(keep) * bool(of_points)], keep, path)
     save: Any = np.savez_compressed if compressed else np.savez
     with io.BytesIO() as buffer:

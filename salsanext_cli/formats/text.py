@@ -8,16 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.errors import FormatError, shortened
+from salsanext_cli.errors import FormatError, notice_once, shortened
 from salsanext_cli.files.reading import reading
-from salsanext_cli.formats.columns import INTENSITY_NAMES, Columns, columns_of_width
+from salsanext_cli.formats.columns import USED_NAMES, Columns, columns_of_width
 from salsanext_cli.formats.kitti import CONTROL, TEXT_BYTES
 from salsanext_cli.records import Double
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 COMMENT_MARKS = ("#", "//")
 MAX_HEADER_BYTES = 1 << 16
-USED = {"x", "y", "z", *INTENSITY_NAMES}
+AXES = {
+    f"{name}:{place}": "xyz"[place] for name in ("points_m_xyz", "points") for place in range(3)
+}
+"""Axes by the names of their columns, in lower case, in what VeloView and ParaView write."""
 EXPECTED = "a point in each line, with the same number of columns"
 DECIMAL_COMMA = re.compile(rb'(?:^|[;\s"])-?\d*,\d+(?:[;\s"]|$)')
 """Number whose comma separates no columns, since blanks or semicolons do."""
@@ -43,8 +46,8 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
     try:
         layout = layout_of(content, has_names=bool(names))
         names = layout.names or columns_of_width(layout.width, names, path)
-        used = {name: i for i, name in enumerate(names) if name in USED}
-        if len(used) < sum(name in USED for name in names):
+        used = {name: i for i, name in enumerate(names) if name in USED_NAMES}
+        if len(used) < sum(name in USED_NAMES for name in names):
             raise ValueError(f"a column twice among {shortened(', '.join(names))}")
         if not {"x", "y", "z"} & set(used):
             raise ValueError(f"points of {shortened(', '.join(names))}")
@@ -89,7 +92,10 @@ def layout_of(content: bytes, has_names: bool) -> Layout:
 
 def _words(line: str, delimiter: str | None) -> tuple[str, ...]:
     """Return the fields of a line, in lower case, without blanks and quotes around them."""
-    return tuple(word.strip(' "\t').lower() for word in line.split(delimiter))
+    words = [word.strip(' "\t').lower() for word in line.split(delimiter)]
+    if not AXES.keys().isdisjoint(words):
+        notice_once("columns Points:0, Points:1, Points:2 are taken for x, y, z")
+    return tuple(AXES.get(word, word) for word in words)
 
 
 def _is_number(word: str) -> bool:

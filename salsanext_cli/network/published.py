@@ -105,9 +105,10 @@ def _read_torch_file(path: Path) -> Any:
             names = [name] if "." in name else [f"{module}.{name}" for module in BUILTINS]
             if not name or names[0] in ignored or len(ignored) > MAX_IGNORED:
                 # Torch's own text advises to run what the file says.
-                what = f"it names {name}" if name else type(error).__name__
-                found = f"not readable safely: {what}"
-                raise WeightsError(path, found, "a file of torch.save") from error
+                found = f"not readable safely: it names {name}" if name else "of another kind"
+                is_onnx = path.suffix.lower() == ".onnx"
+                remedy = "give it to --weights if `export-onnx` wrote it" if is_onnx else ""
+                raise WeightsError(path, found, "a file of torch.save", remedy) from error
             ignored += names
 
 

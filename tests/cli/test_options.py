@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from command_line import only_json
+from command_line import only_json, parsed
 from scans import SMALL, labels_below, write_weights
 
 from salsanext_cli.cli.app import app
 from salsanext_cli.cli.option_groups import Default, Only, Shown, Without, expanded
+from salsanext_cli.cli.options import FORMATS
 from salsanext_cli.engines.settings import NetworkSettings, weights_file
+from salsanext_cli.formats import SCAN_SUFFIXES
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.options import KnnParameters, ScanSelection
 
@@ -41,6 +43,12 @@ def test_a_group_is_expanded_filled_and_handed_over():
     typed(**defaults | {"sequences": "00", "k": 3})
     assert seen["selection"] == ScanSelection(sequences=("00",), limit=4)
     assert seen["knn"] == KnnParameters(k=3)
+
+
+def test_help_lists_the_formats_of_scans():
+    assert {*FORMATS.split()} == {each for each in SCAN_SUFFIXES if not each.endswith(".gz")}
+    (scans,) = (each for each in parsed("predict").params if each.name == "scans")
+    assert FORMATS in scans.help
 
 
 def test_the_default_weights_have_a_name():

@@ -134,6 +134,17 @@ def test_no_remedy_is_given_that_weights_refuse():
     assert "intensity_scale" not in remedies(STREET, matched)["intensity-scale"]
 
 
+def test_columns_are_named_for_formats_only_that_do_not_name_them():
+    dark = Scan(STREET.points, np.zeros_like(STREET.intensity))
+    unnamed = ("s.bin", "s.pcd.bin", "s.npy", "s.txt")
+    named = ("s.pcd", "s.PLY", "s.laz", "s.feather", "drive.bag/points/0000000000000000001")
+    plain = replace(TRAINED, intensity_quantiles=())
+    for name in (*unnamed, *named):
+        (found,) = check_scan(Path(name), dark, SMALL, plain).findings
+        assert found.code == "no-intensity"
+        assert ("--columns" in found.remedy) == (name in unnamed)
+
+
 def test_matched_intensities_are_those_of_the_scans_matched_with():
     bright = Scan(STREET.points, STREET.intensity * 255)
     matched = replace(SMALL, intensity_quantiles=tuple(255 * q for q in QUANTILES))

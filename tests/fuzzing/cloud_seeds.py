@@ -30,6 +30,18 @@ def las(table: Table) -> list[bytes]:
     return seeds
 
 
+def feather(table: Table) -> list[bytes]:
+    """Return files of pyarrow, compressed and not."""
+    arrow = pytest.importorskip("pyarrow")
+    write = pytest.importorskip("pyarrow.feather").write_feather
+    seeds = []
+    for compression in ("lz4", "zstd", "uncompressed"):
+        stream = io.BytesIO()
+        write(arrow.table(dict(table)), stream, compression=compression)
+        seeds.append(stream.getvalue())
+    return seeds
+
+
 def structured(table: Table) -> list[bytes]:
     """Return a table with named fields, and plain ones in both orders."""
     fields = np.zeros(len(table["x"]), [(name, values.dtype) for name, values in table.items()])

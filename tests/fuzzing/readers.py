@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from cloud_seeds import las, lines, npz, structured
+from cloud_seeds import feather, las, lines, npz, structured
 from edited_clouds import write_pcd
 from onnx_models import write_onnx
 from ouster_recordings import write_recording
@@ -179,6 +179,7 @@ READERS: dict[str, Callable[[Path], Reader]] = {
     "las": lambda _: Reader("a.las", las(_table()), _scan),
     "npy of points": lambda _: Reader("s.npy", structured(_table()), _scan),
     "npz": lambda _: Reader("s.npz", npz(_table()), _scan),
+    "feather": lambda _: Reader("s.feather", feather(_table()), _scan),
     "csv": lambda _: Reader("s.csv", lines(_table(), ","), _scan),
     "xyz": lambda _: Reader("s.xyz", lines(_table(), " "), _scan),
     "db3": _bag,

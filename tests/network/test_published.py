@@ -158,6 +158,15 @@ def test_rubbish_is_refused(tmp_path, content):
         read_published(path)
 
 
+def test_another_file_is_no_error_of_a_library(tmp_path):
+    for name, remedy in (("model.onnx", "give it to --weights"), ("model.h5", "")):
+        (tmp_path / name).write_bytes(b"\x08\x08\x12\x07pytorch" * 9)
+        with pytest.raises(WeightsError, match="of another kind · expected a file of") as caught:
+            import_weights(tmp_path / name, tmp_path / "w.safetensors")
+        assert remedy in str(caught.value)
+        assert ("--weights" in str(caught.value)) == bool(remedy)
+
+
 def test_a_damaged_length_reserves_no_memory(tmp_path):
     path = tmp_path / "SalsaNext"
     path.write_bytes(b"X\xff\xff\xff\x7f" + bytes(100))

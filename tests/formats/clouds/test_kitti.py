@@ -72,9 +72,15 @@ def test_negative_intensities_and_signalling_nans_are_read(tmp_path):
     assert np.flatnonzero(np.isnan(scan.intensity)).tolist() == [59]
 
 
+def real_scans(real_data):
+    """Return the `.bin` files, without those that are no scans."""
+    found = sorted((real_data / "data").rglob("*.bin"))
+    return [path for path in found if "not_scans" not in path.parts]
+
+
 @pytest.mark.real
 def test_no_real_scan_is_refused(real_data, tmp_path):
-    for path in sorted((real_data / "data").rglob("*.bin")):
+    for path in real_scans(real_data):
         columns = 5 if "five" in path.name else 4
         link = tmp_path / f"{len(list(tmp_path.iterdir()))}{'.pcd' * (columns == 5)}.bin"
         link.symlink_to(path)
@@ -112,7 +118,7 @@ def test_a_real_scan_with_other_columns_is_refused_with_names_to_try(real_data, 
 
 @pytest.mark.real
 def test_no_real_scan_in_another_order_is_refused(real_data):
-    for path in sorted((real_data / "data").rglob("*.bin"))[::4]:
+    for path in real_scans(real_data)[::4]:
         count = 5 if "five" in path.name else 4
         table = np.fromfile(path, "<f4").reshape(-1, count)
         shuffled = np.random.default_rng(0).permutation(table)
@@ -299,9 +305,34 @@ def test_a_wrong_number_of_columns_is_noticed_and_the_right_one_never(names):
     for values in in_both_orders(rows):
         assert evident_count(values, count) is None
         for expected in {4, 5} if padded else {*range(3, 8), 16}:
-            # A multiple has every second point.
-            if expected % count:
+            if expected != count:
                 assert evident_count(values, expected) == count, expected
+
+
+@pytest.mark.parametrize("names", RECORDS, ids="-".join)
+def test_a_multiple_of_the_columns_which_halves_the_points_is_noticed(names):
+    """The simulated beams that look up and down in turn are of two kinds, so a ring follows."""
+    rows = table(names, scan(beams=[*range(-25, 7)]))
+    count = rows.shape[1]
+    for values in in_both_orders(rows):
+        for expected in range(2 * count, COUNTS.stop, count):
+            assert evident_count(values, expected) == count, expected
+
+
+@pytest.mark.real
+def test_a_multiple_of_the_columns_of_a_real_scan_is_noticed(real_data):
+    for path in real_scans(real_data)[::4]:
+        count = 5 if "five" in path.name else 4
+        rows = np.fromfile(path, "<f4").reshape(-1, count)
+        normals = np.random.default_rng(1).normal(size=(len(rows), 3))
+        shuffled = np.random.default_rng(0).permutation(rows)
+        for points in (rows, shuffled):
+            for times in range(2, 16 // count + 1):
+                assert evident_count(points.ravel(), times * count) == count, path
+            # Normals, zeros and colours beside the coordinates are no further points.
+            for others in (normals, 0 * normals, np.abs(normals) * 99 // 1):
+                wide = np.hstack([points[:, :3], others]).astype("<f4")
+                assert evident_count(wide.ravel(), 6) is None, path
 
 
 @pytest.mark.parametrize("lost", [0.0, np.nan])
@@ -326,3 +357,10 @@ def test_few_points_are_enough_or_nothing_is_said():
 def test_any_bytes_have_some_number_of_columns_or_none(content, expected):
     found = evident_count(content.view("<f4"), expected)
     assert found is None or (found in COUNTS and found != expected)
+
+
+def test_the_remedy_of_columns_that_the_file_has_not(tmp_path):
+    path = tmp_path / "s.bin"
+    path.write_bytes(table(("fraction",), scan()).tobytes())
+    with pytest.raises(FormatError, match=r"holds 4 columns · expected 8 .* leave --columns out"):
+        read_bin(path, columns=("x", "y", "z", "intensity", *"____"))

@@ -115,6 +115,47 @@ def test_a_panic_of_lazrs_is_a_damaged_file(tmp_path):
         read_scan(path)
 
 
+GEOGRAPHIC = 'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.25]]]'
+PROJECTED = f'PROJCS["WGS 84 / UTM 32N",{GEOGRAPHIC},UNIT["metre",1]]'
+
+
+def with_keys(model):
+    """Return a record of keys: the kind of the coordinate system and its number."""
+    keys = np.array([1, 1, 0, 2, 1024, 0, 1, model, 2048, 0, 1, 4326], "<u2")
+    return laspy.VLR("LASF_Projection", 34735, "", keys.tobytes())
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_coordinates_in_degrees_are_refused_and_projected_ones_read(tmp_path, suffix):
+    path = tmp_path / f"s{suffix}"
+    for record, in_degrees in (
+        (with_keys(2), True),
+        (with_keys(1), False),
+        (laspy.VLR("LASF_Projection", 2112, "", GEOGRAPHIC.encode()), True),
+        (laspy.VLR("LASF_Projection", 2112, "", PROJECTED.encode()), False),
+    ):
+        cloud = laspy.create()
+        cloud.vlrs.append(record)
+        cloud.x = cloud.y = cloud.z = np.arange(9.0)
+        cloud.write(path)
+        if in_degrees:
+            with pytest.raises(
+                FormatError, match=r"in degrees, .* expected metres .* project them"
+            ):
+                read_scan(path)
+        else:
+            assert len(read_scan(path)) == 9
+
+
+def test_a_newer_version_is_named(tmp_path):
+    path = tmp_path / "s.laz"
+    laspy.create().write(path)
+    content = path.read_bytes()
+    path.write_bytes(content[:24] + b"\1\5" + content[26:])
+    with pytest.raises(FormatError, match=r"LAS 1\.5 · expected LAS 1\.0 to 1\.4 · convert it"):
+        read_scan(path)
+
+
 @pytest.mark.parametrize(
     ("name", "suffix"), [("laspy", ".laz"), ("lazrs", ".laz"), ("lazrs", ".las")]
 )

@@ -75,7 +75,7 @@ def test_other_arrays_are_refused(tmp_path):
         (np.zeros(9), r"9 values of float64 · expected a table \(N, columns\)"),
         (np.zeros((6, 5, 4), "<f4"), r"6×5×4 values of float32 .* array\.reshape\(-1, 4\)"),
         (np.zeros((2, 3), [("x", "f4"), ("y", "f4")]), r"2×3 values of .* save array\.ravel\(\)"),
-        (np.zeros((4, 100)), "100 columns without names"),
+        (np.zeros((5, 100)), "100 columns without names"),
         (np.zeros((9, 4), np.complex64), "c"),
         (np.array([[{}, 1, 2]], object), "of object"),
         (np.zeros(3, [("a", "f4"), ("y", "f4")]), "points of a, y · expected also x, z"),
@@ -92,6 +92,10 @@ def test_archives_without_one_scan(tmp_path):
         ({}, "arrays nothing"),
         ({"a": TABLE, "b": TABLE}, "arrays a, b · expected columns x, y, z, or one table"),
         ({"points": TABLE[:, :3], "intensity": INTENSITY[:1]}, "columns of 1 and of 2 points"),
+        ({"x": X, "y": Y[:1], "z": Z}, "columns of 1 and of 2 points"),
+        ({f"arr_{i}": X[: 1 + i] for i in range(3)}, "columns of 1 and of 2 points"),
+        ({f"arr_{i}": X for i in range(6)}, "6 columns without names"),
+        ({"arr_0": X, "b": Y, "c": Z}, "arrays arr_0, b, c"),
     ):
         np.savez(tmp_path / "s.npz", **arrays)
         with pytest.raises(FormatError, match=message):

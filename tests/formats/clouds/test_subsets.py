@@ -86,7 +86,7 @@ def test_they_are_as_if_written_without_the_others(tmp_path, name, keep):
 
 
 def test_there_is_one_for_every_suffix():
-    others = {".las", ".laz", ".bin.gz", ".pcd.bin.gz"}
+    others = {".las", ".laz", ".bin.gz", ".pcd.bin.gz", ".feather"}
     assert {scan_suffix(name) for name in MADE} | others == {*SCAN_SUFFIXES}
 
 

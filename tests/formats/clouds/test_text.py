@@ -73,7 +73,7 @@ def test_columns_are_named_where_the_file_does_not_and_as_many_are_there(tmp_pat
 def test_other_text_is_refused_in_one_line(tmp_path):
     for text, message in (
         ("", "no points"),
-        ("1 2\n", "2 columns without names · expected 3 to 5"),
+        ("1 2\n", "2 columns · expected x, y, z at least"),
         ("3\n1 2 3 4\n5 6 7 8\n", "2 of the 3 points that its first line says"),
         ("9" * 5000 + "\n1 2 3 4\n", "Exceeds the limit"),
         ("1 2 3 255 0 0\n", "6 columns without names .* name them, with --columns"),

@@ -9,7 +9,7 @@ pytest.importorskip("ouster.sdk")
 from ouster_recordings import START, STEP, write_recording
 
 from salsanext_cli import read_scan
-from salsanext_cli.errors import FormatError, SalsanextError
+from salsanext_cli.errors import FormatError, NoInputError, SalsanextError
 from salsanext_cli.results.layout import find_scans
 
 TIMES = [f"{START + n * STEP}" for n in range(4)]
@@ -66,3 +66,30 @@ def test_a_file_at_which_the_library_crashes_is_one_error(tmp_path, monkeypatch)
     path.write_bytes(b"x")
     with pytest.raises(FormatError, match="crashes at it"):
         find_scans(path)
+
+
+@pytest.mark.parametrize("suffix", [".osf", ".pcap"])
+def test_reflectivities_that_were_not_decoded_are_refused(tmp_path, suffix):
+    (scan,) = find_scans(write_recording(tmp_path / f"drive{suffix}", 1, brightest=0))
+    with pytest.raises(FormatError, match="reflectivities that are all 0"):
+        read_scan(scan.path)
+
+
+def test_packets_of_no_lidar_are_named(tmp_path):
+    path = write_recording(tmp_path / "drive.pcap", 1)
+    path.write_bytes(path.read_bytes()[:24])
+    with pytest.raises(NoInputError, match="no packets of a LiDAR") as caught:
+        find_scans(path)
+    assert "PointCloud2" not in str(caught.value)
+
+
+@pytest.mark.real
+def test_reported_recordings_are_refused_by_what_they_are(real_data):
+    for name, found in {
+        "bad_encoding.osf": "reflectivities that are all 0",
+        "bad_crc32.osf": "a wrong checksum",
+        "imu_zm_no_lidar.pcap": "no packets of a LiDAR, only of its IMU",
+        "same_ports.pcap": "several sensors send to one port",
+    }.items():
+        with pytest.raises(SalsanextError, match=found):
+            [read_scan(scan.path) for scan in find_scans(real_data / "data/reported/ouster" / name)]

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: MIT
+"""Layouts of other programs are read, with a notice; what is no scan is refused by its name."""
+
+import io
+import logging
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scans import SMALL, make_scan
+
+from salsanext_cli import read_scan
+from salsanext_cli.errors import NOTICE, FormatError, notice_once
+from salsanext_cli.formats.kitti import read_bin
+from salsanext_cli.formats.npy import read_integers
+from salsanext_cli.formats.subsets import subsets_of
+
+SCAN = make_scan(300)
+TABLE = np.column_stack([SCAN.points, SCAN.intensity])
+X, Y, Z, I = TABLE.T  # noqa: E741 - the name of the column
+PCD = (
+    "# .PCD v.7\nVERSION .7\nFIELDS x y z intensity t\nSIZE 4 4 4 4 8\nTYPE F F F F F\n"
+    "COUNT 1 1 1 1 1\nWIDTH 300\nHEIGHT 1\nPOINTS 300\nDATA ascii\n"
+)
+LINES = [" ".join(map(repr, row)) + " 7.5\n" for row in TABLE.astype(float).tolist()]
+VELOVIEW = '"intensity","laser_id","Points_m_XYZ:0","Points_m_XYZ:1","Points_m_XYZ:2"\n' + "".join(
+    f"{i!r},7,{x!r},{y!r},{z!r}\n" for x, y, z, i in TABLE.astype(float).tolist()
+)
+
+
+def saved(save, *arrays, **named):
+    with io.BytesIO() as buffer:
+        save(buffer, *arrays, **named)
+        return buffer.getvalue()
+
+
+def pcd(old="", new="", lines=LINES):
+    return (PCD.replace(old, new) + "".join(lines)).encode()
+
+
+LAYOUTS = {
+    "velo.csv": (VELOVIEW.encode(), "Points:0"),
+    "view.csv": (VELOVIEW.replace("_m_XYZ", "").encode(), "Points:0"),
+    "rows.npy": (saved(np.save, TABLE.T), "transposed"),
+    "rows_f8.npy": (saved(np.save, TABLE.T.astype("<f8", "C")), "transposed"),
+    "rows.npz": (saved(np.savez, TABLE.T), "transposed"),
+    "arrays.npz": (saved(np.savez, X, Y, Z, I), "without names are taken for x, y, z, intensity"),
+    "more.npz": (saved(np.savez, x=X, y=Y, z=Z, intensity=I, t=np.ones(9)), "skipped: t"),
+    "table.npz": (saved(np.savez, points=TABLE, stamp=np.ones(1)), "skipped: stamp"),
+    "kind_d.pcd": (pcd("F F F F F", "F F F F D"), "TYPE D"),
+    "sizes.pcd": (pcd("4 4 4 4 8", "4, 4, 4, 4, 8"), "commas"),
+    "values.pcd": (pcd(lines=[line.replace(" ", ",") for line in LINES]), "commas"),
+    "fewer.pcd": (pcd("300", "12466"), "points may be missing"),
+    "less.pcd": (pcd("300", "12"), "points may be missing"),
+}
+
+
+@pytest.fixture
+def said(caplog):
+    """Return what is logged, by a process that has not read any file."""
+    notice_once.cache_clear()
+    caplog.set_level(NOTICE, "salsanext_cli")
+    return caplog
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_layouts_are_read_with_a_notice_for_their_kind(tmp_path, said, name):
+    content, notice = LAYOUTS[name]
+    for path in (tmp_path / name, tmp_path / f"other_{name}"):
+        path.write_bytes(content)
+        scan = read_scan(path)
+        np.testing.assert_array_equal(scan.points, SCAN.points)
+        np.testing.assert_array_equal(scan.intensity, SCAN.intensity)
+    (message,) = said.messages
+    assert notice in message
+    is_warning = said.records[0].levelno == logging.WARNING
+    assert is_warning == ("missing" in notice)
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_some_of_their_points_are_written_in_their_layout(tmp_path, name):
+    path, kept = tmp_path / name, tmp_path / f"kept_{name}"
+    path.write_bytes(LAYOUTS[name][0])
+    keep = np.random.default_rng(0).random(300) < 0.5
+    kept.write_bytes(subsets_of(path)(keep))
+    np.testing.assert_array_equal(read_scan(kept).points, SCAN.points[keep])
+    np.testing.assert_array_equal(read_scan(kept).intensity, SCAN.intensity[keep])
+
+
+def test_named_columns_of_transposed_tables_and_of_arrays(tmp_path):
+    named = replace(SMALL, columns=("intensity", "x", "y", "z", "_", "_"))
+    rows = np.stack([I, X, Y, Z, X, X])
+    np.save(tmp_path / "s.npy", rows)
+    np.savez(tmp_path / "s.npz", *rows)
+    for name in ("s.npy", "s.npz"):
+        np.testing.assert_array_equal(read_scan(tmp_path / name, named).points, SCAN.points)
+
+
+def test_a_short_line_is_a_point_without_a_measurement_unless_the_file_ends_there(tmp_path, said):
+    path = tmp_path / "s.pcd"
+    path.write_bytes(pcd(lines=[*LINES[:100], "1.0 2.0\n", *LINES[101:]]))
+    scan = read_scan(path)
+    assert np.flatnonzero(np.isnan(scan.points).all(axis=1)).tolist() == [100]
+    np.testing.assert_array_equal(np.delete(scan.points, 100, 0), np.delete(SCAN.points, 100, 0))
+    assert "short lines" in said.text
+    for lines in ([*LINES[:-1], "1.0 2.0\n"], [*LINES[:200], LINES[200][:-1]], [*LINES, "1 2"]):
+        path.write_bytes(pcd(lines=lines))
+        with pytest.raises(FormatError, match="damaged or cut off"):
+            read_scan(path)
+
+
+@pytest.mark.parametrize("shape", [(9, 1), (1, 9)])
+def test_labels_in_one_column_or_row(tmp_path, said, shape):
+    np.save(tmp_path / "l.npy", np.arange(9, dtype=np.int32).reshape(shape))
+    np.testing.assert_array_equal(read_integers(tmp_path / "l.npy"), np.arange(9))
+    assert "(N, 1)" in said.text
+    with pytest.raises(FormatError, match=r"columns? · expected x, y, z at least|9 columns"):
+        read_scan(tmp_path / "l.npy")
+
+
+def feather(table, **more):
+    arrow = pytest.importorskip("pyarrow")
+    write = pytest.importorskip("pyarrow.feather").write_feather
+    return saved(lambda file, of: write(of, file), arrow.table({**table, **more}))
+
+
+def test_scans_of_argoverse(tmp_path, said):
+    """Coordinates of 16 bits, intensities of a byte, as its data sets have them."""
+    path, kept = tmp_path / "315969904359876000.feather", tmp_path / "kept.feather"
+    table = {axis: values.astype("<f2") for axis, values in zip("xyz", TABLE.T, strict=False)}
+    intensity = np.arange(300).astype(np.uint8)
+    path.write_bytes(feather(table, intensity=intensity, offset_ns=np.arange(300, dtype="i4")))
+    scan = read_scan(path)
+    np.testing.assert_array_equal(scan.points, SCAN.points.astype("<f2").astype("<f4"))
+    np.testing.assert_array_equal(scan.intensity, intensity.astype("<f4") / np.float32(255))
+    assert "16 bits" in said.text
+    kept.write_bytes(subsets_of(path)(intensity > 99))
+    np.testing.assert_array_equal(read_scan(kept).points, scan.points[intensity > 99])
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(FormatError, match=r"damaged or cut off: .* a whole \.feather file"):
+        read_scan(path)
+
+
+def rotation(turn=0.3):
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([[c, -s, 0, 5.5], [s, c, 0, -2], [0, 0, 1, 0.25]])
+
+
+MATRICES = {
+    "pose": rotation(),
+    "square pose": np.vstack([rotation(), [0, 0, 0, 1]]),
+    "rotation": rotation()[:, :3],
+    "projection": np.array([[721.5, 0, 609.6, 44.9], [0, 721.5, 172.9, 0.2], [0, 0, 1, 0.003]]),
+}
+
+
+@pytest.mark.parametrize("name", MATRICES)
+def test_a_matrix_is_no_scan_of_three_points(tmp_path, name):
+    matrix = MATRICES[name]
+    np.savetxt(tmp_path / "m.txt", matrix)
+    np.save(tmp_path / "m.npy", matrix)
+    if matrix.shape[1] == 4:
+        (tmp_path / "m.bin").write_bytes(matrix.astype("<f4").tobytes())
+    for path in sorted(tmp_path.iterdir()):
+        with pytest.raises(FormatError, match="a matrix"):
+            read_scan(path)
+    # Three or four points are not refused for being few.
+    np.savetxt(tmp_path / "p.txt", 2 * matrix)
+    assert len(read_scan(tmp_path / "p.txt")) == len(matrix)
+
+
+KINDS = {
+    "a message of ROS 2": b"\0\1\0\0" + struct.pack("<II", 9, 77) + b"\x0b\0\0\0lidar_link\0",
+    "a TerraScan file": struct.pack("<II8sI", 56, 20020715, b"\xa1\xce\x0e\0CXYZ", 1000),
+    "an E57 file": b"ASTM-E57\1\0\0\0",
+    r"a \.mcap file .* rename it to \.mcap": b"\x89MCAP0\r\n",
+    r"a \.bag file": b"#ROSBAG V2.0\n",
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_files_of_other_kinds_are_named(tmp_path, kind):
+    path = tmp_path / "s.bin"
+    path.write_bytes(KINDS[kind] + TABLE.astype("<i4").tobytes())
+    with pytest.raises(FormatError, match=f"is {kind}"):
+        read_bin(path)
+
+
+def test_records_that_are_no_float32_have_no_columns_to_name(tmp_path):
+    """Integers in records of seven words, as of a file whose first bytes nobody knows."""
+    records = np.zeros(2000, [("time", "<u4"), ("xyz", "<i4", 3), ("kind", "u1", 12)])
+    records["time"], records["kind"] = np.arange(2000), 3
+    records["xyz"] = np.tile(SCAN.points * 1000, (7, 1))[:2000]
+    (tmp_path / "s.bin").write_bytes(records.tobytes())
+    with pytest.raises(FormatError, match="no coordinates in metres, or no float32"):
+        read_bin(tmp_path / "s.bin")
+
+
+@pytest.mark.real
+def test_reported_files_have_the_points_of_the_scan_that_they_are_of(real_data):
+    folder = real_data / "data/reported"
+    truth = np.load(folder / "reference_points_labels.npz")
+    # Text has four decimals, "%.4f".
+    for name in (
+        *("csv/veloview.csv", "npy/transposed_4xN.npy", "npy/unnamed_columns.npz"),
+        *("pcd/size_with_commas.pcd", "pcd/type_D_timestamp.pcd", "pcd/width_too_large.pcd"),
+        "pcd/nan_and_short_row.pcd",
+    ):
+        scan = read_scan(folder / name)
+        expected = truth["xyz"][: len(scan)]
+        measured = np.isfinite(scan.points).all(axis=1)
+        assert len(scan) in {20_000, 40_000}
+        assert measured.sum() >= len(scan) - 2, name
+        atol = 0 if name.startswith("npy/") else 6e-5
+        np.testing.assert_allclose(scan.points[measured], expected[measured], rtol=0, atol=atol)
+        if scan.intensity.any():
+            intensity = truth["intensity"][: len(scan)]
+            np.testing.assert_array_equal(scan.intensity[measured], intensity[measured])
+    labels = read_integers(folder / "npy/labels_Nx1_int32.npy")
+    np.testing.assert_array_equal(labels, truth["label"])
+
+
+@pytest.mark.real
+def test_reported_files_that_are_no_scans_are_named(real_data):
+    folder = real_data / "data/reported"
+    for name, found in {
+        "not_scans/dds_message.bin": "is a message of ROS 2",
+        "not_scans/20020715-time-color.bin": "is a TerraScan file",
+        "not_scans/epsg_4326.las": "coordinates in degrees",
+        "not_scans/no_vertex.ply": "no vertices",
+        "not_scans/pdrf10-1.5.laz": "LAS 1.5 · expected LAS 1.0 to 1.4",
+        "npy/five_cols_divisible.bin": "holds 5 columns",
+        "pcd/utm17_comma.pcd": "as of a map",
+    }.items():
+        with pytest.raises(FormatError, match=found):
+            read_scan(folder / name)
