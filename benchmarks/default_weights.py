@@ -207,7 +207,7 @@ def add_error(weights: Path, datasets: Sequence[Path]) -> None:
             own = fit_scans(settings, network, ScanSample(files, network.sensor))
             judged |= {file: judged_points(file, own, space, POINTS_OF_SCAN) for file in files}
             parts[fold_of[sequence]] += files
-    model = cross_validated(judged, parts, height=False)
+    model = cross_validated(judged, parts)
     roots = {dataset.name for dataset in datasets}
     parents = {(file.path.parents[3].name, file.sequence) for file in judged}
     names = sorted(f"{root}/{sequence}" for root, sequence in parents if root in roots)

@@ -98,13 +98,11 @@ def fit_error_model(scans: TuningScans) -> Tuned:
 def cross_validated(
     judged: Mapping[ScanFile, JudgedPoints],
     parts: Sequence[Sequence[ScanFile]],
-    *,
-    height: bool = True,
     start: ErrorModel | None = None,
 ) -> ErrorModel:
     """Fit a model to all scans; its scores are those of models that lack a fold of the scans.
 
-    `height`, `start`: as `fit_error` takes them. Among the scores are the share of wrong points
+    `start`: as `fit_error` takes it. Among the scores are the share of wrong points
     `wrong`, that of skipped points, whose label is of `several` classes, and `error_scores` of the
     model, `error`, of the one that it starts from, `existing`, and of 1 − the probability of the
     label, `confidence`; they are None without folds.
@@ -122,15 +120,14 @@ def cross_validated(
         "points": len(wrong),
         "wrong": float(wrong.mean()),
         "several": float(np.mean([points.several for points in every])),
-        **_scores_held_out(judged, parts, height, start),
+        **_scores_held_out(judged, parts, start),
     }
-    return replace(fit_error(every, height, start, len(sequences)), scores=scores)
+    return replace(fit_error(every, start, len(sequences)), scores=scores)
 
 
 def _scores_held_out(
     judged: Mapping[ScanFile, JudgedPoints],
     parts: Sequence[Sequence[ScanFile]],
-    height: bool,
     start: ErrorModel | None,
 ) -> dict[str, Any]:
     """Fit without each fold of the scans, and score all points by the models that lack them."""
@@ -142,7 +139,7 @@ def _scores_held_out(
             parts = []
             break
         places = len({file.sequence for file in rest})
-        model = fit_error(list(rest.values()), height, start, places)
+        model = fit_error(list(rest.values()), start, places)
         held_out += [judged[file] for file in part]
         errors += [model.probability(judged[file].features) for file in part]
     if not parts:
@@ -176,15 +173,12 @@ def is_better(scores: Mapping[str, float], others: Mapping[str, float]) -> bool:
 
 
 def fit_error(
-    scans: Sequence[JudgedPoints],
-    height: bool = True,
-    start: ErrorModel | None = None,
-    sequences: int = 1,
+    scans: Sequence[JudgedPoints], start: ErrorModel | None = None, sequences: int = 1
 ) -> ErrorModel:
     """Fit a model of least cross-entropy to points of so many sequences.
 
-    Without `height` that feature weighs 0. A model to `start` from counts as much as
-    `SEQUENCES_OF_START` sequences: its probability is mixed into the truth to that share.
+    A model to `start` from counts as much as `SEQUENCES_OF_START` sequences: its probability is
+    mixed into the truth to that share. The height weighs 0, since it depends on the mounting.
     """
     features = np.concatenate([scan.features for scan in scans])
     wrong = torch.from_numpy(np.concatenate([scan.wrong for scan in scans])).float()
@@ -193,10 +187,8 @@ def fit_error(
     if start:
         share = sequences / (sequences + SEQUENCES_OF_START)
         wrong = share * wrong + (1 - share) * torch.from_numpy(start.probability(features))
-        height = bool(start.layers[0][0][HEIGHT].any())
         sizes = [weight.shape for weight, _ in start.layers]
-    # What is left out is infinitely wide: all its values become 0, and so do its weights.
-    spread[HEIGHT] = spread[HEIGHT] if height else np.inf
+    spread[HEIGHT] = np.inf
     values = torch.from_numpy((features - mean) / spread)
     with torch.random.fork_rng([]):
         torch.manual_seed(SEED)  # noqa: TID251

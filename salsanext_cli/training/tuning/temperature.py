@@ -5,8 +5,6 @@ import logging
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import reduce
-from operator import iadd
 
 import numpy as np
 import torch
@@ -22,10 +20,9 @@ from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
-MAX_LOGITS = 20_000_000
-"""Bound of the number of logits that are kept, 80 MB: a million points with 20 classes."""
+MAX_LOGITS = 4_000_000
+"""Bound of the number of logits, 32 MB in float64: 200 000 points with 20 classes."""
 SEED = 0  # Seed of the choice of points that are kept
-CHUNK_POINTS = 1 << 16  # Points whose logits are float64 at the same time
 
 Points = tuple[Tensor, Tensor]  # Their logits (M, C) float32, and train ids (M,) int64
 
@@ -82,21 +79,17 @@ def fit_temperature(scans: TuningScans) -> Tuned:
         card = replace(card, risk={})
     if card.error:
         # Its features stay those of the old temperature.
-        old = card.error.temperature or card.temperature
-        card = replace(card, error=replace(card.error, temperature=old))
+        own = card.error.temperature or card.temperature
+        card = replace(card, error=replace(card.error, temperature=own))
     if card.accuracy:
         # The labels stay, so the same scans have the same expected accuracy at the new confidence.
-        shift = _logit_of_confidence(every, card.temperature)
-        shift -= _logit_of_confidence(every, temperature)
-        offset = card.accuracy["offset"] + card.accuracy["slope"] * shift
+        old, new = (
+            (logits.double() / t).softmax(dim=1).amax(dim=1).mean().logit(1e-6).item()
+            for t in (card.temperature, temperature)
+        )
+        offset = card.accuracy["offset"] + card.accuracy["slope"] * (old - new)
         card = replace(card, accuracy={**card.accuracy, "offset": offset})
     return replace(card, temperature=temperature), report
-
-
-def _logit_of_confidence(points: Points, temperature: float) -> float:
-    """Return the logit of the mean confidence at a temperature."""
-    largest = [(part / temperature).softmax(1).amax(1) for part, _ in chunks(*points)]
-    return float(torch.cat(largest).double().mean().logit())
 
 
 def _samples(scans: TuningScans, most: int) -> Iterator[Points]:
@@ -116,23 +109,20 @@ def _samples(scans: TuningScans, most: int) -> Iterator[Points]:
 
 def _scores(tempered: Sequence[tuple[Points, float]]) -> dict[str, float]:
     """Return `nll` and `ece` of all points, each part at its temperature."""
-    errors = (
-        softmax_errors(torch.softmax(part / temperature, dim=1).numpy(), classes.numpy())
-        for points, temperature in tempered
-        for part, classes in chunks(*points)
+    softmax = torch.cat([torch.softmax(logits / t, dim=1) for (logits, _), t in tempered])
+    errors = softmax_errors(
+        softmax.numpy(), torch.cat([truth for (_, truth), _ in tempered]).numpy()
     )
-    one_group = (confidence_histogram(e, np.zeros(len(e.wrong), np.intp), 1) for e in errors)
-    ece = calibration_scores(reduce(iadd, one_group)).ece
+    histogram = confidence_histogram(errors, np.zeros(len(errors.wrong), np.intp), 1)
     counts = [len(truth) for (_, truth), _ in tempered]
-    losses = [negative_log_likelihood(*points, temperature) for points, temperature in tempered]
-    return {"nll": float(np.average(losses, weights=counts)), "ece": ece}
+    losses = [negative_log_likelihood(*points, t) for points, t in tempered]
+    nll = float(np.average(losses, weights=counts))
+    return {"nll": nll, "ece": calibration_scores(histogram).ece}
 
 
 def negative_log_likelihood(logits: Tensor, truth: Tensor, temperature: float) -> float:
     """Return the mean of −log softmax(logits (N, C) / temperature) at the truth (N,), in nats."""
-    exact = torch.tensor(temperature, dtype=torch.float64)
-    losses = (_loss(part, own, exact, len(truth)) for part, own in chunks(logits, truth))
-    return sum(loss.item() for loss in losses)
+    return F.cross_entropy(logits.double() / temperature, truth).item()
 
 
 def best_temperature(logits: Tensor, truth: Tensor) -> float:
@@ -142,10 +132,11 @@ def best_temperature(logits: Tensor, truth: Tensor) -> float:
     minimum, or it is at 0, since every point is right, or at infinity, since the logits of the true
     classes are not above average.
     """
-    own = logits.gather(1, truth[:, None])[:, 0]
-    if (own == logits.amax(dim=1)).all():
+    exact = logits.double()
+    own = exact.gather(1, truth[:, None])[:, 0]
+    if (own == exact.amax(dim=1)).all():
         return 0.0
-    if own.double().mean() <= logits.mean(dim=1).double().mean():
+    if own.mean() <= exact.mean(dim=1).mean():
         return math.inf
     logarithm = torch.zeros((), dtype=torch.float64, requires_grad=True)
     search = torch.optim.LBFGS(
@@ -156,24 +147,11 @@ def best_temperature(logits: Tensor, truth: Tensor) -> float:
         line_search_fn="strong_wolfe",
     )
 
-    def loss() -> float:
+    def loss() -> Tensor:
         search.zero_grad()
-        total = 0.0
-        for part, classes in chunks(logits, truth):
-            # An exponential for each chunk: backward frees what it went through.
-            share = _loss(part, classes, logarithm.exp(), len(truth))
-            share.backward()  # type: ignore[no-untyped-call]
-            total += share.item()
-        return total
+        mean = F.cross_entropy(exact / logarithm.exp(), truth)
+        torch.autograd.backward(mean)
+        return mean
 
     search.step(loss)  # type: ignore[no-untyped-call]
     return math.exp(logarithm.item())
-
-
-def chunks(logits: Tensor, truth: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
-    """Yield logits and classes of at most `CHUNK_POINTS` points at a time."""
-    return zip(torch.split(logits, CHUNK_POINTS), torch.split(truth, CHUNK_POINTS), strict=True)
-
-
-def _loss(logits: Tensor, truth: Tensor, temperature: Tensor, count: int) -> Tensor:
-    return F.cross_entropy(logits.double() / temperature, truth, reduction="sum") / count
