@@ -102,21 +102,20 @@ def cross_validated(
 ) -> ErrorModel:
     """Fit a model to all scans; its scores are those of models that lack a fold of the scans.
 
-    `start`: as `fit_error` takes it. Among the scores are the share of wrong points
-    `wrong`, that of skipped points, whose label is of `several` classes, and `error_scores` of the
-    model, `error`, of the one that it starts from, `existing`, and of 1 − the probability of the
-    label, `confidence`; they are None without folds.
+    `start`: as `fit_error` takes it. Among the scores are the sequences, also of the `start`, the
+    share of wrong points `wrong`, that of skipped points, whose label is of `several` classes, and
+    `error_scores` of the model, `error`, of the one that it starts from, `existing`, and of 1 − the
+    probability of the label, `confidence`; they are None without folds.
     """
     every = list(judged.values())
     wrong = np.concatenate([points.wrong for points in every])
-    sequences = sorted({file.sequence for file in judged})
-    fitted_to = f"{counted(len(judged), 'scan')} of {first_few(sequences)}"
-    if start:
-        fitted_to += f", from one fitted to {start.scores.get('fitted_to', 'other scans')}"
+    sequences = {file.sequence for file in judged}
+    before = start.scores if start else {}
+    from_one = f", from one fitted to {before.get('fitted_to', 'other scans')}" if start else ""
     scores: dict[str, Any] = {
-        "fitted_to": fitted_to,
+        "fitted_to": f"{counted(len(judged), 'scan')} of {first_few(sorted(sequences))}{from_one}",
         "scans": len(judged),
-        "sequences": sequences,
+        "sequences": sorted(sequences | {*before.get("sequences", ())}),
         "points": len(wrong),
         "wrong": float(wrong.mean()),
         "several": float(np.mean([points.several for points in every])),
@@ -138,8 +137,7 @@ def _scores_held_out(
             log.warning("without %s no label is right, or none wrong", part[0].sequence)
             parts = []
             break
-        places = len({file.sequence for file in rest})
-        model = fit_error(list(rest.values()), start, places)
+        model = fit_error(list(rest.values()), start, len({file.sequence for file in rest}))
         held_out += [judged[file] for file in part]
         errors += [model.probability(judged[file].features) for file in part]
     if not parts:
