@@ -33,7 +33,6 @@ from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.options import ScanSelection
-from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.tuning.dropout_rate import MIN_VARIANCE
 from salsanext_cli.training.tuning.temperature import best_temperature, negative_log_likelihood
@@ -206,17 +205,12 @@ def test_the_temperature_of_the_labels_is_found_and_stored(drawn, target):
     assert tuned["after"]["nll"] == pytest.approx(sum(losses) / len(every[1]), rel=1e-6)
 
 
-def test_the_temperature_stays_where_other_scans_choose_a_worse_one(drawn, target, tmp_path):
-    """One scan is labelled at random, the other as the network does."""
+def test_the_temperature_stays_where_another_is_worse(drawn, target, tmp_path, monkeypatch):
     tempered = tmp_path / "tempered.safetensors"
     card = replace(read_card(drawn.network.weights), temperature=1.4)
     save_with_card(drawn.network.weights, tempered, card)
-    predict_scans(drawn.data, drawn.out, settings=drawn.network)
-    labels = drawn.data / "sequences/08/labels"
-    sure = read_labels(drawn.result("predictions", "08", "000000"))
-    write_labels(labels / "000000.label", np.where(sure == 0, 10, sure))
-    random = np.random.default_rng(1)
-    write_labels(labels / "000001.label", SPACE.to_raw(random.integers(1, 20, 1500)))
+    module = "salsanext_cli.training.tuning.temperature"
+    monkeypatch.setattr(f"{module}.best_temperature", lambda *_: 50.0)
     tuned = go(drawn, target, settings=replace(drawn.network, weights=tempered))
     assert tuned["after"]["nll"] > tuned["before"]["nll"]
     assert not tuned["changed"]
@@ -291,7 +285,9 @@ def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_
     tuned = go(world, target, "dropout", settings=settings)
     assert tuned["before"] == 0
     assert len(dropouts(read_weights(target)[0])) == 3 + 1 + 3 * 3
-    assert tuned["objectives"] == go(world, target, "dropout", overwrite=True)["objectives"]
+    usual = go(world, target, "dropout", overwrite=True)
+    usual["objectives"].pop(usual["rates"].index(0.2))
+    assert tuned["objectives"] == usual["objectives"]
 
 
 @pytest.mark.parametrize(
@@ -309,6 +305,7 @@ def test_the_end_of_the_range_is_named(world, target, caplog, monkeypatch, objec
     module = "salsanext_cli.training.tuning.dropout_rate"
     monkeypatch.setattr(f"{module}.objective", lambda *_: next(values))
     with caplog.at_level(logging.WARNING):
-        assert go(world, target, "dropout")["best"] == pytest.approx(best)
+        tuned = go(world, target, "dropout", selection=ScanSelection(split="valid"))
+    assert tuned["best"] == pytest.approx(best)
     assert says in caplog.text
     assert bool(caplog.text) == bool(says)
