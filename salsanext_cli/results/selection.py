@@ -12,14 +12,7 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, is_merged
-from salsanext_cli.errors import (
-    NOTICE,
-    NoInputError,
-    UsageError,
-    counted,
-    first_few,
-    warn_once,
-)
+from salsanext_cli.errors import NOTICE, NoInputError, UsageError, counted, first_few, warn_once
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.options import ScanSelection

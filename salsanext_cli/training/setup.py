@@ -263,8 +263,8 @@ class Setup:
             model = cross_validated(judged, parts, start=start)
             if gains(model):
                 return model
-            existing, confidence = model.scores["existing"], model.scores["confidence"]
-            if start and existing and is_better(existing, confidence):
+            existing = model.scores["existing"]
+            if start and existing and is_better(existing, model.scores["confidence"]):
                 log.log(NOTICE, "the error model of the initial weights stays: it is no worse")
                 return replace(start, temperature=None)
         log.warning("no error model: it would be no better than the confidence")
