@@ -34,6 +34,7 @@ from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.formats import read_scan
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
+from salsanext_cli.options import ScanSelection
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space
 from salsanext_cli.stages.tune import tune
@@ -47,7 +48,7 @@ from salsanext_cli.training.tuning.error import (
     cross_validated,
     judged_points,
 )
-from salsanext_cli.training.tuning.scans import VALIDATION, labelled_scans
+from salsanext_cli.training.tuning.scans import labelled_scans
 
 HELD_OUT = 10
 """Scans of PandaSet that every validation scores, and that the temperature is fitted on too."""
@@ -64,8 +65,7 @@ STREETS = ("--train", "240", "--valid", "5", "--scans", "8", "--spacing", "10", 
 DESCRIPTION = (
     "Trained on simulated streets and sensors and on two drives of PandaSet: 1 920 scans each of "
     "`salsanext synth` with an HDL-64 and with random sensors, 32 of PandaSet (Hesai and Scale AI, "
-    "CC BY 4.0).{aachen} The error is fitted to simulated scans only, most in bad conditions. "
-    "See docs/model-card.md; not for use on real roads."
+    "CC BY 4.0).{aachen} See docs/model-card.md; not for use on real roads."
 )
 AACHEN = (
     " Also 248 front sectors of one drive in Aachen (ika, RWTH Aachen, MIT), whose labels are from "
@@ -197,7 +197,7 @@ def add_error(weights: Path, datasets: Sequence[Path]) -> None:
     judged: dict[ScanFile, JudgedPoints] = {}
     parts: list[list[ScanFile]] = [[] for _ in range(FOLDS)]
     for dataset in datasets:
-        scans, space = labelled_scans(dataset, VALIDATION, network.card)
+        scans, space = labelled_scans(dataset, ScanSelection(split="valid"), network.card)
         fold_of = {file.sequence: n for n, fold in enumerate(folds(scans, FOLDS)) for file in fold}
         scans += corrupted_copies(dataset, scans, weights.with_name("corrupted"))
         for (_, sequence), members in groupby(
@@ -207,11 +207,12 @@ def add_error(weights: Path, datasets: Sequence[Path]) -> None:
             own = fit_scans(settings, network, ScanSample(files, network.sensor))
             judged |= {file: judged_points(file, own, space, POINTS_OF_SCAN) for file in files}
             parts[fold_of[sequence]] += files
-    model = cross_validated(judged, parts, height=False)
+    model = cross_validated(judged, parts)
     roots = {dataset.name for dataset in datasets}
     parents = {(file.path.parents[3].name, file.sequence) for file in judged}
     names = sorted(f"{root}/{sequence}" for root, sequence in parents if root in roots)
-    model = replace(model, scores=dict(model.scores) | {"sequences": names})
+    own = {"sequences": names, "fitted_to": "simulated scans only, most in bad conditions"}
+    model = replace(model, scores={**model.scores, **own})
     print("errors:", model.scores, flush=True)
     save_with_card(weights, weights, replace(network.card, error=model))
 

@@ -83,7 +83,7 @@ LabelledSelection = Annotated[
     Shown(
         split={
             "help": "Only the sequences of this split: train or valid.",
-            "show_default": "valid, without --sequences",
+            "show_default": "valid and the sequences of no split, without --sequences",
         },
         limit=EVENLY_SPACED,
     ),

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """`salsanext tune`: a group of commands, one for each part of the weights that can be fitted."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,7 +30,7 @@ def tune_temperature(
     from salsanext_cli.report.tables import temperature_table
 
     tuned = _tuned("temperature", dataset, target, settings, selection, overwrite, output)
-    output.result(tuned, temperature_table(tuned["before"], tuned["after"]))
+    output.result(tuned, temperature_table(tuned))
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     output.say(f"tune temperature: {points} → {target}")
 
@@ -56,7 +55,7 @@ def tune_error(
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     points += f", {100 * tuned['wrong']:.1f} % wrong"
     if several := tuned["several"]:
-        points += f" ({several:.1%} of all left out: labels of several classes, which eval counts)"
+        points += f" ({several:.1%} of all skipped: labels of several classes, which eval counts)"
     output.say(f"tune error: {points} → {target}")
 
 
@@ -151,11 +150,9 @@ def _tuned(
     output: console.Output,
     **numbers: float | None,
 ) -> dict[str, Any]:
-    """Fit a part of the weights, to the scans for validation by default; return plain data."""
+    """Fit a part of the weights; return plain data."""
     from salsanext_cli.stages.tune import tune
 
-    if not (selection.split or selection.sequences):
-        selection = replace(selection, split="valid")
     unit = "samplings" if part == "dropout" else "scans"
     with progress(f"tune {part}", output.quiet, unit) as on_progress:
         tuned = tune(

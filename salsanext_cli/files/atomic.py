@@ -30,12 +30,13 @@ def writing(
     path: Path | str,
     *,
     durable: bool = False,
+    overwrite: bool = True,
     before_rename: Callable[[os.stat_result], object] | None = None,
 ) -> Iterator[BinaryIO]:
     """Open a file for writing that gets its name, or replaces an older file, only when it is whole.
 
-    A `durable` file survives a power cut; `before_rename` is called with the status of the whole
-    file.
+    A `durable` file survives a power cut; without `overwrite`, a file that got the name meanwhile
+    raises `OutputError`; `before_rename` is called with the status of the whole file.
     """
     path = Path(path)
     # A process id would not do: machines of a cluster share the folder, not the ids.
@@ -49,6 +50,8 @@ def writing(
                 os.fsync(file.fileno())
         if before_rename:
             before_rename(temporary.stat())
+        if not overwrite:
+            require_absent(path, overwrite)
         temporary.replace(path)
         if durable:
             _keep_names(path.parent)

@@ -20,7 +20,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, UsageError, WeightsError, error_text, shortened
 from salsanext_cli.files.optional_packages import import_openvino
 from salsanext_cli.files.reading import is_folder, present, reading, refusing_damage
-from salsanext_cli.network.error_model import ErrorModel
+from salsanext_cli.network.error_model import ErrorModel, valid_temperature
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.version import __version__
@@ -32,8 +32,8 @@ TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
 """Parts of a card that are mappings."""
 FITTED = {"risk": ("threshold", "at_most", "scans"), "accuracy": ("slope", "offset", "deviation")}
 """Parts that are mappings and may be absent, and the numbers that each holds."""
-TEMPERATURES = (1e-3, 1e3)
-"""Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
+OF_ERROR = re.compile(r"The error is fitted to ([^.]*)\. ?")
+"""Sentence on the error model in the description of older files."""
 ONNX_SUFFIX = ".onnx"
 DIGITS = 24
 """Hexadecimal digits of a digest: by chance, two of 20 000 scans agree once in 10¹¹ cases."""
@@ -135,15 +135,20 @@ class WeightsCard:
                 raise TypeError(f"{bad[0]} is no table")
             # A view that a threshold holds for is that of a sensor.
             Sensor.from_dict({**values["sensor"], **values.get("risk", {}).get("view", {})}, source)
+            description, error = str(values["description"]), values.get("error")
+            if error and (statement := OF_ERROR.search(description)):
+                # It describes the error model, so it goes when the error model is replaced.
+                description = OF_ERROR.sub("", description)
+                error["scores"] = {"fitted_to": statement[1], **error["scores"]}
             return cls(
                 architecture=values["architecture"],
                 space=LabelSpace.from_dict(values["label_space"], source),
                 sensor=Sensor.from_dict(values["sensor"], source),
                 recipe=values["recipe"],
                 scores=values["scores"],
-                description=str(values["description"]),
-                temperature=_temperature(values["temperature"]),
-                error=ErrorModel.from_dict(values["error"]) if "error" in values else None,
+                description=description,
+                temperature=valid_temperature(values["temperature"]),
+                error=None if error is None else ErrorModel.from_dict(error),
                 **{name: _numbers_of(name, values[name]) for name in FITTED if name in values},
                 trained_on=frozenset(parted(values.get("trained_on", ""))),
             )
@@ -166,14 +171,6 @@ def _numbers_of(part: str, values: Any) -> dict[str, Any]:
         if not all(type(each) in (int, float) for each in tables[1].values()):
             raise ValueError(f"risk holds {shortened(tables[1])}")
     return dict(values)
-
-
-def _temperature(value: Any) -> float:
-    lowest, highest = TEMPERATURES
-    if type(value) not in (int, float) or not lowest <= value <= highest:
-        found = f"temperature {shortened(value)}"
-        raise ValueError(f"{found} is not between {lowest:g} and {highest:g}")
-    return float(value)
 
 
 def read_card(path: Path) -> WeightsCard:

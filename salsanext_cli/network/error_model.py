@@ -11,9 +11,21 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
+from salsanext_cli.errors import shortened
 from salsanext_cli.records import Float
 
+TEMPERATURES = (1e-3, 1e3)
+"""Lowest and highest; beyond, the logits of float32 overflow or all classes become equal."""
 BLOCK = 256  # Rows computed together: with 16 values in a layer, they stay in the first cache
+
+
+def valid_temperature(value: Any) -> float:
+    """Return the temperature of a softmax; anything else raises `ValueError`."""
+    lowest, highest = TEMPERATURES
+    if type(value) not in (int, float) or not lowest <= value <= highest:
+        found = f"temperature {shortened(value)}"
+        raise ValueError(f"{found} is not between {lowest:g} and {highest:g}")
+    return float(value)
 
 
 def last_values(rows: Float, layers: Sequence[tuple[Float, Float]]) -> Float:
@@ -64,6 +76,8 @@ class ErrorModel:
     layers: Sequence[tuple[Float, Float]]
     # Measurements of it on labelled scans that it was not fitted on, and their number
     scores: Mapping[str, Any] = field(default_factory=dict)
+    # Of the softmax that the features describe; None for that of the weights
+    temperature: float | None = None
 
     def __post_init__(self) -> None:
         sizes = [len(self.features), *(len(bias) for _, bias in self.layers)]
@@ -86,7 +100,8 @@ class ErrorModel:
     def to_dict(self) -> dict[str, Any]:
         """Return plain data that `from_dict` accepts; numbers have seven digits."""
         layers = [[_rounded(weight), _rounded(bias)] for weight, bias in self.layers]
-        return {"features": list(self.features), "layers": layers, "scores": dict(self.scores)}
+        data = {"features": list(self.features), "layers": layers, "scores": dict(self.scores)}
+        return data | ({"temperature": self.temperature} if self.temperature else {})
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> ErrorModel:
@@ -95,7 +110,9 @@ class ErrorModel:
             (np.array(weight, np.float32), np.array(bias, np.float32))
             for weight, bias in data["layers"]
         ]
-        return cls(tuple(map(str, data["features"])), layers, dict(data["scores"]))
+        names, scores = tuple(map(str, data["features"])), dict(data["scores"])
+        temperature = data.get("temperature")
+        return cls(names, layers, scores, temperature and valid_temperature(temperature))
 
 
 def _rounded(values: Float) -> Any:

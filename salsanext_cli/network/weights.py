@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from salsanext_cli.errors import UsageError, WeightsError, error_text, shortened
-from salsanext_cli.files.atomic import write_bytes
+from salsanext_cli.files.atomic import write_bytes, writing
 from salsanext_cli.network.card import WeightsCard, read_card, require_tensors
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -29,10 +29,13 @@ def save_weights(path: Path, module: nn.Module, card: WeightsCard, *, half: bool
     write_bytes(path, safetensors.torch.save(tensors, card.to_metadata()), durable=True)
 
 
-def save_with_card(source: Path, target: Path, card: WeightsCard) -> None:
+def save_with_card(
+    source: Path, target: Path, card: WeightsCard, *, overwrite: bool = True
+) -> None:
     """Write a weights file with another card; the tensors stay bit for bit."""
     tensors = safetensors.torch.load_file(source)
-    write_bytes(target, safetensors.torch.save(tensors, card.to_metadata()), durable=True)
+    with writing(target, durable=True, overwrite=overwrite) as file:
+        file.write(safetensors.torch.save(tensors, card.to_metadata()))
 
 
 def _stored(name: str, tensor: Tensor, half: bool) -> Tensor:

@@ -134,25 +134,26 @@ def _number(value: float) -> str:
     return ABSENT if math.isnan(value) else f"{value:.3f}"
 
 
-def temperature_table(before: Mapping[str, float], after: Mapping[str, float]) -> Table:
+def temperature_table(tuned: Mapping[str, Any]) -> Table:
     """Return a table of `temperature`, `nll` in nats and `ece` as a share, before and after."""
     rows = (
         (name, f"{each['temperature']:.4f}", f"{each['nll']:.4f}", percent(each["ece"], 2))
-        for name, each in (("before", before), ("after", after))
+        for name, each in (("before", tuned["before"]), ("after", tuned["after"]))
     )
     headings = ("", "temperature", "NLL in nats", "ECE in %")
-    return table_of(headings, rows, title="Temperature")
+    return table_of(headings, rows, title=f"Held-out scans, {counted(tuned['folds'], 'fold')}")
 
 
 def error_table(tuned: Mapping[str, Any]) -> Table:
-    """Return a table of the scores of `error` beside those of `confidence`, on scans left out."""
+    """Return a table of scores on held-out scans: confidence, existing model, new model."""
+    names = {"confidence": "confidence", "existing": "existing model", "error": "new model"}
     rows = []
-    for name in ("error", "confidence"):
-        scores = tuned[name]
-        shares = (percent(scores[key]) for key in ("ece", "risk_80"))
-        rows.append((name, f"{scores['auroc']:.3f}", f"{scores['aurc']:.4f}", *shares))
-    headings = ("", "AUROC", "AURC", "ECE in %", "wrong of the best 80 %, in %")
-    return table_of(headings, rows, title=f"Scans left out, {counted(tuned['folds'], 'fold')}")
+    for key, name in names.items():
+        if scores := tuned[key]:
+            numbers = (f"{scores[each]:.4f}" for each in ("auroc", "aurc", "nll"))
+            rows.append((name, *numbers, *(percent(scores[each]) for each in ("ece", "risk_80"))))
+    headings = ("", "AUROC", "AURC", "NLL", "ECE in %", "wrong of the best 80 %, in %")
+    return table_of(headings, rows, title=f"Held-out scans, {counted(tuned['folds'], 'fold')}")
 
 
 def kept_table(
@@ -219,7 +220,7 @@ def card_table(card: Mapping[str, Any]) -> Table:
         "label space": f"{card['label_space']}, {len(card['classes'])} classes",
         "sensor": f"{sensor['name']}, {sensor['height']}×{sensor['width']}, {view}",
         "scores of the scans that chose the weights": _scores(card["scores"]) or ABSENT,
-        "model of errors, on scans left out": card["error"] and (_scores(card["error"]) or ABSENT),
+        "error model, on held-out scans": card["error"] and (_scores(card["error"]) or ABSENT),
         "threshold of risk": card["risk"] and promise(card["risk"]),
         "scans known from training": card["trained_on"] and f"{card['trained_on']:,}",
         "size": f"{card['bytes'] / 1e6:.1f} MB",

@@ -2,12 +2,10 @@
 """Plot of the threshold that `tune risk` chose."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.report import canvas
 from salsanext_cli.report.canvas import DARK
 
@@ -16,8 +14,8 @@ DASHES = (0, (4, 3))
 SIZE, PLACE = (760, 460), (90, 50, 640, 340)
 
 
-def risk_curve(path: Path, report: Mapping[str, Any]) -> None:
-    """Draw the points that are kept and wrong over those that are kept, as `tune risk` reports."""
+def risk_curve(report: Mapping[str, Any]) -> bytes:
+    """Return a PNG of the points kept and wrong over those kept, as `tune risk` reports them."""
     level, held_out = 100 * report["at_most"], report["left_out"]
     title = f"{report['kind']} up to {report['threshold']:.3g} kept · at most {level:.3g} % wrong"
     figure, axes = canvas.new_plot(*SIZE, PLACE, title)
@@ -36,4 +34,4 @@ def risk_curve(path: Path, report: Mapping[str, Any]) -> None:
     axes.set_ylabel("kept and wrong, in % of all points")
     axes.legend(loc="upper left", frameon=False, fontsize=10)
     canvas.plain_frame(axes)
-    write_bytes(path, canvas.png_of(figure))
+    return canvas.png_of(figure)

@@ -12,7 +12,7 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, is_merged
-from salsanext_cli.errors import NOTICE, NoInputError, UsageError, warn_once
+from salsanext_cli.errors import NOTICE, NoInputError, UsageError, counted, first_few, warn_once
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.options import ScanSelection
@@ -106,7 +106,10 @@ def choose(
         members = space.split(selection.split)
         sequences = sorted({scan.sequence for scan in scans})
         if not {*members}.isdisjoint(sequences):
-            scans = [scan for scan in scans if scan.sequence in members]
+            chosen = [scan for scan in scans if scan.sequence in members]
+            if None in map(space.split_of, sequences):
+                log_unused(scans, chosen, space, "--sequences chooses others")
+            scans = chosen
         elif any(map(space.split_of, sequences)):
             raise NoInputError(
                 source,
@@ -117,6 +120,21 @@ def choose(
         else:
             log.warning("no split names %s: taking all", ", ".join(sequences))
     return scans[: selection.limit]
+
+
+def log_unused(
+    scans: Sequence[ScanFile], used: Collection[ScanFile], space: LabelSpace, remedy: str
+) -> None:
+    """Log in one line how many scans are used, which sequences are not, and what changes that."""
+    sequences = sorted({scan.sequence for scan in scans} - {scan.sequence for scan in used})
+    by_split: dict[str, list[str]] = {}
+    for sequence in sequences:
+        split = space.split_of(sequence)
+        by_split.setdefault(f"split {split}" if split else "no split", []).append(sequence)
+    if by_split:
+        unused = ", ".join(f"{first_few(names)} ({why})" for why, names in by_split.items())
+        every = counted(len(scans), "scan")
+        log.warning("%d of %s used, not those of %s: %s", len(used), every, unused, remedy)
 
 
 def data_set_of(scan: ScanFile) -> Path | None:

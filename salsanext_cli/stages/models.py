@@ -58,5 +58,6 @@ def describe_weights(path: Path) -> Mapping[str, Any]:
         "scores": dict(card.scores),
         "error": dict(card.error.scores) if card.error else None,
         "risk": dict(card.risk) or None,
+        "accuracy": dict(card.accuracy) or None,
         "trained_on": len(card.trained_on),
     }

@@ -12,7 +12,7 @@ from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import read_json
-from salsanext_cli.network.card import default_weights
+from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.parallel.options import worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -153,6 +153,7 @@ def train(
             group=group,
             workers=workers if jobs != 1 else 0,
             overwrite=overwrite,
+            error=read_card(start).error if start else None,
             draw=draw_sample,
             report=progress,
         )

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Stage `tune`: one part of the weights, fitted to scans."""
 
+import logging
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.files.atomic import require_absent, require_target
+from salsanext_cli.errors import NOTICE
+from salsanext_cli.files.atomic import require_absent, require_target, writing
 from salsanext_cli.network.card import require_tensors
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import ScanSelection
@@ -15,9 +18,10 @@ from salsanext_cli.report.tuning_plots import risk_curve
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout
 from salsanext_cli.training.tuning.error import fit_error_model
 from salsanext_cli.training.tuning.risk import fit_risk
-from salsanext_cli.training.tuning.scans import VALIDATION, Tuned, TuningScans, labelled_scans
+from salsanext_cli.training.tuning.scans import Tuned, TuningScans, labelled_scans, unseen
 from salsanext_cli.training.tuning.temperature import fit_temperature
 
+log = logging.getLogger(__name__)
 FITS: dict[str, Callable[..., Tuned]] = {
     "temperature": fit_temperature,
     "error": fit_error_model,
@@ -33,28 +37,37 @@ def tune(
     target: Path,
     *,
     settings: NetworkSettings = NetworkSettings(),
-    selection: ScanSelection | None = None,
+    selection: ScanSelection = ScanSelection(),
     overwrite: bool = False,
     progress: Progress | None = None,
     **numbers: Any,
 ) -> dict[str, Any]:
     """Write weights of which one part is fitted to scans; return what its fit reports.
 
-    `part`: a name of `FITS`; `selection`: by default the scans for validation, and a limit takes
-    evenly spaced ones; `numbers`: those of the part's fit.
+    `part`: a name of `FITS`; `selection`: as `labelled_scans` takes it; `numbers`: those of the
+    part's fit. Scans that the weights were trained on, and copies, are skipped. A fit that is no
+    better than the weights on held-out scans leaves them as they are.
     """
     fit = FITS[part]
     require_tensors(settings.path)
     network = settings.load()
-    files, space = labelled_scans(source, selection or VALIDATION, network.card)
+    labelled, space = labelled_scans(source, selection, network.card)
     require_target(target, overwrite)
     curve = target.with_name(f"{target.stem}_risk.png")
     if part == "risk":
         require_absent(curve, overwrite)
+    files = unseen(labelled, network, source)
     card, found = fit(TuningScans(source, files, space, settings, network, progress), **numbers)
-    report = {"stage": f"tune {part}", **found}
-    if part == "risk":
-        risk_curve(curve, report)
-        report["curve"] = str(curve)
-    save_with_card(settings.path, target, card)
+    report = {"stage": f"tune {part}", **found, "skipped": len(labelled) - len(files)}
+    if not report.get("changed", True):
+        why = "no new fit is shown to be better on held-out scans"
+        log.log(NOTICE, "%s has the same %s: %s", target.name, part, why)
+    with ExitStack() as whole:
+        if part == "risk":
+            # It gets its name after the weights, so that neither is there without the other.
+            file = whole.enter_context(writing(curve, overwrite=overwrite))
+            file.write(risk_curve(report))
+            file.flush()
+            report["curve"] = str(curve)
+        save_with_card(settings.path, target, card, overwrite=overwrite)
     return report

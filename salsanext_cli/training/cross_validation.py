@@ -23,6 +23,14 @@ def folds(files: Sequence[ScanFile], count: int) -> list[list[ScanFile]]:
     return [sorted(fold, key=files.index) for fold in divided]
 
 
+def held_out(files: Sequence[ScanFile]) -> list[tuple[list[ScanFile], list[ScanFile]]]:
+    """Return each of five folds of scans after the other scans; none of a single scan."""
+    parts = [{*part} for part in folds(files, 5)] if len(files) > 1 else []
+    return [
+        ([f for f in files if f not in part], [f for f in files if f in part]) for part in parts
+    ]
+
+
 @dataclass(frozen=True, slots=True)
 class Expectation:
     """Scores on scans left out: means over the folds, what to expect on new scans.

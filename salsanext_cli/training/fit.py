@@ -20,7 +20,8 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, TrainingError
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.scores import confusion_matrix, scores
-from salsanext_cli.network.card import TEMPERATURES, WeightsCard
+from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.error_model import TEMPERATURES
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.data.dataset import Batch, Samples, batches

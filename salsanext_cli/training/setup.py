@@ -42,10 +42,12 @@ from salsanext_cli.training.tuning.error import (
     JudgedPoints,
     cross_validated,
     gains,
+    is_better,
     judged_points,
     of_both_kinds,
     points_of_scan,
 )
+from salsanext_cli.uncertainty.error_features import FEATURES
 
 DEFAULT_SENSOR = "hdl64"  # Sensor of a training from random weights, unless another is given
 
@@ -131,6 +133,7 @@ class Setup:
     group: ProcessGroup
     workers: int
     overwrite: bool
+    error: ErrorModel | None  # Error model of the weights that the training begins from
     # Draws a network's predictions for a scan into an open file and returns the picture
     draw: Callable[[BinaryIO, ScanFile, Network], npt.NDArray[np.uint8]]
     report: Callable[[StepReport], object]  # Called after every step
@@ -241,7 +244,8 @@ class Setup:
 
     def _error_model(self, temperature: float) -> ErrorModel | None:
         """Fit a model of errors to the scans that each fold left out, judged by its weights."""
-        # None if it tells no more than the confidence.
+        # The fit starts from the existing model, which stays if it is better; None if neither is
+        # better than the confidence.
         source, parts = self.sources[0], self._folds()
         judged: dict[ScanFile, JudgedPoints] = {}
         most = points_of_scan(len(source.files))
@@ -254,7 +258,14 @@ class Setup:
             for file in part:
                 own = network.for_sensor(source.sensor_of(file))
                 judged[file] = judged_points(file, own, source.space, most)
-        if of_both_kinds(judged.values()) and gains(model := cross_validated(judged, parts)):
-            return model
-        log.warning("no model of errors: it would tell no more than the confidence")
+        if of_both_kinds(judged.values()):
+            start = self.error if self.error and self.error.features == FEATURES else None
+            model = cross_validated(judged, parts, start=start)
+            if gains(model):
+                return model
+            existing = model.scores["existing"]
+            if start and existing and is_better(existing, model.scores["confidence"]):
+                log.log(NOTICE, "the error model of the initial weights stays: it is no worse")
+                return replace(start, temperature=None)
+        log.warning("no error model: it would be no better than the confidence")
         return None

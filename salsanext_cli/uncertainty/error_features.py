@@ -181,4 +181,16 @@ def error_probability(
     network: Network, image: RangeImage, probabilities: Float, labels: TrainIds
 ) -> Float:
     """Return the probability that a point's label is wrong, (N,) float32, NaN without a pixel."""
-    return error_model(network).probability(error_features(image, probabilities, labels))
+    return error_model(network).probability(features_of(network, image, probabilities, labels))
+
+
+def features_of(
+    network: Network, image: RangeImage, probabilities: Float, labels: TrainIds
+) -> Float:
+    """Return `error_features` of the softmax at the temperature of the network's error model."""
+    card = network.card
+    if card.error and card.error.temperature not in (None, card.temperature):
+        exponent = np.float32(card.temperature / card.error.temperature)
+        powers = (probabilities / probabilities.max(axis=0)) ** exponent
+        probabilities = powers / powers.sum(axis=0)
+    return error_features(image, probabilities, labels)

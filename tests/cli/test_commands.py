@@ -225,9 +225,18 @@ def test_wrong_settings_are_status_two(run, predicted, weights, monkeypatch):
         ("picture --colour label --scale 1 2", "--scale · --colour is label"),
         ("picture --fps nan", "--fps · nan"),
         ("picture --gif --shard 1/2", "--gif · --shard 1/2"),
-        ("tune dropout {data} other.safetensors --weights {weights} --samples 1", "--samples · 1"),
-        ("tune dropout {data} other.safetensors --weights {weights} --steps 1", "--steps · 1"),
-        ("tune dropout {data} other.safetensors --weights {weights} --lowest 0.9", "--lowest"),
+        (
+            "tune dropout {data} other.safetensors --split valid --weights {weights} --samples 1",
+            "--samples · 1",
+        ),
+        (
+            "tune dropout {data} other.safetensors --split valid --weights {weights} --steps 1",
+            "--steps · 1",
+        ),
+        (
+            "tune dropout {data} other.safetensors --split valid --weights {weights} --lowest 0.9",
+            "--lowest",
+        ),
         (f"predict {ON_DATA} --ego a,b,c,d,e,f", "--ego"),
         (f"predict {ON_DATA} --jobs 0", "--jobs · 0"),
         (f"predict {ON_DATA} --limit 0", "--limit · 0"),

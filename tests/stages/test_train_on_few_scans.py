@@ -20,8 +20,9 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.network.card import WeightsCard, read_card, scan_digest
+from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.registry import ARCHITECTURES
-from salsanext_cli.network.weights import read_weights, save_weights
+from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.import_labels import import_labels
@@ -30,6 +31,7 @@ from salsanext_cli.training import setup
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.recipe import Recipe
 from salsanext_cli.training.tuning import error
+from salsanext_cli.uncertainty.error_features import FEATURES
 
 FEW = Recipe(
     initial="default",
@@ -134,9 +136,17 @@ def test_the_card_says_what_the_training_began_from(data, tmp_path, initial, mon
     card = read_card(go(data, tmp_path / "default", few).best)
     assert card.recipe == few.to_dict()
     assert card.error is None
-    assert "no model of errors: it would tell no more than the confidence" in caplog.messages
+    assert "no error model: it would be no better than the confidence" in caplog.messages
     other = initial.rename(tmp_path / "other.safetensors")
+    # An error model that is better than a new one stays.
+    monkeypatch.setattr(setup, "is_better", lambda *_: True)
+    layers = [(np.ones((len(FEATURES), 1), "f4"), np.zeros(1, "f4"))]
+    start = ErrorModel(FEATURES, layers, temperature=2.0)
+    save_with_card(other, other, replace(read_card(other), error=start))
     result = go(data, tmp_path / "run", few, weights=other)
+    model = read_card(result.best).error
+    assert model is not None
+    assert model.to_dict() == replace(start, temperature=None).to_dict()
     origin = f"other.safetensors (SHA-256 {fingerprint(other)[:16]})"
     for path in (result.best, result.last, tmp_path / "run/folds/1/last.safetensors"):
         assert read_card(path).recipe == few.to_dict() | {"initial": origin}
@@ -234,7 +244,7 @@ def test_without_named_splits_all_labelled_scans_are_trained_on(data, tmp_path, 
     # Without folds the splits are SemanticKITTI's, and what these leave out is named.
     split = go(data, tmp_path / "split", FEW.with_changes(epochs=1, folds=0))
     assert read_card(split.best).trained_on == {"0" * 24, every[0]}
-    assert "left out, since no split of semantic-kitti names them: c" in caplog.messages
+    assert "2 of 3 scans used, not those of c (no split): labels.yaml" in caplog.text
     shutil.rmtree(data / "sequences/08")
     with pytest.raises(NoInputError, match=r"no scans of split valid .* --set folds=3$"):
         go(data, tmp_path / "none", FEW.with_changes(folds=0))
@@ -327,7 +337,7 @@ def test_scans_of_other_splits_are_not_trained_on(data, tmp_path, caplog):
     own = label_space().to_dict() | {"split": {"train": [], "valid": ["b"], "test": ["c"]}}
     (data / "labels.yaml").write_text(json.dumps(own))
     go(data, tmp_path / "run")
-    assert "left out, since they are of other splits than train: b, c" in caplog.messages
+    assert "1 of 3 scans used, not those of b (split valid), c (split test): labels" in caplog.text
     own["split"]["test"] = ["a", "c"]
     (data / "labels.yaml").write_text(json.dumps(own))
     with pytest.raises(NoInputError, match="every labelled scan is of another split"):

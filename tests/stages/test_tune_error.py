@@ -10,7 +10,14 @@ import pytest
 from world import World
 
 from salsanext_cli import label_space, project, read_labels, read_scan, write_labels
-from salsanext_cli.errors import LabelError, OutputError, TrainingError, UsageError, WeightsError
+from salsanext_cli.errors import (
+    NOTICE,
+    LabelError,
+    OutputError,
+    TrainingError,
+    UsageError,
+    WeightsError,
+)
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import ScanSelection
@@ -22,16 +29,19 @@ from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.tune import tune
 from salsanext_cli.stages.uncertainty import uncertainty
+from salsanext_cli.training.tuning import error
 from salsanext_cli.uncertainty.error_features import FEATURES
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 ALL = ScanSelection()
+EVERY = ScanSelection(sequences=("00", "08"))
 
 
 @pytest.fixture
 def in_few_steps(monkeypatch) -> None:
-    """Fit a model of errors that is good for nothing."""
-    monkeypatch.setattr("salsanext_cli.training.tuning.error.MIN_STEPS", 1)
+    """Fit an error model that is good for nothing, and take it for a good one."""
+    monkeypatch.setattr(error, "MIN_STEPS", 1)
+    monkeypatch.setattr(error, "gains", lambda model: True)
 
 
 @pytest.fixture
@@ -59,23 +69,27 @@ def test_labels_of_several_classes_are_left_out_and_said(world: World, target) -
         seen = image.pixel_of_point >= 0
         raw = read_labels(file.label_path)
         shares.append((raw[seen] == 10).sum() / (space.to_train(raw[seen]) > 0).sum())
-    tuned = tune("error", world.data, target, settings=world.network, selection=ALL)
+    tuned = tune("error", world.data, target, settings=world.network, selection=EVERY)
     assert tuned["several"] == pytest.approx(np.mean(shares), abs=1e-3)
     assert 0 < tuned["several"] < 1
-    again = tune("error", world.data, target, settings=world.network, selection=ALL, overwrite=True)
+    again = tune(
+        "error", world.data, target, settings=world.network, selection=EVERY, overwrite=True
+    )
     assert again == tuned
 
 
 def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, tmp_path) -> None:
     world = far_is_wrong
-    tuned = tune("error", world.data, target, settings=world.network, selection=ALL)
+    tuned = tune("error", world.data, target, settings=world.network, selection=EVERY)
     assert (tuned["scans"], tuned["sequences"], tuned["folds"]) == (3, ["00", "08"], 2)
     assert tuned["error"]["auroc"] > 0.97 > tuned["confidence"]["auroc"]
     assert tuned["error"]["aurc"] < tuned["confidence"]["aurc"]
     stored = read_card(target).error
     assert stored is not None
     assert stored.features == FEATURES
-    assert stored.scores == {key: tuned[key] for key in tuned if key != "stage"}
+    about_the_run = {"stage", "changed", "skipped"}
+    assert tuned["changed"]
+    assert stored.scores == {key: tuned[key] for key in tuned.keys() - about_the_run}
     assert describe_weights(target)["error"] == stored.scores
     network = replace(world.network, weights=target)
     predict_scans(world.data, world.out, settings=network, extras=(ERROR,))
@@ -143,7 +157,7 @@ def test_weights_without_it_are_refused(world: World, target, tmp_path) -> None:
 @pytest.mark.usefixtures("in_few_steps")
 def test_other_features_and_merged_classes_are_refused(far_is_wrong: World, target) -> None:
     world = far_is_wrong
-    tune("error", world.data, target, settings=world.network, selection=ALL)
+    tune("error", world.data, target, settings=world.network, selection=EVERY)
     network = replace(world.network, weights=target)
     coarse = replace(network, classes=label_space("coarse"))
     with pytest.raises(UsageError, match=r"--classes · .*labels before merging"):
@@ -154,10 +168,85 @@ def test_other_features_and_merged_classes_are_refused(far_is_wrong: World, targ
     save_with_card(target, target, replace(card, error=replace(card.error, features=names)))
     with pytest.raises(WeightsError, match="errors by other features"):
         predict_scans(world.data, world.out, settings=network, extras=(ERROR,))
-    # Another temperature changes the features that it was fitted to.
-    tuned = target.with_name("tempered.safetensors")
-    tune("temperature", world.data, tuned, settings=network)
-    assert read_card(tuned).error is None
+
+
+@pytest.mark.usefixtures("in_few_steps")
+def test_another_temperature_leaves_the_errors_as_they_are(
+    far_is_wrong: World, target, tmp_path
+) -> None:
+    world = far_is_wrong
+    tune("error", world.data, target, settings=world.network, selection=EVERY)
+    card, line = read_card(target), {"slope": 1.2, "offset": -0.3, "deviation": 0.05}
+    save_with_card(target, target, replace(card, accuracy=line))
+    tempered = target.with_name("tempered.safetensors")
+    runs = [replace(world.network, weights=weights) for weights in (target, tempered)]
+    tuned = tune("temperature", world.data, tempered, settings=runs[0], selection=EVERY)
+    assert tuned["changed"]
+    assert read_card(tempered).temperature == tuned["after"]["temperature"] != 1
+    errors, expected = [], []
+    for number, network in enumerate(runs):
+        out = tmp_path / str(number)
+        summary = predict_scans(world.data, out, settings=network, extras=(ERROR,)).summary
+        assert summary is not None
+        expected.append(summary.expected_accuracy()[0])
+        errors.append([np.load(path) for path in sorted(out.rglob("error/*.npy"))])
+    for before, after in zip(*errors, strict=True):
+        np.testing.assert_allclose(after, before, atol=2e-3)
+    # The labels are the same, so as many are right.
+    assert expected[1] == pytest.approx(expected[0], abs=0.01)
+    # A further fit starts from the model at its temperature.
+    again = target.with_name("again.safetensors")
+    tune("error", world.data, again, settings=runs[1], selection=EVERY)
+    model = read_card(again).error
+    assert model is not None
+    assert model.temperature == 1
+
+
+def test_a_fit_that_is_no_better_leaves_the_weights_as_they_are(
+    far_is_wrong: World, target, caplog, monkeypatch
+) -> None:
+    world = far_is_wrong
+    caplog.set_level(NOTICE)
+    tune("error", world.data, target, settings=world.network, selection=EVERY)
+    network, again = replace(world.network, weights=target), target.with_name("again.safetensors")
+    # One step makes a good model worse.
+    monkeypatch.setattr(error, "MIN_STEPS", 1)
+    monkeypatch.setattr(error, "EPOCHS", 1)
+    monkeypatch.setattr(error, "LEARNING_RATE", 1.0)
+    tuned = tune("error", world.data, again, settings=network, selection=EVERY)
+    assert not tuned["changed"]
+    assert tuned["existing"]["aurc"] < tuned["error"]["aurc"]
+    assert again.read_bytes() == target.read_bytes()
+    assert "again.safetensors has the same error" in caplog.text
+    # Without a model, and no better than the confidence, there is none.
+    tuned = tune(
+        "error", world.data, again, settings=world.network, selection=EVERY, overwrite=True
+    )
+    assert (tuned["changed"], tuned["existing"], read_card(again).error) == (False, None, None)
+
+
+@pytest.mark.usefixtures("in_few_steps")
+def test_what_is_said_of_an_error_model_goes_with_it(far_is_wrong: World, target) -> None:
+    world = far_is_wrong
+    tune("error", world.data, target, settings=world.network, selection=EVERY)
+    card = read_card(target)
+    assert card.error is not None
+    # Older files hold it in their description.
+    scores = {key: value for key, value in card.error.scores.items() if key != "fitted_to"}
+    sentence = "Trained on nothing. The error is fitted to simulated scans only. Not for use."
+    older = replace(card, error=replace(card.error, scores=scores), description=sentence)
+    save_with_card(target, target, older)
+    described = describe_weights(target)
+    assert described["description"] == "Trained on nothing. Not for use."
+    assert described["error"]["fitted_to"] == "simulated scans only"
+    network, again = replace(world.network, weights=target), target.with_name("again.safetensors")
+    tune("error", world.data, again, settings=network, selection=EVERY)
+    described = describe_weights(again)
+    assert described["error"]["fitted_to"].startswith("3 scans of 00, 08, from one fitted to sim")
+    assert (
+        read_card(again).changed("Pruned.").description
+        == "Trained on nothing. Not for use. Pruned."
+    )
 
 
 def test_labels_that_teach_nothing(world: World, target, tmp_path) -> None:
@@ -167,11 +256,11 @@ def test_labels_that_teach_nothing(world: World, target, tmp_path) -> None:
         labels = world.data / "sequences" / sequence / "labels"
         shutil.copytree(own / "sequences" / sequence / "predictions", labels, dirs_exist_ok=True)
     with pytest.raises(TrainingError, match=r"no label of \d+ points is wrong"):
-        tune("error", world.data, target, settings=world.network, selection=ALL)
+        tune("error", world.data, target, settings=world.network, selection=EVERY)
     for path in (world.data / "sequences").rglob("*.label"):
         write_labels(path, np.zeros(1500, np.uint32))
     with pytest.raises(LabelError, match="no point is of a class that counts"):
-        tune("error", world.data, target, settings=world.network, selection=ALL)
+        tune("error", world.data, target, settings=world.network, selection=EVERY)
     assert not target.exists()
 
 
@@ -183,3 +272,8 @@ def test_a_single_scan_is_not_cross_validated(far_is_wrong: World, target, caplo
     assert (tuned["folds"], tuned["error"], tuned["confidence"]) == (0, None, None)
     assert "1 scan: not cross-validated" in caplog.messages
     assert read_card(target).error is not None
+    # One scan does not show that another model would be better.
+    network, again = replace(world.network, weights=target), target.with_name("again.safetensors")
+    for part in ("error", "temperature"):
+        tune(part, world.data, again, settings=network, selection=selection, overwrite=True)
+        assert read_card(again).error is not None

@@ -3,6 +3,7 @@
 
 import shutil
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from salsanext_cli.training.tuning import error
 from salsanext_cli.training.tuning.risk import _left_out, exceeds
 
 ALL = ScanSelection()
+EVERY = ScanSelection(sequences=("00", "08"))
 
 
 @pytest.fixture
@@ -45,7 +47,7 @@ def unsure_is_wrong(world: World) -> World:
 
 def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target, caplog) -> None:
     world = unsure_is_wrong
-    tuned = tune("risk", world.data, target, settings=world.network, selection=ALL, at_most=0.3)
+    tuned = tune("risk", world.data, target, settings=world.network, selection=EVERY, at_most=0.3)
     risk = read_card(target).risk
     assert risk == {key: tuned[key] for key in risk}
     assert describe_weights(target)["risk"] == risk
@@ -105,7 +107,7 @@ def test_each_class_has_a_threshold_that_holds_of_its_own_points(
 ) -> None:
     world = unsure_is_wrong
     numbers = {"at_most": 0.4, "per_class": True}
-    tuned = tune("risk", world.data, target, settings=world.network, selection=ALL, **numbers)
+    tuned = tune("risk", world.data, target, settings=world.network, selection=EVERY, **numbers)
     risk, space = read_card(target).risk, label_space()
     assert risk["classes"] == tuned["classes"]
     assert max(risk["classes"].values()) <= risk["threshold"]
@@ -141,7 +143,7 @@ def test_each_class_has_a_threshold_that_holds_of_its_own_points(
 
 def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, caplog) -> None:
     world, network = unsure_is_wrong, replace(unsure_is_wrong.network, weights=target)
-    tuned = tune("risk", world.data, target, settings=world.network, selection=ALL, at_most=0.6)
+    tuned = tune("risk", world.data, target, settings=world.network, selection=EVERY, at_most=0.6)
     assert tuned["unit"] == "drive"
     # By scans, (ΣL + 1) / 4 ≤ 0.6, more would be kept.
     losses = np.array(tuned["of_scans"])[:, 1]
@@ -173,11 +175,32 @@ def test_a_curve_is_not_overwritten_unasked(world: World, target) -> None:
     assert curve.read_bytes() == b"precious"
 
 
+def test_a_full_disk_leaves_neither_weights_nor_curve(
+    unsure_is_wrong: World, target, monkeypatch
+) -> None:
+    world = unsure_is_wrong
+
+    def tuned() -> None:
+        tune("risk", world.data, target, settings=world.network, selection=EVERY, at_most=0.5)
+
+    full = Mock(side_effect=OutputError(target, "cannot be written: no space left"))
+    with monkeypatch.context() as patch:
+        patch.setattr("salsanext_cli.stages.tune.save_with_card", full)
+        with pytest.raises(OutputError):
+            tuned()
+    curve = target.with_name(f"{target.stem}_risk.png")
+    assert not target.exists()
+    assert not curve.exists()
+    tuned()
+    assert target.exists()
+    assert curve.exists()
+
+
 def test_what_few_scans_cannot_promise(unsure_is_wrong: World, target) -> None:
     world = unsure_is_wrong
 
     def tuned(**numbers):
-        tune("risk", world.data, target, settings=world.network, selection=ALL, **numbers)
+        tune("risk", world.data, target, settings=world.network, selection=EVERY, **numbers)
 
     with pytest.raises(TrainingError, match=r"no less than 25 % .* 16 more .* --at-most 25%"):
         tuned(at_most=0.05)
@@ -198,7 +221,7 @@ def test_scans_of_training_promise_nothing(unsure_is_wrong: World, target, tmp_p
     card = replace(read_card(world.network.weights), trained_on=digests)
     save_with_card(world.network.weights, known, card)
     network = replace(world.network, weights=known)
-    tuned = tune("risk", world.data, target, settings=network, selection=ALL, at_most=0.4)
+    tuned = tune("risk", world.data, target, settings=network, selection=EVERY, at_most=0.4)
     assert (tuned["scans"], tuned["skipped"]) == (2, 1)
 
 
@@ -207,19 +230,20 @@ def test_copies_of_a_scan_promise_nothing(unsure_is_wrong: World, target, caplog
     for file in find_scans(world.data)[1:]:
         shutil.copy(find_scans(world.data)[0].path, file.path)
         shutil.copy(find_scans(world.data)[0].label_path, file.label_path)
-    tuned = tune("risk", world.data, target, settings=world.network, selection=ALL, at_most=0.6)
+    tuned = tune("risk", world.data, target, settings=world.network, selection=EVERY, at_most=0.6)
     assert (tuned["scans"], tuned["skipped"]) == (1, 2)
-    assert "2 scans left out" in caplog.text
+    assert "2 scans skipped" in caplog.text
 
 
 def test_an_error_that_was_fitted_to_these_scans_is_said(
     unsure_is_wrong: World, target, tmp_path, caplog, monkeypatch
 ) -> None:
     monkeypatch.setattr(error, "MIN_STEPS", 1)
+    monkeypatch.setattr(error, "gains", lambda model: True)
     world, fitted = unsure_is_wrong, tmp_path / "fitted.safetensors"
     tune("error", world.data, fitted, settings=world.network, selection=ScanSelection("valid"))
     network = replace(world.network, weights=fitted)
-    tune("risk", world.data, target, settings=network, selection=ALL, at_most=0.6)
+    tune("risk", world.data, target, settings=network, selection=EVERY, at_most=0.6)
     assert "the error was fitted to 08 too" in caplog.text
 
 
@@ -235,10 +259,11 @@ def test_a_drive_left_out_is_judged_by_what_is_promised(confidence, is_above) ->
 
 def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(error, "MIN_STEPS", 1)
+    monkeypatch.setattr(error, "gains", lambda model: True)
     world = unsure_is_wrong
     with pytest.raises(WeightsError, match=r"no threshold of risk .* `salsanext tune risk"):
         predict_scans(world.data, world.out, settings=world.network, reject="risk")
-    tune("risk", world.data, target, settings=world.network, selection=ALL, at_most=0.3)
+    tune("risk", world.data, target, settings=world.network, selection=EVERY, at_most=0.3)
     network = replace(world.network, weights=target)
     coarse = replace(network, classes=label_space("coarse"))
     with pytest.raises(UsageError, match=r"--classes · .*promises nothing of other labels"):
@@ -257,7 +282,7 @@ def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path, m
     # Another error or another temperature is another uncertainty.
     for part in ("error", "temperature"):
         other = tmp_path / f"{part}.safetensors"
-        tune(part, world.data, other, settings=network, selection=ALL)
+        tune(part, world.data, other, settings=network, selection=EVERY)
         assert not read_card(other).risk
 
 

@@ -3,6 +3,7 @@
 
 import logging
 import math
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -21,14 +22,20 @@ from salsanext_cli import (
     write_labels,
 )
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import LabelError, OutputError, TrainingError, WeightsError
-from salsanext_cli.network.card import read_card
+from salsanext_cli.errors import (
+    LabelError,
+    NoInputError,
+    OutputError,
+    TrainingError,
+    WeightsError,
+)
+from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.dropout import dropouts
-from salsanext_cli.network.weights import read_weights, save_weights
+from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.tuning.dropout_rate import MIN_VARIANCE
-from salsanext_cli.training.tuning.temperature import negative_log_likelihood
+from salsanext_cli.training.tuning.temperature import best_temperature, negative_log_likelihood
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
@@ -70,6 +77,52 @@ def test_progress_and_selection(world, target, caplog):
     assert seen == [(number, 3) for number in range(1, 4)]
     named = [message[:9] for message in caplog.messages if message.startswith("08/")]
     assert named == [f"08/00000{i}" for i in (0, 2, 4)]
+
+
+@pytest.mark.parametrize("part", ["temperature", "error", "dropout", "risk"])
+def test_scans_of_training_and_copies_are_skipped(drawn, target, tmp_path, caplog, part):
+    """Of three scans, one was trained on and one is its copy."""
+    known = tmp_path / "known.safetensors"
+    shutil.copy(drawn.scan("08", "000000"), drawn.scan("00", "000000"))
+    labels = drawn.data / "sequences/08/labels/000000.label"
+    shutil.copy(labels, drawn.data / "sequences/00/labels/000000.label")
+    digests = [scan_digest(read_scan(drawn.scan("08", f"00000{i}"))) for i in (0, 1)]
+    card = read_card(drawn.network.weights)
+    save_with_card(drawn.network.weights, known, replace(card, trained_on=frozenset(digests[:1])))
+    network, every = replace(drawn.network, weights=known), ScanSelection(sequences=("00", "08"))
+    numbers = {"at_most": 0.9} if part == "risk" else {}
+    tuned = go(drawn, target, part, settings=network, selection=every, **numbers)
+    assert (tuned["scans"], tuned["skipped"]) == (1, 2)
+    assert "2 scans skipped: the weights were trained on them, or they are copies" in caplog.text
+    save_with_card(drawn.network.weights, known, replace(card, trained_on=frozenset(digests)))
+    with pytest.raises(TrainingError, match="every labelled scan is skipped"):
+        go(drawn, target, part, settings=network, selection=every, overwrite=True, **numbers)
+
+
+def test_sequences_of_no_split_are_used_and_those_of_training_named(world, target, caplog):
+    for name in ("x1", "x2"):
+        write_sequence(world.data / "sequences" / name, ["000000"], seed=ord(name[1]))
+    shutil.rmtree(world.data / "sequences/x2/labels")
+    assert go(world, target)["scans"] == 3
+    said = "3 of 5 scans used, not those of 00 (split train), x2 (no split): --sequences chooses"
+    assert said in caplog.text
+    caplog.clear()
+    valid = ScanSelection(split="valid")
+    assert go(world, target, selection=valid, overwrite=True)["scans"] == 2
+    assert "2 of 5 scans used, not those of 00 (split train), x1, x2 (no split)" in caplog.text
+    for name in ("x1", "x2", "08"):
+        shutil.rmtree(world.data / "sequences" / name)
+    with pytest.raises(NoInputError, match="none to tune on"):
+        go(world, target, overwrite=True)
+
+
+def test_a_file_that_was_written_meanwhile_stays(world, target):
+    def other(*_):
+        target.write_bytes(b"of another run")
+
+    with pytest.raises(OutputError, match="exists"):
+        go(world, target, progress=other)
+    assert target.read_bytes() == b"of another run"
 
 
 def test_what_cannot_be_written_is_noticed_before_the_work(world, target, tmp_path):
@@ -132,18 +185,36 @@ def test_the_temperature_of_the_labels_is_found_and_stored(drawn, target):
     assert tuned["before"]["temperature"] == 1
     assert tuned["after"]["nll"] < tuned["before"]["nll"]
     assert tuned["after"]["ece"] < tuned["before"]["ece"]
-    logits, truth = [], []
+    scans = []
     for _, image, points in labelled_points(drawn):
         of_pixels = drawn.network.load().logits(image)
-        logits += [of_pixels[:, row, column] for row, column, _ in points]
-        truth += [label for *_, label in points]
-    logits, truth = torch.from_numpy(np.array(logits)), torch.tensor(truth)
-    assert (tuned["scans"], tuned["points"]) == (2, len(truth))
-    for found in (tuned["before"], tuned["after"]):
-        expected = negative_log_likelihood(logits, truth, found["temperature"])
-        assert found["nll"] == pytest.approx(expected, rel=1e-9)
-    around = [tuned["after"]["temperature"] * factor for factor in (0.99, 1.01)]
-    assert all(negative_log_likelihood(logits, truth, t) > tuned["after"]["nll"] for t in around)
+        logits = np.array([of_pixels[:, row, column] for row, column, _ in points])
+        scans.append((torch.from_numpy(logits), torch.tensor([label for *_, label in points])))
+    every = [torch.cat(each) for each in zip(*scans, strict=True)]
+    assert (tuned["scans"], tuned["points"], tuned["folds"]) == (2, len(every[1]), 2)
+    expected = negative_log_likelihood(*every, 1.0)
+    assert tuned["before"]["nll"] == pytest.approx(expected, rel=1e-9)
+    best, *around = (tuned["after"]["temperature"] * factor for factor in (1, 0.99, 1.01))
+    least = negative_log_likelihood(*every, best)
+    assert all(negative_log_likelihood(*every, t) > least for t in around)
+    # Each scan is judged at the temperature of the other one.
+    losses = [
+        negative_log_likelihood(*scan, best_temperature(*other)) * len(scan[1])
+        for scan, other in (scans, scans[::-1])
+    ]
+    assert tuned["after"]["nll"] == pytest.approx(sum(losses) / len(every[1]), rel=1e-6)
+
+
+def test_the_temperature_stays_where_another_is_worse(drawn, target, tmp_path, monkeypatch):
+    tempered = tmp_path / "tempered.safetensors"
+    card = replace(read_card(drawn.network.weights), temperature=1.4)
+    save_with_card(drawn.network.weights, tempered, card)
+    module = "salsanext_cli.training.tuning.temperature"
+    monkeypatch.setattr(f"{module}.best_temperature", lambda *_: 50.0)
+    tuned = go(drawn, target, settings=replace(drawn.network, weights=tempered))
+    assert tuned["after"]["nll"] > tuned["before"]["nll"]
+    assert not tuned["changed"]
+    assert target.read_bytes() == tempered.read_bytes()
 
 
 def test_a_sample_of_the_points_is_enough_and_always_the_same(drawn, target, monkeypatch):
@@ -196,8 +267,10 @@ def test_every_rate_against_a_slow_loop_and_the_least_is_stored(world, target, t
     tuned = go(world, target, "dropout")
     slow = [slow_mean(world, tmp_path / "w.safetensors", rate) for rate in tuned["rates"]]
     np.testing.assert_allclose(tuned["objectives"], slow, rtol=1e-5)
-    np.testing.assert_allclose(tuned["rates"], [0.05, math.sqrt(0.05 * 0.3), 0.3])
+    # That of the weights is among them.
+    np.testing.assert_allclose(tuned["rates"], [0.05, math.sqrt(0.05 * 0.3), 0.2, 0.3])
     assert tuned["best"] == tuned["rates"][int(np.argmin(slow))]
+    assert tuned["changed"]
     assert tuned["before"] == 0.2
     assert tuned["scans"] == 2
     assert read_card(target).architecture["dropout"] == tuned["best"]
@@ -212,21 +285,27 @@ def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_
     tuned = go(world, target, "dropout", settings=settings)
     assert tuned["before"] == 0
     assert len(dropouts(read_weights(target)[0])) == 3 + 1 + 3 * 3
-    assert tuned["objectives"] == go(world, target, "dropout", overwrite=True)["objectives"]
+    usual = go(world, target, "dropout", overwrite=True)
+    usual["objectives"].pop(usual["rates"].index(0.2))
+    assert tuned["objectives"] == usual["objectives"]
 
 
 @pytest.mark.parametrize(
     ("objectives", "best", "says"),
     [
-        ([1.0, 2.0, 3.0], 0.05, "best rate, 0.05, is the last of the range: move --lowest"),
-        ([3.0, 1.0, 2.0], math.sqrt(0.05 * 0.3), ""),
+        ([1.0, 2.0, 3.0, 4.0] * 2, 0.05, "rate, 0.05, is the last of the range: move --lowest"),
+        ([3.0, 1.0, 2.0, 3.0] * 2, math.sqrt(0.05 * 0.3), ""),
+        # The existing rate, 0.2, wins ties, and where what one scan chooses is worse in the other.
+        ([3.0, 1.0, 1.0, 3.0] * 2, 0.2, ""),
+        ([0.0, 9.0, 1.0, 9.0] + [9.0, 0.0, 1.0, 9.0], 0.2, ""),
     ],
 )
 def test_the_end_of_the_range_is_named(world, target, caplog, monkeypatch, objectives, best, says):
-    values = iter(objectives * 2)
+    values = iter(objectives)
     module = "salsanext_cli.training.tuning.dropout_rate"
     monkeypatch.setattr(f"{module}.objective", lambda *_: next(values))
     with caplog.at_level(logging.WARNING):
-        assert go(world, target, "dropout")["best"] == pytest.approx(best)
+        tuned = go(world, target, "dropout", selection=ScanSelection(split="valid"))
+    assert tuned["best"] == pytest.approx(best)
     assert says in caplog.text
     assert bool(caplog.text) == bool(says)

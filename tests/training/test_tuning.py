@@ -32,21 +32,32 @@ def test_rates_are_equal_steps_of_the_logarithm_with_exact_ends():
     assert rates_between(0.1, 0.2, 2) == [0.1, 0.2]
 
 
-@pytest.mark.parametrize("height", [True, False])
-def test_the_height_is_used_only_if_it_may_be(height: bool) -> None:
+def points(wrong_if, count: int = 4000, seed: int = 0) -> JudgedPoints:
+    """Return random features, and wrong labels where a function of them says so."""
+    features = np.random.default_rng(seed).random((count, len(FEATURES))).astype("f4")
+    return JudgedPoints(features, wrong_if(features))
+
+
+def test_low_confidence_is_wrong_at_any_height() -> None:
     """High points are wrong, and so are some of low confidence."""
-    random = np.random.default_rng(0)
-    features = random.random((4000, len(FEATURES))).astype("f4")
-    wrong = (features[:, HEIGHT] > 0.7) | (features[:, CONFIDENCE] < 0.2)
-    model = fit_error([JudgedPoints(features, wrong)], height=height)
+    model = fit_error([points(lambda x: (x[:, HEIGHT] > 0.7) | (x[:, CONFIDENCE] < 0.2))])
     sure, unsure, high = (np.full((1, len(FEATURES)), 0.5, "f4") for _ in range(3))
     unsure[0, CONFIDENCE], high[0, HEIGHT] = 0.05, 0.95
     at = [float(model.probability(each)[0]) for each in (sure, unsure, high)]
     assert at[1] > 0.8 > 0.5 > at[0]
-    if height:
-        assert at[2] > 0.8
-    else:
-        assert at[2] == at[0]
+    assert at[2] == at[0]
+
+
+@pytest.mark.parametrize("sequences", [1, 7, 63])
+def test_more_sequences_correct_an_existing_model_more(sequences: int) -> None:
+    """All is wrong in the new points, and a tenth by the existing model."""
+    start = fit_error([points(lambda x: x[:, CONFIDENCE] < 0.1)])
+    new = points(lambda x: np.full(len(x), True))
+    found = fit_error([new], start, sequences).probability(new.features)
+    share = sequences / (sequences + 7)
+    expected = share + (1 - share) * start.probability(new.features)
+    assert found.mean() == pytest.approx(expected.mean(), abs=0.02)
+    assert np.abs(found - expected).mean() < 0.1
 
 
 def drawn(temperature: float, count: int = 3000, classes: int = 5, seed: int = 0):

@@ -22,10 +22,12 @@ from salsanext_cli.geometry.projection import ego_points, in_sensor_frame, proje
 from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.results.selection import data_set_label_space, with_splits
+from salsanext_cli.results.selection import data_set_label_space, log_unused, with_splits
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 from salsanext_cli.training.data.augment import LabelledScan
 from salsanext_cli.training.data.targets import ClassSets, to_targets
+
+SPLITS_ARE_NAMED = "labels.yaml in the data set names the sequences of each split"
 
 log = logging.getLogger(__name__)
 
@@ -108,7 +110,7 @@ def fitted_source(source: Source, jobs: int = 1) -> Source:
 def further_source(dataset: Path, space: LabelSpace, sensor: Sensor) -> Source:
     """Return the training split of a further data set, its classes merged into those of a space."""
     own, files = labelled_split(dataset, None, "train")
-    _name_unsplit(dataset, own)
+    _log_unsplit(dataset, own)
     classes = merged_into(own, space)
     if classes is None:
         found = f"other classes ({first_few(own.differences(space))})"
@@ -133,7 +135,7 @@ def scans_to_train_on(
     # other splits than ``train``.
     if not divisible:
         classes, training = labelled_split(dataset, space, "train")
-        _name_unsplit(dataset, classes)
+        _log_unsplit(dataset, classes)
         return classes, training, labelled_split(dataset, classes, "valid")[1]
     classes = with_splits_of(dataset, space)
     found = find_scans(dataset)
@@ -156,8 +158,7 @@ def scans_to_train_on(
         parts = [[s for s in labelled if of_split[s] == name] for name in ("train", "valid")]
         return classes, parts[0], parts[1]
     usable = [scan for scan in labelled if of_split[scan] in ("train", None)]
-    if others := sorted({scan.sequence for scan in {*labelled} - {*usable}}):
-        log.warning("left out, since they are of other splits than train: %s", first_few(others))
+    log_unused(labelled, usable, classes, SPLITS_ARE_NAMED)
     if not usable:
         expected = "labelled scans of split train, or of none"
         raise NoInputError(dataset, "every labelled scan is of another split", expected)
@@ -171,12 +172,11 @@ def with_splits_of(dataset: Path, space: LabelSpace | None) -> LabelSpace:
     return with_splits(space, dataset, alternatives=True)
 
 
-def _name_unsplit(dataset: Path, space: LabelSpace) -> None:
-    """Warn of sequences with labels that no split names."""
-    unsplit = [scan for scan in find_scans(dataset) if space.split_of(scan.sequence) is None]
-    if labelled := sorted({scan.sequence for scan in unsplit if scan.label_path.is_file()}):
-        names = first_few(labelled)
-        log.warning("left out, since no split of %s names them: %s", space.name, names)
+def _log_unsplit(dataset: Path, space: LabelSpace) -> None:
+    """Log the sequences with labels that no split names."""
+    labelled = [scan for scan in find_scans(dataset) if scan.label_path.is_file()]
+    used = [scan for scan in labelled if space.split_of(scan.sequence)]
+    log_unused(labelled, used, space, SPLITS_ARE_NAMED)
 
 
 def labelled_split(

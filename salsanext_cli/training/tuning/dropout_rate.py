@@ -13,6 +13,7 @@ from salsanext_cli.errors import TrainingError, UsageError
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.records import Float
+from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan_seed
@@ -55,13 +56,18 @@ def fit_dropout(
     highest: float = HIGHEST,
     steps: int = STEPS,
 ) -> Tuned:
-    """Find the rate of dropout of the least mean `objective`, of `samples` passes with a `seed`."""
+    """Find the dropout rate of the least mean `objective`, of `samples` passes with a `seed`.
+
+    The existing rate stays unless the rate that other scans choose is better on held-out scans.
+    """
     rates = rates_between(lowest, highest, steps)
+    before = max((layer.rate for layer in dropouts(scans.loaded.module)), default=0.0)
+    rates = sorted({*rates, before} - {0.0})
     require_sampling(with_dropout(scans.loaded, lowest), samples)
     noise_of(scans.loaded.sensor)
     network = scans.network
     candidates = [with_dropout(network, rate) for rate in rates]
-    sums, points = np.zeros(len(rates)), 0
+    sums, points = np.zeros((len(scans.files), len(rates))), 0
     for number, file in enumerate(scans.files):
         labelled = read_labelled_image(file, network, scans.space)
         noise = labelled.of_points(aleatoric(labelled.network, labelled.image))
@@ -72,26 +78,33 @@ def fit_dropout(
             sampled = sample(fitted, labelled.image, samples=samples, seed=masks)
             variance = labelled.of_points(sampled.variance) + noise
             probabilities = labelled.of_points(sampled.probabilities)
-            sums[index] += objective(probabilities, variance, labelled.truth)
+            sums[number, index] = objective(probabilities, variance, labelled.truth)
             if scans.progress:
                 done = number * len(rates) + index + 1
                 scans.progress(done, len(scans.files) * len(rates))
         log.info("%s: %d points", file.name, len(labelled.truth))
     scans.require_points(points)
-    objectives: list[float] = (sums / points).tolist()
+    objectives: list[float] = (sums.sum(axis=0) / points).tolist()
     if not np.isfinite(objectives).all():
         wrong = "the network's uncertainties are not finite"
         raise TrainingError(scans.source, wrong, "finite ones", "use other weights")
     best = int(np.argmin(objectives))
-    if best in (0, len(rates) - 1):
-        edge = ("--lowest", "--highest")[best > 0]
+    changed = not before
+    if before and (parts := held_out(scans.files)):
+        of_scan = dict(zip(scans.files, sums, strict=True))
+        of = [[np.sum([of_scan[f] for f in files], axis=0) for files in each] for each in parts]
+        chosen = sum(part[rest.argmin()] for rest, part in of)
+        changed = bool(chosen < sums[:, rates.index(before)].sum())
+    if changed and rates[best] in (lowest, highest):
+        edge = ("--lowest", "--highest")[rates[best] == highest]
         log.warning("the best rate, %g, is the last of the range: move %s", rates[best], edge)
     report = {
-        "before": max((layer.rate for layer in dropouts(network.module)), default=0.0),
-        "best": rates[best],
-        "rates": list(rates),
+        "before": before,
+        "best": rates[best] if changed else before,
+        "changed": changed,
+        "rates": rates,
         "objectives": objectives,
         "scans": len(scans.files),
         "points": points,
     }
-    return candidates[best].card, report
+    return candidates[best].card if changed else network.card, report

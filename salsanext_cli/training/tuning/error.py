@@ -13,7 +13,7 @@ from torch import nn
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import TrainingError, counted
+from salsanext_cli.errors import TrainingError, counted, first_few
 from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
 from salsanext_cli.measures.risk_coverage import kept_points, ranking_scores
@@ -22,7 +22,7 @@ from salsanext_cli.records import Float, Mask
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
-from salsanext_cli.uncertainty.error_features import FEATURES, error_features
+from salsanext_cli.uncertainty.error_features import FEATURES, features_of, knows_error
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 MAX_POINTS = 1_000_000  # Bound of the number of points of all scans, 37 MB
@@ -33,6 +33,9 @@ HIDDEN = 16  # Values of each of the two hidden layers
 EPOCHS, BATCH = 8, 2048  # Passes over the points, and points per step
 MIN_STEPS = 400  # Few points are passed over more often
 LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4
+SEQUENCES_OF_START = 7
+"""Sequences that an existing model counts as much as; see docs/tune.md for what was tried."""
+LEAST = 1e-6  # Least probability in a logarithm
 HEIGHT = FEATURES.index("height above the sensor")
 MIN_SPREAD = 1e-3  # Features that hardly differ are not blown up
 
@@ -60,7 +63,7 @@ def judged_points(file: ScanFile, network: Network, space: LabelSpace, most: int
     network = labelled.network
     probabilities = network.probabilities(labelled.image, file.path)
     labels = network.labels(labelled.image, probabilities)
-    features = error_features(labelled.image, probabilities, labels)
+    features = features_of(network, labelled.image, probabilities, labels)
     random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
     chosen = random.permutation(len(labelled.truth))[:most]
     points = labelled.points[chosen]
@@ -69,7 +72,11 @@ def judged_points(file: ScanFile, network: Network, space: LabelSpace, most: int
 
 
 def fit_error_model(scans: TuningScans) -> Tuned:
-    """Fit a model of the probability that a label is wrong; report scores of cross-validation."""
+    """Fit a model of the probability that a label is wrong; keep the existing one if it is better.
+
+    The fit starts from the existing model. Reports the scores of both, and of the confidence, on
+    the same held-out scans, and whether the weights were `changed`.
+    """
     files, network = scans.files, scans.network
     most = points_of_scan(len(files))
     judged = {file: judged_points(file, network, scans.space, most) for file in scans.each()}
@@ -79,61 +86,71 @@ def fit_error_model(scans: TuningScans) -> Tuned:
         count = f"{'every' if wrong.all() else 'no'} label of {len(wrong)} points is wrong"
         remedy = "use more scans, or other weights"
         raise TrainingError(scans.source, count, "right and wrong ones", remedy)
-    model = cross_validated(judged, folds(files, FOLDS) if len(files) > 1 else [])
-    if model.scores["folds"] and not gains(model):
-        log.warning("the error is no better than the confidence on scans left out")
-    return replace(network.card, error=model, risk={}), dict(model.scores)
+    start = network.card.error if knows_error(network) else None
+    model = cross_validated(judged, folds(files, FOLDS) if len(files) > 1 else [], start=start)
+    changed = gains(model) or not (model.scores["folds"] or start)
+    report = {**model.scores, "changed": changed}
+    if not changed:
+        return network.card, report
+    model = replace(model, temperature=start.temperature if start else None)
+    return replace(network.card, error=model, risk={}), report
 
 
 def cross_validated(
     judged: Mapping[ScanFile, JudgedPoints],
     parts: Sequence[Sequence[ScanFile]],
-    *,
-    height: bool = True,
+    start: ErrorModel | None = None,
 ) -> ErrorModel:
     """Fit a model to all scans; its scores are those of models that lack a fold of the scans.
 
-    Without `height` it does not use that feature, which depends on the mounting. Among the scores
-    are the share of wrong points `wrong`, that of points left out since their label is of `several`
-    classes, and `error_scores` of the model, `error`, and of 1 − the probability of the label,
-    `confidence`; both are None without folds.
+    `start`: as `fit_error` takes it. Among the scores are the sequences, also of the `start`, the
+    share of wrong points `wrong`, that of skipped points, whose label is of `several` classes, and
+    `error_scores` of the model, `error`, of the one that it starts from, `existing`, and of 1 − the
+    probability of the label, `confidence`; they are None without folds.
     """
     every = list(judged.values())
     wrong = np.concatenate([points.wrong for points in every])
+    sequences = {file.sequence for file in judged}
+    before = start.scores if start else {}
+    from_one = f", from one fitted to {before.get('fitted_to', 'other scans')}" if start else ""
     scores: dict[str, Any] = {
+        "fitted_to": f"{counted(len(judged), 'scan')} of {first_few(sorted(sequences))}{from_one}",
         "scans": len(judged),
-        "sequences": sorted({file.sequence for file in judged}),
+        "sequences": sorted(sequences | {*before.get("sequences", ())}),
         "points": len(wrong),
         "wrong": float(wrong.mean()),
         "several": float(np.mean([points.several for points in every])),
-        **_scores_left_out(judged, parts, height),
+        **_scores_held_out(judged, parts, start),
     }
-    return replace(fit_error(every, height), scores=scores)
+    return replace(fit_error(every, start, len(sequences)), scores=scores)
 
 
-def _scores_left_out(
-    judged: Mapping[ScanFile, JudgedPoints], parts: Sequence[Sequence[ScanFile]], height: bool
+def _scores_held_out(
+    judged: Mapping[ScanFile, JudgedPoints],
+    parts: Sequence[Sequence[ScanFile]],
+    start: ErrorModel | None,
 ) -> dict[str, Any]:
     """Fit without each fold of the scans, and score all points by the models that lack them."""
-    errors, left_out = list[Float](), list[JudgedPoints]()
+    errors, held_out = list[Float](), list[JudgedPoints]()
     for part in parts:
-        rest = [points for file, points in judged.items() if file not in part]
-        if not of_both_kinds(rest):
+        rest = {file: points for file, points in judged.items() if file not in part}
+        if not of_both_kinds(rest.values()):
             log.warning("without %s no label is right, or none wrong", part[0].sequence)
             parts = []
             break
-        model = fit_error(rest, height)
-        left_out += [judged[file] for file in part]
+        model = fit_error(list(rest.values()), start, len({file.sequence for file in rest}))
+        held_out += [judged[file] for file in part]
         errors += [model.probability(judged[file].features) for file in part]
     if not parts:
         log.warning("%s: not cross-validated", counted(len(judged), "scan"))
-        return {"folds": 0, "error": None, "confidence": None}
-    wrong = np.concatenate([points.wrong for points in left_out])
-    features = np.concatenate([points.features for points in left_out])
+        return {"folds": 0, "error": None, "existing": None, "confidence": None}
+    wrong = np.concatenate([points.wrong for points in held_out])
+    features = np.concatenate([points.features for points in held_out])
     least_confidence = 1 - features[:, FEATURES.index("probability of the label")]
     return {
         "folds": len(parts),
         "error": error_scores(np.concatenate(errors), wrong),
+        "existing": error_scores(start.probability(features), wrong) if start else None,
         "confidence": error_scores(np.clip(least_confidence, 0, 1), wrong),
     }
 
@@ -144,23 +161,40 @@ def of_both_kinds(scans: Iterable[JudgedPoints]) -> bool:
 
 
 def gains(model: ErrorModel) -> bool:
-    """Say whether a model ranked scans left out better than the confidence did."""
-    error, confidence = model.scores["error"], model.scores["confidence"]
-    return bool(error and error["aurc"] < confidence["aurc"])
+    """Return whether a model is better on held-out scans than the confidence and its start."""
+    rows = [row for name in ("confidence", "existing") if (row := model.scores[name])]
+    return bool(rows) and all(is_better(model.scores["error"], row) for row in rows)
 
 
-def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
-    """Fit a model of least cross-entropy to points; without `height` that feature weighs 0."""
+def is_better(scores: Mapping[str, float], others: Mapping[str, float]) -> bool:
+    """Return whether errors rank better and are more probable than others on the same points."""
+    return all(scores[name] < others[name] for name in ("aurc", "nll"))
+
+
+def fit_error(
+    scans: Sequence[JudgedPoints], start: ErrorModel | None = None, sequences: int = 1
+) -> ErrorModel:
+    """Fit a model of least cross-entropy to points of so many sequences.
+
+    A model to `start` from counts as much as `SEQUENCES_OF_START` sequences: its probability is
+    mixed into the truth to that share. The height weighs 0, since it depends on the mounting.
+    """
     features = np.concatenate([scan.features for scan in scans])
     wrong = torch.from_numpy(np.concatenate([scan.wrong for scan in scans])).float()
     mean, spread = features.mean(axis=0), np.maximum(features.std(axis=0), MIN_SPREAD)
-    # What is left out is infinitely wide: all its values become 0, and so do its weights.
-    spread[HEIGHT] = spread[HEIGHT] if height else np.inf
+    sizes = [(len(FEATURES), HIDDEN), (HIDDEN, HIDDEN), (HIDDEN, 1)]
+    if start:
+        share = sequences / (sequences + SEQUENCES_OF_START)
+        wrong = share * wrong + (1 - share) * torch.from_numpy(start.probability(features))
+        sizes = [weight.shape for weight, _ in start.layers]
+    spread[HEIGHT] = np.inf
     values = torch.from_numpy((features - mean) / spread)
     with torch.random.fork_rng([]):
         torch.manual_seed(SEED)  # noqa: TID251
-        linear = [nn.Linear(len(FEATURES), HIDDEN), nn.Linear(HIDDEN, HIDDEN), nn.Linear(HIDDEN, 1)]
-        model = nn.Sequential(linear[0], nn.ReLU(), linear[1], nn.ReLU(), linear[2])
+        linear = [nn.Linear(*size) for size in sizes]
+        model = nn.Sequential(*(m for layer in linear for m in (layer, nn.ReLU())))[:-1]
+        if start:
+            _begin(linear, start, mean, np.where(np.isinf(spread), 0, spread))
         steps_per_epoch = -(-len(values) // BATCH)
         epochs = max(EPOCHS, -(-MIN_STEPS // steps_per_epoch))
         optimiser = torch.optim.AdamW(model.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
@@ -169,8 +203,8 @@ def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
         )
         for _ in range(epochs):
             order = torch.randperm(len(values))
-            for start in range(0, len(values), BATCH):
-                batch = order[start : start + BATCH]
+            for first in range(0, len(values), BATCH):
+                batch = order[first : first + BATCH]
                 logits = model(values[batch])[:, 0]
                 loss = F.binary_cross_entropy_with_logits(logits, wrong[batch])
                 optimiser.zero_grad()
@@ -186,8 +220,18 @@ def fit_error(scans: Sequence[JudgedPoints], height: bool = True) -> ErrorModel:
     return ErrorModel(FEATURES, layers)
 
 
+def _begin(linear: Sequence[nn.Linear], start: ErrorModel, mean: Float, spread: Float) -> None:
+    """Put the numbers of a model into layers that take standardised features."""
+    (weight, bias), *others = start.layers
+    first = (weight * spread[:, None], bias + mean @ weight)
+    with torch.no_grad():
+        for layer, (weight, bias) in zip(linear, (first, *others), strict=True):
+            layer.weight.copy_(torch.from_numpy(weight.T))
+            layer.bias.copy_(torch.from_numpy(bias))
+
+
 def error_scores(error: Float, wrong: Mask) -> dict[str, float]:
-    """Return `auroc`, `aurc`, `ece` of errors (M,), and `risk_80` of the 80 % of least error."""
+    """Return `auroc`, `aurc`, `ece`, `nll` in nats of errors (M,), and the `risk_80` of 80 %."""
     histogram = uncertainty_histogram(error, wrong, np.zeros(len(error), np.intp), 1)
     ranking = ranking_scores(histogram)
     counts = error_histogram(error, wrong).counts[:, 0]
@@ -195,5 +239,6 @@ def error_scores(error: Float, wrong: Mask) -> dict[str, float]:
         "auroc": ranking.auroc,
         "aurc": ranking.aurc,
         "ece": reliability(counts).error,
+        "nll": float(-np.log(np.clip(np.where(wrong, error, 1 - error), LEAST, 1)).mean()),
         "risk_80": kept_points("error", histogram).risk,
     }

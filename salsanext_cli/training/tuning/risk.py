@@ -3,7 +3,7 @@
 
 import logging
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -58,16 +58,13 @@ def judged_scan(
     space: LabelSpace,
     kind: str,
     counts: Counts,
-    known: Collection[str],
     per_class: bool = False,
-) -> JudgedScan | None:
-    """Label a scan as `predict` does, and judge it; None if its digest is among those known.
+) -> JudgedScan:
+    """Label a scan as `predict` does, and judge it.
 
     `counts` (C, C, B + 1): its points are added by truth, label and bin, the last without a label.
     """
     network, projected = project_for(network, file)
-    if (digest := scan_digest(projected.scan)) in known:
-        return None
     image, softmax = projected.image, network.probabilities(projected.image, file.path)
     labels = labelled(projected, softmax, network, KnnParameters()).labels
     truth = space.to_train(read_labels(file.label_path, len(labels)), source=file.label_path)
@@ -86,7 +83,7 @@ def judged_scan(
     both = (place, place[labels != truth])
     of_bins = [np.bincount(each, minlength=math.prod(shape)) for each in both]
     below = np.reshape(of_bins, (2, *shape))[..., :-1].cumsum(axis=2, dtype=np.int32)
-    return JudgedScan(file, digest, len(truth), below)
+    return JudgedScan(file, scan_digest(projected.scan), len(truth), below)
 
 
 def kept_labels(
@@ -119,7 +116,7 @@ def fit_risk(
         raise UsageError("--at-most", f"{at_most:.4g}", "above 0 and below 100%, such as 5%")
     if confidence is not None and not 0.5 <= confidence < 1:
         raise UsageError("--confidence", f"{confidence:.4g}", "from 50% to below 100%")
-    _require_scans(scans, len(scans.files), at_most, confidence)
+    _require_scans(scans, at_most, confidence)
     network, space = scans.network, scans.space
     kind = "error" if knows_error(network) else "least_confidence"
     # The error may have been fitted to sequences of the same names.
@@ -129,15 +126,7 @@ def fit_risk(
         log.warning(message, first_few(same))
     classes = space.class_count
     counts = np.zeros((classes, classes, UNCERTAINTY_BINS + 1), np.int64)
-    known, judged = set(network.card.trained_on), list[JudgedScan]()
-    for file in scans.each():
-        if scan := judged_scan(file, network, space, kind, counts, known, per_class):
-            known.add(scan.digest)
-            judged.append(scan)
-    if left := len(scans.files) - len(judged):
-        which = "copies of others, or the weights were trained on them"
-        log.warning("%s left out: %s", counted(left, "scan"), which)
-        _require_scans(scans, len(judged), at_most, confidence)
+    judged = [judged_scan(f, network, space, kind, counts, per_class) for f in scans.each()]
     shares = np.empty((len(judged), 2, UNCERTAINTY_BINS))
     for share, scan in zip(shares, judged, strict=True):
         np.divide(scan.below.sum(axis=1), scan.points, out=share)
@@ -183,7 +172,6 @@ def fit_risk(
     report = {
         "promise": promise(risk),
         **risk,
-        "skipped": left,
         "kept": asdict(labels),
         "left_out": left_out,
         "risk_coverage": means[:, steps].tolist(),
@@ -217,10 +205,9 @@ def _of_labels(
     return of_labels, own
 
 
-def _require_scans(
-    scans: TuningScans, count: int, at_most: float, confidence: float | None
-) -> None:
+def _require_scans(scans: TuningScans, at_most: float, confidence: float | None) -> None:
     """Refuse what so many scans cannot promise; say what they can, and how many are missing."""
+    count = len(scans.files)
     missing = needed_scans(at_most, confidence) - count
     if missing <= 0:
         return

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Scans that one part of the weights is fitted to, their labels point by point, and that part."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,22 +13,33 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import LabelError, first_few
+from salsanext_cli.errors import LabelError, NoInputError, TrainingError, counted, first_few
+from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
+from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.network.card import WeightsCard
+from salsanext_cli.network.card import WeightsCard, scan_digest
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.records import Float, Indices, RangeImage
 from salsanext_cli.results.layout import ScanFile, find_scans
-from salsanext_cli.results.selection import select_scans, space_of
+from salsanext_cli.results.selection import (
+    choose,
+    data_set_of,
+    evenly_spaced,
+    log_unused,
+    scans_of,
+    space_of,
+    with_splits,
+)
 from salsanext_cli.training.data.class_counts import require_labels
 from salsanext_cli.training.data.sources import read_labelled
 from salsanext_cli.training.data.targets import class_sets
 
-VALIDATION = ScanSelection(split="valid")
-"""Selection of scans to tune on, unless another is given."""
 Tuned = tuple[WeightsCard, dict[str, Any]]  # Card of the new weights, and a report, plain data
+
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +94,12 @@ class LabelledImage:
 def labelled_scans(
     dataset: Path, selection: ScanSelection, card: WeightsCard
 ) -> tuple[list[ScanFile], LabelSpace]:
-    """Find labelled scans, evenly spaced if limited, and their classes: those of a network."""
-    scans = select_scans(dataset, selection, card.space, evenly=True)
-    space = space_of(scans, card.space)
+    """Find labelled scans, evenly spaced if limited, and their classes: those of a network.
+
+    Without split or sequences they are those of the split ``valid`` and of no split.
+    """
+    found = scans_of(dataset)
+    space = space_of(found, card.space)
     if not space.fits(card.space):
         raise LabelError(
             dataset,
@@ -92,8 +107,35 @@ def labelled_scans(
             f"those of {card.space.name}, as the weights",
             "use weights for these classes",
         )
+    scans = choose(found, replace(selection, limit=None), space, dataset)
+    if not (selection.split or selection.sequences):
+        splits = with_splits(space, data_set_of(scans[0]))
+        of_split = {scan.sequence: splits.split_of(scan.sequence) for scan in scans}
+        unsplit = [s for s in scans if not of_split[s.sequence] and present(s.label_path)]
+        scans = sorted([s for s in scans if of_split[s.sequence] == "valid"] + unsplit)
+        if not scans:
+            expected = "labelled scans of split valid, or of no split"
+            raise NoInputError(dataset, "none to tune on", expected, "choose with --sequences")
+        log_unused(found, scans, splits, "--sequences chooses others")
+    scans = evenly_spaced(scans, selection.limit or 0)
     require_labels(scans)
     return scans, space
+
+
+def unseen(scans: Sequence[ScanFile], network: Network, source: Path) -> list[ScanFile]:
+    """Return the scans that the weights were not trained on, without copies; log the others."""
+    known, others = set(network.card.trained_on), list[ScanFile]()
+    for scan in scans:
+        if (digest := scan_digest(read_scan(scan.path, network.sensor))) not in known:
+            known.add(digest)
+            others.append(scan)
+    which = "the weights were trained on them, or they are copies"
+    if not others:
+        remedy = "label other scans, or choose others with --sequences"
+        raise TrainingError(source, f"every labelled scan is skipped: {which}", "others", remedy)
+    if skipped := len(scans) - len(others):
+        log.warning("%s skipped: %s", counted(skipped, "scan"), which)
+    return others
 
 
 def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> LabelledImage:

@@ -3,11 +3,8 @@
 
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import reduce
-from operator import iadd
-from typing import Any
 
 import numpy as np
 import torch
@@ -17,31 +14,38 @@ from torch import Tensor
 from salsanext_cli.errors import NOTICE, TrainingError, WeightsError
 from salsanext_cli.measures.calibration import calibration_scores
 from salsanext_cli.measures.histograms import confidence_histogram, softmax_errors
-from salsanext_cli.network.card import TEMPERATURES
-from salsanext_cli.records import Float
+from salsanext_cli.network.error_model import TEMPERATURES
+from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
-MAX_LOGITS = 20_000_000
-"""Bound of the number of logits that are kept, 80 MB: a million points with 20 classes."""
+MAX_LOGITS = 4_000_000
+"""Bound of the number of logits, 32 MB in float64: 200 000 points with 20 classes."""
 SEED = 0  # Seed of the choice of points that are kept
-CHUNK_POINTS = 1 << 16  # Points whose logits are float64 at the same time
+
+Points = tuple[Tensor, Tensor]  # Their logits (M, C) float32, and train ids (M,) int64
 
 log = logging.getLogger(__name__)
 
 
 def fit_temperature(scans: TuningScans) -> Tuned:
-    """Fit the temperature of the least negative log-likelihood.
+    """Fit the temperature of the least negative log-likelihood; keep the existing if it is better.
 
     Of a scan with more points than its share of `MAX_LOGITS`, a random sample is taken, the same
     one every time. Reports `before` and `after` the fit: `temperature`, mean negative
-    log-likelihood in nats, `nll`, and expected calibration error over 15 bins, `ece`, 0…1.
+    log-likelihood in nats, `nll`, and expected calibration error over 15 bins, `ece`, 0…1. With
+    several scans, those `after` are of held-out scans, at the temperature of the others.
     """
     card = scans.network.card
     most = max(1, MAX_LOGITS // card.space.class_count // len(scans.files))
-    samples = list(_samples(scans, most))
-    logits = torch.from_numpy(np.concatenate([values for values, _ in samples]))
-    truth = torch.from_numpy(np.concatenate([classes for _, classes in samples])).long()
+    of_scan = dict(zip(scans.files, _samples(scans, most), strict=True))
+
+    def of(files: Sequence[ScanFile]) -> Points:
+        logits, truth = zip(*(of_scan[file] for file in files), strict=True)
+        return torch.cat(logits), torch.cat(truth)
+
+    logits, truth = every = of(scans.files)
     scans.require_points(len(truth))
     temperature = best_temperature(logits, truth)
     lowest, highest = TEMPERATURES
@@ -50,20 +54,45 @@ def fit_temperature(scans: TuningScans) -> Tuned:
         found = f"the best temperature for {len(truth)} points is {temperature:g}"
         expected = f"one between {lowest:g} and {highest:g}"
         raise TrainingError(scans.source, found, expected, "use more scans, or other weights")
-    if card.error:
-        log.log(NOTICE, "the error model is left out: fit it anew with `salsanext tune error`")
-    if card.risk:
-        log.log(NOTICE, "the threshold is left out: choose it anew with `salsanext tune risk`")
+    tempered = [
+        (of(part), min(max(best_temperature(*of(rest)), lowest), highest))
+        for rest, part in held_out([file for file in scans.files if len(of_scan[file][1])])
+    ]
+    before = _scores([(every, card.temperature)])
+    after = _scores(tempered or [(every, temperature)])
+    # A single scan tells nothing about others.
+    changed = after["nll"] < before["nll"] if tempered else card.temperature == 1
+    if not tempered:
+        log.warning("1 scan: not cross-validated")
     report = {
-        "before": _tempered(logits, truth, card.temperature),
-        "after": _tempered(logits, truth, temperature),
+        "before": {"temperature": card.temperature, **before},
+        "after": {"temperature": temperature, **after},
+        "folds": len(tempered),
+        "changed": changed,
         "scans": len(scans.files),
         "points": len(truth),
     }
-    return replace(card, temperature=temperature, error=None, risk={}, accuracy={}), report
+    if not changed:
+        return card, report
+    if card.risk and card.risk["kind"] != "error":
+        log.log(NOTICE, "the threshold is dropped: choose a new one with `salsanext tune risk`")
+        card = replace(card, risk={})
+    if card.error:
+        # Its features stay those of the old temperature.
+        own = card.error.temperature or card.temperature
+        card = replace(card, error=replace(card.error, temperature=own))
+    if card.accuracy:
+        # The labels stay, so the same scans have the same expected accuracy at the new confidence.
+        old, new = (
+            (logits.double() / t).softmax(dim=1).amax(dim=1).mean().logit(1e-6).item()
+            for t in (card.temperature, temperature)
+        )
+        offset = card.accuracy["offset"] + card.accuracy["slope"] * (old - new)
+        card = replace(card, accuracy={**card.accuracy, "offset": offset})
+    return replace(card, temperature=temperature), report
 
 
-def _samples(scans: TuningScans, most: int) -> Iterator[tuple[Float, Any]]:
+def _samples(scans: TuningScans, most: int) -> Iterator[Points]:
     """Yield the logits (M, C) and train ids (M,) of at most so many points of each scan."""
     for file in scans.each():
         labelled = read_labelled_image(file, scans.network, scans.space)
@@ -74,25 +103,26 @@ def _samples(scans: TuningScans, most: int) -> Iterator[tuple[Float, Any]]:
         count = len(labelled.truth)
         chosen = random.choice(count, most, replace=False) if count > most else slice(None)
         log.info("%s: %d points", file.name, min(count, most))
-        yield labelled.of_points(logits)[chosen].copy(), labelled.truth[chosen]
+        of_points = labelled.of_points(logits)[chosen].copy()
+        yield torch.from_numpy(of_points), torch.from_numpy(labelled.truth[chosen]).long()
 
 
-def _tempered(logits: Tensor, truth: Tensor, temperature: float) -> dict[str, float]:
-    errors = (
-        softmax_errors(torch.softmax(part / temperature, dim=1).numpy(), classes.numpy())
-        for part, classes in chunks(logits, truth)
+def _scores(tempered: Sequence[tuple[Points, float]]) -> dict[str, float]:
+    """Return `nll` and `ece` of all points, each part at its temperature."""
+    softmax = torch.cat([torch.softmax(logits / t, dim=1) for (logits, _), t in tempered])
+    errors = softmax_errors(
+        softmax.numpy(), torch.cat([truth for (_, truth), _ in tempered]).numpy()
     )
-    one_group = (confidence_histogram(e, np.zeros(len(e.wrong), np.intp), 1) for e in errors)
-    histogram = reduce(iadd, one_group)
-    nll = negative_log_likelihood(logits, truth, temperature)
-    return {"temperature": temperature, "nll": nll, "ece": calibration_scores(histogram).ece}
+    histogram = confidence_histogram(errors, np.zeros(len(errors.wrong), np.intp), 1)
+    counts = [len(truth) for (_, truth), _ in tempered]
+    losses = [negative_log_likelihood(*points, t) for points, t in tempered]
+    nll = float(np.average(losses, weights=counts))
+    return {"nll": nll, "ece": calibration_scores(histogram).ece}
 
 
 def negative_log_likelihood(logits: Tensor, truth: Tensor, temperature: float) -> float:
     """Return the mean of −log softmax(logits (N, C) / temperature) at the truth (N,), in nats."""
-    exact = torch.tensor(temperature, dtype=torch.float64)
-    losses = (_loss(part, own, exact, len(truth)) for part, own in chunks(logits, truth))
-    return sum(loss.item() for loss in losses)
+    return F.cross_entropy(logits.double() / temperature, truth).item()
 
 
 def best_temperature(logits: Tensor, truth: Tensor) -> float:
@@ -102,10 +132,11 @@ def best_temperature(logits: Tensor, truth: Tensor) -> float:
     minimum, or it is at 0, since every point is right, or at infinity, since the logits of the true
     classes are not above average.
     """
-    own = logits.gather(1, truth[:, None])[:, 0]
-    if (own == logits.amax(dim=1)).all():
+    exact = logits.double()
+    own = exact.gather(1, truth[:, None])[:, 0]
+    if (own == exact.amax(dim=1)).all():
         return 0.0
-    if own.double().mean() <= logits.mean(dim=1).double().mean():
+    if own.mean() <= exact.mean(dim=1).mean():
         return math.inf
     logarithm = torch.zeros((), dtype=torch.float64, requires_grad=True)
     search = torch.optim.LBFGS(
@@ -116,24 +147,11 @@ def best_temperature(logits: Tensor, truth: Tensor) -> float:
         line_search_fn="strong_wolfe",
     )
 
-    def loss() -> float:
+    def loss() -> Tensor:
         search.zero_grad()
-        total = 0.0
-        for part, classes in chunks(logits, truth):
-            # An exponential for each chunk: backward frees what it went through.
-            share = _loss(part, classes, logarithm.exp(), len(truth))
-            share.backward()  # type: ignore[no-untyped-call]
-            total += share.item()
-        return total
+        mean = F.cross_entropy(exact / logarithm.exp(), truth)
+        torch.autograd.backward(mean)
+        return mean
 
     search.step(loss)  # type: ignore[no-untyped-call]
     return math.exp(logarithm.item())
-
-
-def chunks(logits: Tensor, truth: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
-    """Yield logits and classes of at most `CHUNK_POINTS` points at a time."""
-    return zip(torch.split(logits, CHUNK_POINTS), torch.split(truth, CHUNK_POINTS), strict=True)
-
-
-def _loss(logits: Tensor, truth: Tensor, temperature: Tensor, count: int) -> Tensor:
-    return F.cross_entropy(logits.double() / temperature, truth, reduction="sum") / count
