@@ -35,6 +35,10 @@ class Figures:
         """Print and write a figure."""
         self.rows.append({"name": name, "value": value, "unit": unit})
         print(line_of(self.rows[-1]), flush=True)
+        self.write()
+
+    def write(self) -> None:
+        """Write what there is."""
         write_json(self.path, {"machine": self.machine, "figures": self.rows})
 
     def left(self) -> float:

@@ -64,7 +64,8 @@ def run_part(
     """Run a part in a process of its own, and log what it prints; return its exit status."""
     words = ["--part", part, "--seconds", f"{seconds:.1f}", "--figures", str(figures)]
     command = [sys.executable, __file__, *given.words, *words, "--parent", str(os.getpid())]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    environment = os.environ | {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}
     tell(log, f"\n== {part}, {seconds:.0f} s\n")
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     # In a group of their own, the part and its processes end together.
@@ -112,6 +113,7 @@ def work(given: argparse.Namespace) -> int:
     deadline = time.monotonic() + given.seconds
     figures = Figures(given.figures, choose_device(given.device), deadline)
     figures.machine = machine(figures.device)
+    figures.write()
     weights, scratch = given.weights or default_weights(), given.figures.parent
     try:
         if given.part == "tests":
