@@ -139,8 +139,8 @@ def work(given: argparse.Namespace) -> int:
 
 def run_tests(figures: Any) -> int:
     """Run the tests of the GPU or, on a CPU, the same tests of the CPU."""
-    chosen = "cpu" if figures.device == "cpu" else "cuda"
-    words = ("-q", "-rfE", "--color=no", "-p", "no:cacheprovider", "tests/cuda", "-k", chosen)
+    chosen = ("-k", "cpu") if figures.device == "cpu" else ("-m", "cuda")
+    words = ("-q", "-rfE", "--color=no", "-p", "no:cacheprovider", "tests/cuda", *chosen)
     command = [sys.executable, "-m", "pytest", *words]
     try:
         done = subprocess.run(

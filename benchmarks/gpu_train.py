@@ -93,10 +93,10 @@ class Run:
                 raise TrainingError("training", f"{skipped} steps in a row without a finite loss")
             if not skipped:
                 self.losses.append(loss)
-            if time.monotonic() - saved > SAVE_INTERVAL_S:
-                self.save(step)
-                saved = time.monotonic()
             now = time.monotonic()
+            if now - saved > SAVE_INTERVAL_S and end - now > SAVE_INTERVAL_S / 2:
+                self.save(step)
+                now = saved = time.monotonic()
         self.save(max(step, 0))
 
     def save(self, step: int) -> None:
