@@ -62,7 +62,8 @@ def run_part(
     given: argparse.Namespace, part: str, seconds: float, figures: Path, log: TextIO
 ) -> int:
     """Run a part in a process of its own, and log what it prints; return its exit status."""
-    words = ["--part", part, "--seconds", f"{seconds:.1f}", "--figures", str(figures)]
+    end = time.monotonic() + seconds  # By the clock of all processes
+    words = ["--part", part, "--deadline", f"{end:.3f}", "--figures", str(figures)]
     command = [sys.executable, __file__, *given.words, *words, "--parent", str(os.getpid())]
     path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
     environment = os.environ | {"PYTHONPATH": path, "PYTHONUNBUFFERED": "1"}
@@ -110,8 +111,7 @@ def work(given: argparse.Namespace) -> int:
     from salsanext_cli.parallel.worker import end_with_parent
 
     end_with_parent(given.parent)
-    deadline = time.monotonic() + given.seconds
-    figures = Figures(given.figures, choose_device(given.device), deadline)
+    figures = Figures(given.figures, choose_device(given.device), given.deadline)
     figures.machine = machine(figures.device)
     figures.write()
     weights, scratch = given.weights or default_weights(), given.figures.parent
@@ -174,7 +174,7 @@ def main(*words: str) -> int:
     parser.add_argument("--set", action="append", default=[], help="key=value of the recipe")
     parser.add_argument("--small", action="store_true", help="tiny images, to check the script")
     # Of the process of one part
-    for name, kind in (("part", str), ("seconds", float), ("figures", Path), ("parent", int)):
+    for name, kind in (("part", str), ("deadline", float), ("figures", Path), ("parent", int)):
         parser.add_argument(f"--{name}", type=kind, help=argparse.SUPPRESS)
     given = parser.parse_args(words)
     given.words = words

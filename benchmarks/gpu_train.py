@@ -51,7 +51,7 @@ CHANGES = {"batch": 32, "warm_up": 0.05, "crop_width": 0}
 PLANNED = 1 << 20  # Scans of each kind of sensor, more than any run simulates
 SCENES_TO_BEGIN = 16  # Of each kind of sensor
 SHARE_BEFORE = 0.3  # Largest share of the time in which scenes are made and nothing is trained
-COUNTED_SCANS = 64  # Scans of each kind whose points of each class are counted
+COUNTED_SCANS = 32  # Scans of each kind whose points of each class are counted
 SAVE_INTERVAL_S = 60.0
 LOGGED_LOSSES = 200  # Steps of which the log has the mean loss
 MAX_SKIPPED = 20  # Steps in a row whose loss or gradient is not finite
@@ -150,8 +150,10 @@ def train(
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"))
     with pool.working(max(1, cores - 1)) as makers:
         real, held_out = real_data(pack, scratch / "real", sensor, cores)
+        figures.add("real scans are ready after", time.monotonic() - start, "s")
         patience = start + SHARE_BEFORE * figures.left()
         wait_for_scenes(pool, makers, 1 if small else SCENES_TO_BEGIN, patience)
+        figures.add("first scenes are ready after", time.monotonic() - start, "s")
         held_out = {VALIDATION: pool.source(VALIDATION), **held_out}
         also = " and real scans" if real else ""
         name = f"{weights.name} (SHA-256 {fingerprint(weights)[:16]})"
@@ -161,9 +163,9 @@ def train(
             description=DESCRIPTION.format(also=also, weights=name),
         )
         run = Run(scratch / "run", out, figures, None, card, held_out)  # type: ignore[arg-type]
-        samples = begin(run, module, recipe, pool, real)
+        samples = begin(run, module, recipe, pool, real, cores)
         before = time.monotonic()
-        figures.add("prepared", before - start, "s")
+        figures.add("training is ready after", before - start, "s")
         run.save(0)
         reserve_s = 1.5 * (time.monotonic() - before) + 1
         loaders = 0 if small else max(1, cores * 3 // 4)
@@ -239,13 +241,18 @@ def wait_for_scenes(
 
 
 def begin(
-    run: Run, module: torch.nn.Module, recipe: Recipe, pool: ScenePool, real: list[Source]
+    run: Run,
+    module: torch.nn.Module,
+    recipe: Recipe,
+    pool: ScenePool,
+    real: list[Source],
+    jobs: int,
 ) -> Samples:
     """Count the points of each class; give the run its learner, and return its samples."""
     counted = [pool.source(kind) for kind in KINDS]
     counted = [replace(source, files=source.files[:COUNTED_SCANS]) for source in counted] + real
     validation, path = run.held_out[VALIDATION], run.folder / CLASS_COUNTS
-    counts = class_counts(path, counted, validation, validation.files, also=recipe.also)
+    counts = class_counts(path, counted, validation, validation.files, jobs, recipe.also)
     sources = [*(pool.source(kind, PLANNED) for kind in KINDS), *real]
     of_class, sets = (counts.points, run.card.space.scored), class_sets(s.space for s in sources)
     weights = class_weights(*of_class, recipe.class_weight)

@@ -203,7 +203,7 @@ def hit(ray: npt.NDArray[np.float64], corners: npt.NDArray[np.float32]) -> float
     dx, dy, dz = ray[3], ray[4], ray[5]
     px, py, pz = dy * vz - dz * vy, dz * vx - dx * vz, dx * vy - dy * vx
     determinant = ux * px + uy * py + uz * pz
-    if determinant == 0:
+    if abs(determinant) < 1e-12:  # Parallel, or a triangle without an area
         return np.inf
     u = (ax * px + ay * py + az * pz) / determinant
     if u < 0 or u > 1:
