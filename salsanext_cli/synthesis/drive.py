@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Recorded drive through a street: a scan every few metres."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,7 +63,12 @@ class Frame:
 
 
 def record(
-    seed: int, sequence: int, scans: int, spacing: float, make_rig: RigMaker = hdl64_rig
+    seed: int,
+    sequence: int,
+    scans: int,
+    spacing: float,
+    make_rig: RigMaker = hdl64_rig,
+    make_scene: Callable[[Mesh], Scene] = Scene,
 ) -> Iterator[Frame]:
     """Yield the frames of one sequence, `spacing` metres apart."""
     # The street comes from the seed, the sequence, which also chooses its style, and the length of
@@ -76,12 +81,12 @@ def record(
     rig = make_rig(rng)
     track = _Track(rng, plan, speed, rig)
     rays, lasers = rig.rays(), rig.lasers()
-    scene = Scene(standing)
+    scene = make_scene(standing)
     for index in range(scans):
         noise = np.random.default_rng([seed, sequence, index, 1])
         s, time = RUN_OUT_M + index * spacing, index * spacing / speed
         pose = track.pose(s)
-        scenes = [scene, *_moving(plan, movers, time, pose)]
+        scenes = [scene, *map(make_scene, _moving(plan, movers, time, pose))]
         origins, directions = track.in_motion(s, *rays)
         cast = np.concatenate([origins, directions], 1)
         distance, intensity, labels = measure(noise, scenes, cast, lasers, rig.response)
@@ -92,14 +97,14 @@ def record(
         yield Frame(scan, labels[returned], pose, time)
 
 
-def _moving(plan: Plan, movers: tuple[Mover, ...], time: float, pose: Array) -> list[Scene]:
-    """Return what moves near the sensor at a time, as a scene if there is anything."""
+def _moving(plan: Plan, movers: tuple[Mover, ...], time: float, pose: Array) -> list[Mesh]:
+    """Return what moves near the sensor at a time, as one mesh if there is anything."""
     meshes = [mover.at(plan, time) for mover in movers]
     position = pose[:2, 3]
     near = [
         m for m in meshes if m is not None and np.hypot(*(m.vertices[0, :2] - position)) < VIEW_M
     ]
-    return [Scene(merge(near))] if near else []
+    return [merge(near)] if near else []
 
 
 class _Track:

@@ -311,16 +311,6 @@ def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch
     assert expected in outcome.failures[0].reason
 
 
-@pytest.mark.cuda
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
-@pytest.mark.parametrize("precision", ["float32", "float16", "bfloat16"])
-def test_a_gpu_gives_the_labels_of_a_cpu(nine, tmp_path, precision):
-    predict(nine, tmp_path / "cpu")
-    there = replace(nine.network, device="cuda", precision=precision)
-    predict(nine, tmp_path / "gpu", settings=there, batch=4)
-    assert share_alike(tmp_path / "gpu", tmp_path / "cpu") >= 0.99
-
-
 def test_the_files_hold_the_projection(world):
     outcome = project_scans(world.data, world.out, sensor=SMALL)
     assert outcome.done == 3

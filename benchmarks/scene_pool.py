@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: MIT
+"""Simulated scenes that processes make while a training reads them.
+
+A scene is a short drive, `SCANS` scans of one sensor. It becomes visible when it is complete, with
+the sensor that `predict` would fit to it beside its scans.
+"""
+
+import json
+import multiprocessing
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+from ray_casting import RayScene
+
+from salsanext_cli.classes.label_space import label_space
+from salsanext_cli.files.atomic import write_bytes
+from salsanext_cli.formats.kitti import encode_bin, encode_labels
+from salsanext_cli.parallel.worker import end_with_parent
+from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.synthesis.drive import record
+from salsanext_cli.synthesis.rig import RIGS
+from salsanext_cli.training.data.sources import Source, fitted_source
+
+KINDS = tuple(RIGS)
+VALIDATION = "validation"
+SCANS, SPACING_M = 8, 10.0
+VALIDATION_SCANS, VALIDATION_SPACING_M = 2, 40.0
+NICENESS = 5  # Training and its loaders go before
+REFRESH_S = 5.0  # Seconds after which new scenes are looked for
+SENSOR = "sensor.json"
+
+
+@dataclass(frozen=True)
+class ScenePool:
+    """A folder of scenes of each kind of sensor, and of scenes to validate on."""
+
+    root: Path
+    sensor: Sensor  # That the network is trained for
+    seed: int = 0
+    scans: int = SCANS
+    validation: int = 5  # Number of scenes to validate on, which are made first
+
+    def make(self, number: int) -> None:
+        """Make a scene; its number decides the street, the sensor and the noise."""
+        if number < self.validation:
+            name, kind, seed = VALIDATION, KINDS[0], self.seed
+            scans, spacing = VALIDATION_SCANS, VALIDATION_SPACING_M
+        else:
+            number, index = divmod(number - self.validation, len(KINDS))
+            name = kind = KINDS[index]
+            seed, scans, spacing = self.seed + 1 + index, self.scans, SPACING_M
+        write_scene(self.root / name, number, kind, seed, scans, spacing, self.sensor)
+
+    def source(self, name: str, planned: int = 0) -> Source:
+        """Return the scenes of a folder: those of now or, if some are planned, as they come."""
+        folder = self.root / name / "sequences"
+        fitted: Mapping[str, Sensor] = FittedSensors(folder)
+        if planned:
+            return Source(Scenes(folder, planned), label_space(), self.sensor, fitted, True)
+        files = find_scans(folder.parent)
+        fitted = {file.sequence: fitted[file.sequence] for file in files}
+        return Source(files, label_space(), self.sensor, fitted, True)
+
+    def count(self, name: str) -> int:
+        """Return the number of scenes that are complete."""
+        folder = self.root / name / "sequences"
+        return len([*folder.iterdir()]) if folder.is_dir() else 0
+
+    @contextmanager
+    def working(self, processes: int) -> Iterator[list[BaseProcess]]:
+        """Make scenes in so many processes for the duration of the context."""
+        context = multiprocessing.get_context("spawn")
+        counter = context.Value("q", 0)
+        workers = [
+            context.Process(target=work, args=(self, counter, os.getpid()), daemon=True)
+            for _ in range(processes)
+        ]
+        for worker in workers:
+            worker.start()
+        try:
+            yield workers
+        finally:
+            for worker in workers:
+                worker.kill()
+            for worker in workers:
+                worker.join()
+
+
+def work(pool: ScenePool, counter: object, parent: int) -> None:
+    """Make one scene after the other until the process is ended."""
+    end_with_parent(parent)
+    os.nice(NICENESS)
+    while True:
+        with counter.get_lock():  # type: ignore[attr-defined]
+            number = counter.value  # type: ignore[attr-defined]
+            counter.value += 1  # type: ignore[attr-defined]
+        pool.make(number)
+
+
+def write_scene(
+    root: Path, number: int, kind: str, seed: int, scans: int, spacing: float, sensor: Sensor
+) -> None:
+    """Simulate a drive, fit the sensor to it, and move it to its place when it is complete."""
+    name = f"{number:06}"
+    draft, place = root / "drafts" / "sequences" / name, root / "sequences" / name
+    frames = record(seed, number, scans, spacing, RIGS[kind], RayScene)
+    for index, frame in enumerate(frames):
+        stem = f"{index:06}"
+        write_bytes(draft / "velodyne" / f"{stem}.bin", encode_bin(frame.scan))
+        write_bytes(draft / "labels" / f"{stem}.label", encode_labels(frame.labels))
+    fitted = fitted_source(Source(find_scans(draft), label_space(), sensor)).fitted[name]
+    (draft / SENSOR).write_text(json.dumps(fitted.to_dict()))
+    place.parent.mkdir(parents=True, exist_ok=True)
+    draft.rename(place)
+
+
+class Scenes(Sequence[ScanFile]):
+    """Scans of a planned number of which those of complete scenes stand for all others."""
+
+    def __init__(self, folder: Path, planned: int) -> None:
+        self.folder, self.planned = folder, planned
+        self._files: list[ScanFile] = []
+        self._looked = -REFRESH_S
+
+    def __len__(self) -> int:
+        return self.planned
+
+    def __getitem__(self, index: int) -> ScanFile:  # type: ignore[override]
+        if not 0 <= index < self.planned:
+            raise IndexError(index)
+        if time.monotonic() - self._looked > REFRESH_S:
+            self._files, self._looked = find_scans(self.folder.parent), time.monotonic()
+        return self._files[index % len(self._files)]
+
+
+class FittedSensors(Mapping[str, Sensor]):
+    """The sensor of each scene, read when it is first asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._known: dict[str, Sensor] = {}
+
+    def __getitem__(self, scene: str) -> Sensor:
+        if scene not in self._known:
+            record = json.loads((self.folder / scene / SENSOR).read_text())
+            self._known[scene] = Sensor.from_dict(record)
+        return self._known[scene]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted(path.name for path in self.folder.iterdir()))
+
+    def __len__(self) -> int:
+        return len([*self])

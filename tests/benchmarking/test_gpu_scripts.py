@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: MIT
+"""Scripts of a run on a GPU: packed scans, ray casting, scenes that are simulated meanwhile."""
+
+import json
+import math
+
+import gpu_run
+import numpy as np
+import pack
+import pytest
+import scene_pool
+from gpu_measures import Figures
+from ray_casting import RayScene
+from scans import SMALL, make_scan, write_bin, write_sequence
+
+from salsanext_cli import Scan, read_labels, read_scan, write_labels
+from salsanext_cli.errors import FormatError, LabelError, NoInputError, UsageError
+from salsanext_cli.network.card import read_card
+from salsanext_cli.results.layout import find_scans
+from salsanext_cli.synthesis.drive import Frame
+from salsanext_cli.synthesis.mesh import Mesh, Skin
+from salsanext_cli.synthesis.surfaces import Material
+
+# Packed scans
+
+
+def test_packed_scans_come_back_as_fine_as_they_are_stored(tmp_path):
+    """Halves of a step of 1/128 m and of 1/255; points that have no place in int16 are dropped."""
+    for name, seed in (("one", 0), ("two", 5)):
+        write_sequence(tmp_path / name / "sequences/00", ["a", "b"], count=700, seed=seed)
+    far = tmp_path / "two/sequences/00/velodyne/b.bin"
+    scan = read_scan(far)
+    scan.points[:4] = [[300, 0, 0], [0, -256, 0], [0, 0, math.nan], [-254.9, 254.9, 0]]
+    write_bin(far, scan)
+    pack.main(*map(str, (tmp_path / "one", tmp_path / "two", tmp_path / "p.npz")))
+    roots = pack.unpack(tmp_path / "p.npz", tmp_path / "back")
+    assert [root.name for root in roots] == ["one", "two"]
+    for root in roots:
+        before, after = find_scans(tmp_path / root.name), find_scans(root)
+        assert [file.name for file in before] == [file.name for file in after]
+        for old, new in zip(before, after, strict=True):
+            kept = slice(3 if old.path == far else 0, None)
+            one, other = read_scan(old.path), read_scan(new.path)
+            np.testing.assert_allclose(other.points, one.points[kept], atol=0.5 / 128 + 1e-6)
+            np.testing.assert_allclose(other.intensity, one.intensity[kept], atol=0.5 / 255 + 1e-6)
+            labels = read_labels(old.label_path)[kept]
+            np.testing.assert_array_equal(read_labels(new.label_path), labels)
+            stored = other.points.astype(np.float64) * 128
+            np.testing.assert_array_equal(stored, np.rint(stored))
+
+
+def test_scans_that_cannot_be_packed_are_named(tmp_path, monkeypatch):
+    data = write_sequence(tmp_path / "data/sequences/00", ["a"], count=50).parents[1]
+    target, scan = tmp_path / "p.npz", find_scans(data)[0]
+    with pytest.raises(UsageError, match=r"data, data"):
+        pack.pack([data, data], target)
+    write_labels(scan.label_path, np.full(50, 257))
+    with pytest.raises(LabelError, match=r"a\.label · label 257"):
+        pack.pack([data], target)
+    scan.label_path.unlink()
+    with pytest.raises(NoInputError, match="no labelled scans"):
+        pack.pack([data], target)
+    write_labels(scan.label_path, np.full(50, 40))
+    points = make_scan(50)
+    write_bin(scan.path, Scan(points.points, points.intensity * 255))
+    with pytest.raises(FormatError, match=r"a\.bin · intensity"):
+        pack.pack([data], target)
+    write_bin(scan.path, points)
+    monkeypatch.setattr(pack, "MAX_BYTES", 100)
+    with pytest.raises(UsageError, match="MiB"):
+        pack.pack([data], target)
+
+
+# Ray casting
+
+
+def triangles(count: int, seed: int = 0) -> Mesh:
+    """Return triangles of very different sizes; some have no area, some are the same."""
+    random = np.random.default_rng(seed)
+    centres = random.uniform(-20, 20, (count, 1, 3))
+    vertices = centres + random.normal(size=(count, 3, 3)) * random.choice(
+        [0.1, 1, 8], (count, 1, 1)
+    )
+    vertices[: count // 10, 2] = vertices[: count // 10, 1]
+    vertices[-count // 10 :] = vertices[-1]
+    skin = Skin(40, Material.ASPHALT)
+    return Mesh.of(vertices.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3), skin)
+
+
+def nearest_hit(ray: np.ndarray, corners: np.ndarray) -> tuple[float, int]:
+    """Return distance and triangle of the nearest hit; solves for coordinates in each triangle."""
+    nearest = math.inf, -1
+    for number, (a, b, c) in enumerate(corners):
+        system = np.stack([b - a, c - a, -ray[3:]], axis=1)
+        if abs(np.linalg.det(system)) < 1e-12:
+            continue
+        u, v, distance = np.linalg.solve(system, ray[:3] - a)
+        if u >= 0 and v >= 0 and u + v <= 1 and 0 < distance < nearest[0]:
+            nearest = distance, number
+    return nearest
+
+
+@pytest.mark.parametrize("count", [1, 4, 5, 300])
+def test_rays_hit_the_nearest_triangle(count):
+    mesh, random = triangles(count), np.random.default_rng(1)
+    directions = random.normal(size=(150, 3))
+    directions[:6] = [*np.eye(3), *-np.eye(3)]  # Parallel to the sides of all boxes
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    rays = np.concatenate([random.uniform(-15, 15, (150, 3)), directions], axis=1)
+    found, triangle, cosine = RayScene(mesh).cast(rays)
+    corners = mesh.vertices.astype(np.float32).astype(np.float64)[mesh.triangles]
+    expected = [nearest_hit(ray, corners) for ray in rays]
+    distance = np.array([each[0] for each in expected])
+    np.testing.assert_allclose(found, distance, rtol=1e-5)
+    hit = np.isfinite(distance)
+    same = (
+        corners[triangle[hit].astype(int)]
+        == corners[[each[1] for each in expected if each[1] >= 0]]
+    )
+    assert same.all()
+    a, b, c = corners[triangle[hit].astype(int)].transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    np.testing.assert_allclose(cosine[hit], abs((normal * rays[hit, 3:]).sum(1)), atol=1e-5)
+    assert not cosine[~hit].any()
+
+
+def test_rays_hit_what_those_of_open3d_hit():
+    pytest.importorskip("open3d")
+    from salsanext_cli.synthesis.lidar import Scene
+
+    mesh, random = triangles(2000), np.random.default_rng(1)
+    directions = random.normal(size=(3000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    rays = np.concatenate([random.uniform(-15, 15, (3000, 3)), directions], axis=1)
+    (one, _, _), (other, _, _) = (kind(mesh).cast(rays) for kind in (RayScene, Scene))
+    # Open3d computes in float32, in which few rays miss an edge.
+    assert np.isclose(one, other, rtol=1e-4, atol=1e-5).mean() > 0.999
+
+
+# Scenes
+
+
+def test_complete_scenes_stand_for_those_that_are_planned(tmp_path, monkeypatch):
+    def record(seed, number, scans, *_):
+        for index in range(scans):
+            yield Frame(make_scan(3000, index), np.full(3000, 40, np.uint32), np.eye(4), 0.0)
+
+    monkeypatch.setattr(scene_pool, "record", record)
+    pool = scene_pool.ScenePool(tmp_path, SMALL, scans=1, validation=0)
+    pool.make(0)
+    source = pool.source("hdl64", planned=1000)
+    assert len(source.files) == 1000
+    assert {source.files[i].name for i in (0, 5, 999)} == {"000000/000000"}
+    with pytest.raises(IndexError):
+        source.files[1000]
+    pool.make(2)
+    source.files._looked = -math.inf
+    assert {source.files[i].name for i in range(9)} == {"000000/000000", "000001/000000"}
+    assert pool.count("hdl64") == 2
+    assert pool.count("random") == 0
+    now = pool.source("hdl64")
+    assert [file.name for file in now.files] == ["000000/000000", "000001/000000"]
+    scan, labels = now.read(now.files[0], ())
+    assert len(scan) == len(labels) > 2000
+    assert now.sensor_of(now.files[0]).intensity_quantiles
+    assert source.sensor_of(now.files[0]) == now.sensor_of(now.files[0])
+
+
+# The run
+
+
+def test_parts_and_figures(tmp_path, capsys):
+    assert gpu_run.parts_of("train, tests") == ["tests", "train"]
+    with pytest.raises(SystemExit):
+        gpu_run.main(str(tmp_path), "--parts", "tests,fly")
+    assert "fly: not of tests, speed, training, train" in capsys.readouterr().err
+    figures = Figures(tmp_path / "f.json", "cpu", deadline=-1.0)
+    assert not figures.has_time_for("more")
+    assert json.loads((tmp_path / "f.json").read_text())["figures"][0]["name"] == "more"
+    calls = []
+    assert figures.seconds(lambda: calls.append(1), 3) >= 0
+    assert len(calls) == 4
+
+
+@pytest.mark.slow
+def test_a_part_that_fails_does_not_stop_the_others(tmp_path, capsys):
+    words = (str(tmp_path / "out"), "--parts", "speed,train", "--device", "cpu")
+    assert gpu_run.main(*words, "--weights", str(tmp_path / "none.safetensors")) == 1
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert [part["status"] for part in report["parts"].values()] == [1, 1]
+    assert report["machine"]["device"] == "cpu"
+    log = (tmp_path / "out/run.log").read_text()
+    assert log.count("Traceback") == 2
+    assert "none.safetensors" in log
+    assert capsys.readouterr().out == log
+
+
+@pytest.mark.slow
+def test_every_part_runs_on_a_cpu(tmp_path):
+    for folder, part in (("pandaset", "00"), ("aachen", "a0")):
+        stems = [f"{i:06}" for i in range(12)]
+        write_sequence(tmp_path / folder / "sequences" / part, stems, count=2000)
+    pack.pack([tmp_path / "pandaset", tmp_path / "aachen"], tmp_path / "p.npz")
+    out = tmp_path / "out"
+    words = ("--device", "cpu", "--minutes", "5", "--small", "--pack", str(tmp_path / "p.npz"))
+    assert gpu_run.main(str(out), *words) == 0, (out / "run.log").read_text()
+    names = {"run.log", "report.json", "log.csv", "scores.json", "class_counts.json"}
+    assert {path.name for path in out.iterdir()} == names | {
+        "last.safetensors",
+        "module.safetensors",
+    }
+    report = json.loads((out / "report.json").read_text())
+    figures = {
+        part: {row["name"]: row["value"] for row in found["figures"]}
+        for part, found in report["parts"].items()
+    }
+    assert [*figures] == ["tests", "speed", "training", "train"]
+    assert "passed" in figures["tests"]["tests"]
+    assert figures["speed"]["16×64 network, times as fast"] > 0
+    assert figures["training"]["step on the device, width 64, batch 2"] > 0
+    assert figures["train"]["steps"] > 0
+    assert figures["train"]["learning rate at the end"] < 1e-5
+    scores = json.loads((out / "scores.json").read_text())["scores"]
+    assert scores.keys() == {"validation", "pandaset"}
+    card = read_card(out / "last.safetensors")
+    assert "and real scans" in card.description
+    assert card.sensor.width == 64

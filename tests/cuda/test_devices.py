@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: MIT
+"""A GPU computes what a CPU does. All tests run on the CPU too, so that they work when a GPU comes.
+
+The expected values are those of single scans, of loops and of steps that are written out, all
+on the CPU.
+"""
+
+import copy
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from devices import on_both
+from scans import SMALL, make_scan, share_alike, write_sequence
+from shallow import shallow, weights  # noqa: F401
+from tiny_network import TinyNetwork
+from torch import Tensor
+
+from salsanext_cli import RangeImage, load_network, project
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.network.dropout import random_masks, sampling
+from salsanext_cli.network.weights import read_weights
+from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.train import train
+from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
+from salsanext_cli.training.learner import Learner
+from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.uncertainty.monte_carlo import pass_seed, sample
+
+CLASS_WEIGHTS = torch.tensor([0.0, 1.0, 2.0])
+STEPS = 5
+"""Of an epoch."""
+
+
+@pytest.fixture
+def file(request: pytest.FixtureRequest) -> Path:
+    """Return the weights file of a shallow network."""
+    path: Path = request.getfixturevalue("weights")
+    return path
+
+
+@pytest.fixture
+def image() -> RangeImage:
+    return project(make_scan(4000), SMALL)
+
+
+@pytest.fixture
+def scans(tmp_path: Path) -> Path:
+    return write_sequence(tmp_path / "data/sequences/00", map(str, range(5)))
+
+
+@on_both("float32", "float16", "bfloat16")
+def test_batches_have_the_labels_of_single_scans(
+    file: Path, scans: Path, tmp_path: Path, device: str, precision: str
+) -> None:
+    one = NetworkSettings(file, "cpu", engine="torch")
+    predict_scans(scans, tmp_path / "one", settings=one, batch=1)
+    there = replace(one, device=device, precision=precision)
+    predict_scans(scans, tmp_path / "batches", settings=there, batch=4)
+    assert share_alike(tmp_path / "batches", tmp_path / "one") >= 0.99
+
+
+@on_both("float32")
+def test_a_batch_is_halved_until_it_fits(
+    file: Path, image: RangeImage, device: str, precision: str
+) -> None:
+    network = load_network(file, device, SMALL, precision, "torch")
+    images = [network.input(image.channels * np.float32(1 - 0.1 * i)) for i in range(5)]
+    expected = [network.engine.outputs([each], None)[0] for each in images]
+    sizes = []
+
+    def short_of_memory(_: object, inputs: tuple[Tensor]) -> None:
+        sizes.append(len(inputs[0]))
+        if sizes[-1] > 1:
+            raise torch.OutOfMemoryError("no room")
+
+    # On a copy: other tests have the same module.
+    module = copy.deepcopy(network.module)
+    module.register_forward_pre_hook(short_of_memory)
+    engine = replace(network.engine, load_module=lambda: module, batch_sizes={})
+    found = engine.outputs(images, None)
+    assert sizes == [5, 2, 1, 1, 1, 1, 1]
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4)
+
+
+@on_both("float32", "float16")
+def test_sampling_has_the_masks_of_its_seed(
+    file: Path, image: RangeImage, device: str, precision: str
+) -> None:
+    """Mean and variance of passes that are computed one by one in float64."""
+    network = load_network(file, device, SMALL, precision, "torch")
+    found = sample(network, image, samples=6, seed=3)
+    module = read_weights(file)[0].double()
+    passes = []
+    for number in range(6):
+        generator = torch.Generator().manual_seed(pass_seed(3, number))
+        with torch.no_grad(), sampling(random_masks([generator])):
+            logits = module(torch.from_numpy(network.input(image.channels)).double())
+        passes.append(logits.softmax(1)[0].numpy())
+    tolerance = 1e-5 if precision == "float32" else 2e-2
+    np.testing.assert_allclose(found.probabilities, np.mean(passes, axis=0), atol=tolerance)
+    expected = np.var(passes, axis=0)
+    assert expected.max() > 10 * tolerance
+    np.testing.assert_allclose(found.variance, expected, atol=tolerance)
+
+
+# Training
+
+
+def learner(device: str, **changes: object) -> Learner:
+    """Return a learner of a tiny network, the same on every device."""
+    recipe = Recipe(batch=2, warm_up=0.0, dropout=0.0, epochs=2).with_changes(**changes)
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        module = TinyNetwork(3, dropout=recipe.dropout)
+    return Learner(module, recipe, CLASS_WEIGHTS, torch.device(device))
+
+
+def batch(seed: int) -> tuple[Tensor, Tensor]:
+    """Return images and, for each pixel, which of two classes it is of."""
+    random = torch.Generator().manual_seed(seed)
+    images = torch.randn(2, 5, 16, 32, generator=random)
+    return images, (images[:, 0] > 0).byte() + 1
+
+
+@on_both("float32", "bfloat16")
+def test_a_step_of_training(device: str, precision: str) -> None:
+    """The gradient of a weighted cross-entropy, and what SGD makes of it."""
+    learning = learner(device, precision=precision, lovasz=0.0, learning_rate=0.1)
+    before = copy.deepcopy(learning.module).cpu().float()
+    images, truth = batch(0)
+    loss = learning.step(images, truth, 0, STEPS)
+    expected = F.cross_entropy(before.train()(images), truth.long(), CLASS_WEIGHTS)
+    expected.backward()
+    tolerance = 1e-3 if precision == "float32" else 3e-2
+    assert loss == pytest.approx(expected.item(), rel=tolerance)
+    for mine, plainly in zip(learning.module.parameters(), before.parameters(), strict=True):
+        assert mine.grad is not None
+        assert plainly.grad is not None
+        torch.testing.assert_close(mine.grad.cpu(), plainly.grad, rtol=tolerance, atol=tolerance)
+        moved = plainly - 0.1 * (mine.grad.cpu() + 1e-4 * plainly)
+        torch.testing.assert_close(mine.detach().cpu(), moved.detach(), rtol=1e-5, atol=1e-6)
+
+
+@on_both("float32", "float16")
+@pytest.mark.parametrize("optimiser", ["sgd", "adamw"])
+def test_a_training_that_is_resumed_goes_on_as_one_that_was_not(
+    tmp_path: Path, device: str, precision: str, optimiser: str
+) -> None:
+    changes = {"precision": precision, "optimiser": optimiser, "average": 0.9, "dropout": 0.5}
+    whole, first, resumed = (learner(device, **changes) for _ in range(3))
+    for step in range(4):
+        whole.step(*batch(step), step, STEPS)
+    for step in range(2):
+        first.step(*batch(step), step, STEPS)
+    save_checkpoint(tmp_path / "c.safetensors", first, TrainingState(losses=[1.0, 2.0]))
+    assert load_checkpoint(tmp_path / "c.safetensors", resumed).losses == [1.0, 2.0]
+    for step in range(2, 4):
+        resumed.step(*batch(step), step, STEPS)
+    for one, other in ((whole.module, resumed.module), (whole.average, resumed.average)):
+        for name, tensor in one.state_dict().items():
+            torch.testing.assert_close(tensor, other.state_dict()[name], rtol=1e-3, atol=1e-5)
+    assert resumed.scaler.state_dict() == whole.scaler.state_dict()
+
+
+@on_both("float32", "bfloat16")
+@pytest.mark.usefixtures("tiny_training")
+def test_a_whole_training(tmp_path: Path, device: str, precision: str) -> None:
+    write_sequence(tmp_path / "data/sequences/00", ["0", "1", "2"], count=600)
+    write_sequence(tmp_path / "data/sequences/08", ["0"], count=600)
+    changes = {"epochs": 2, "batch": 2, "crop_width": 32, "average": 0.5, "precision": precision}
+    recipe = Recipe().with_changes(**changes)
+    result = train(tmp_path / "data", tmp_path / "run", recipe=recipe, sensor=SMALL, device=device)
+    assert [row["epoch"] for row in result.rows] == [1, 2]
+    assert all(math.isfinite(row["loss"]) and row["miou"] >= 0 for row in result.rows)
+    settings = NetworkSettings(result.best, device, engine="torch")
+    found = predict_scans(tmp_path / "data/sequences/08", tmp_path / "out", settings=settings)
+    assert not found.failures
