@@ -69,7 +69,7 @@ def _scores(sums: Counts, held: Mask) -> Ratios:
 
 def accepted_scores(sums: Counts) -> Ratios:
     """Return coverage and risk (…, 2) of class sums (…, 3, C): class 0 is no label."""
-    hits, points, _ = np.moveaxis(sums.sum(axis=-1), -1, 0)
+    hits, points = sums[..., 0, 1:].sum(axis=-1), sums[..., 1, :].sum(axis=-1)
     labelled = points - sums[..., 2, 0]
     return np.stack([ratio(labelled, points), ratio(labelled - hits, labelled)], axis=-1)
 

@@ -137,10 +137,9 @@ def scan_picture(
     sensor's place.
     """
     if reach is None:
-        distances = np.abs(points[:, :2]).max(axis=1)
-        distances = distances[(distances > 0) & np.isfinite(distances)]
-        enough = (each for each in GRIDS_M if (distances < each).mean() >= INSIDE)
-        reach = next(enough, REACH_M) if len(distances) else REACH_M
+        far = np.abs(points[:, :2]).max(axis=1)
+        far = far[(far > 0) & np.isfinite(far)]
+        reach = next((r for r in GRIDS_M if len(far) and (far < r).mean() >= INSIDE), REACH_M)
     width = NARROW_PX if len(views) == 1 else WIDTH_PX
     in_row = max(1, min(len(views), MAX_IN_A_ROW))
     size = (width - (in_row - 1) * MARGIN_PX) // in_row

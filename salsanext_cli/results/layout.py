@@ -107,10 +107,7 @@ def drive_order(file: ScanFile) -> tuple[Any, ...]:
 def find_scans(
     source: Path, sequences: Collection[str] | None = None, *, unique: bool = True
 ) -> list[ScanFile]:
-    """Find the scans of a file, folder, data set or recording, sorted by sequence and stem.
-
-    `unique`: whether several scans of one name are refused.
-    """
+    """Find the scans of a file, folder, data set or recording, sorted; of `unique` names."""
     try:
         is_file = present(source) and not source.is_dir()
         if is_file and not scan_suffix(source.name) and not recording_of(_absolute(source)):

@@ -24,6 +24,7 @@ from salsanext_cli.results.stage_records import (
     StageRecord,
     StageRecords,
     as_json,
+    merged_sources,
     require_same_settings,
 )
 
@@ -138,10 +139,7 @@ def encode_array(array: npt.NDArray[Any]) -> bytes:
 
 def _merged(recorded: StageRecord, wanted: StageRecord) -> StageRecord:
     """Return a record of what was done before with the same settings, and of what is wanted."""
-    scans = dict(recorded.scans)
-    for sequence, source in wanted.scans.items():
-        before = scans[sequence].suffixes if sequence in scans else {}
-        scans[sequence] = ScanSource(source.folder, before | source.suffixes)
+    scans = merged_sources((recorded.scans, wanted.scans))
     folders = tuple(sorted({*recorded.folders, *wanted.folders}))
     return replace(wanted, folders=folders, scans=scans, kept=wanted.kept | recorded.kept)
 

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,6 +48,15 @@ class ScanSource:
             raise TypeError
         lengths = (len(name) - len(scan_suffix(name)) for name in names)
         return cls(folder, {n[:end]: n[end:] for n, end in zip(names, lengths, strict=True)})
+
+
+def merged_sources(several: Iterable[Mapping[str, ScanSource]]) -> dict[str, ScanSource]:
+    """Return all files of each sequence."""
+    merged: dict[str, ScanSource] = {}
+    for name, source in chain.from_iterable(each.items() for each in several):
+        known = merged.get(name, source).suffixes
+        merged[name] = ScanSource(source.folder, known | source.suffixes)
+    return merged
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,12 +133,7 @@ class StageRecords:
 
     def sources(self) -> dict[str, ScanSource]:
         """Return where the scans of all stages came from, by sequence."""
-        sources: dict[str, ScanSource] = {}
-        for record in self.records().values():
-            for sequence, each in record.scans.items():
-                before = sources[sequence].suffixes if sequence in sources else {}
-                sources[sequence] = ScanSource(each.folder, before | each.suffixes)
-        return sources
+        return merged_sources(record.scans for record in self.records().values())
 
     def settings(self, stage: str) -> RecordedSettings | None:
         """Return the settings a stage ran with, None if it did not."""
