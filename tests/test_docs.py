@@ -164,7 +164,9 @@ def test_the_python_of_its_page_runs():
 
 
 READERS: dict[tuple[str, str], Callable[[str], object]] = {
-    ("sensors.md", "toml"): lambda body: Sensor.from_dict({"name": "x", **tomllib.loads(body)}),
+    ("sensors.md", "toml"): lambda body: Sensor.from_dict(
+        SMALL.to_dict() | tomllib.loads(body), "sensors.md"
+    ),
     ("train.md", "toml"): lambda body: Recipe.from_dict(tomllib.loads(body)),
     ("train.md", "yaml"): lambda body: LabelSpace.from_dict(
         label_space().to_dict() | yaml.safe_load(body)
@@ -294,7 +296,7 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
         # Messages go through the console, which escapes names, after a command in this process.
         seen.discard("errors.py")
     assert seen == {*steps, *others, "stages/predict.py", "parallel/run.py"}
-    assert len(seen) == 20
+    assert len(seen) == 21
 
 
 def test_every_link_leads_somewhere():
