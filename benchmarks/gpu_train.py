@@ -173,6 +173,8 @@ def train(
         begun = time.monotonic()
         with utilisation(figures.device) as used:
             run.fit(stream, figures.deadline - reserve_s)
+        if not run.steps:
+            raise TrainingError("training", "no time was left for a step", remedy="more --minutes")
         seconds = time.monotonic() - begun
         scenes = {kind: pool.count(kind) for kind in KINDS}
     figures.add("steps", run.steps, f"of {recipe.batch} images in {seconds:.0f} s")
