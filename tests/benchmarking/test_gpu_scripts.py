@@ -191,19 +191,19 @@ def test_a_part_that_fails_does_not_stop_the_others(tmp_path, capsys):
     assert [part["status"] for part in report["parts"].values()] == [1, 1]
     assert report["machine"]["device"] == "cpu"
     log = (tmp_path / "out/run.log").read_text()
-    assert log.count("Traceback") == 2
+    assert log.count("in work") == 2
     assert "none.safetensors" in log
     assert capsys.readouterr().out == log
 
 
 @pytest.mark.slow
 def test_every_part_runs_on_a_cpu(tmp_path):
-    for folder, part in (("pandaset", "00"), ("aachen", "a0")):
-        stems = [f"{i:06}" for i in range(12)]
-        write_sequence(tmp_path / folder / "sequences" / part, stems, count=2000)
+    stems = [f"{i:06}" for i in range(12)]
+    for sequence in ("pandaset/sequences/00", "aachen/sequences/a0", "aachen/sequences/a1"):
+        write_sequence(tmp_path / sequence, stems, count=2000)
     pack.pack([tmp_path / "pandaset", tmp_path / "aachen"], tmp_path / "p.npz")
     out = tmp_path / "out"
-    words = ("--device", "cpu", "--minutes", "5", "--small", "--pack", str(tmp_path / "p.npz"))
+    words = ("--device", "cpu", "--minutes", "4", "--small", "--pack", str(tmp_path / "p.npz"))
     assert gpu_run.main(str(out), *words) == 0, (out / "run.log").read_text()
     names = {"run.log", "report.json", "log.csv", "scores.json", "class_counts.json"}
     assert {path.name for path in out.iterdir()} == names | {
