@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """`salsanext tune`: a group of commands, one for each part of the weights that can be fitted."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,7 +33,7 @@ def tune_temperature(
     tuned = _tuned("temperature", dataset, target, settings, selection, overwrite, output)
     output.result(tuned, temperature_table(tuned))
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
-    output.say(f"tune temperature: {points} → {target}")
+    _end(output, f"tune temperature: {points} → {target}", target)
 
 
 def tune_error(
@@ -56,7 +57,7 @@ def tune_error(
     points += f", {100 * tuned['wrong']:.1f} % wrong"
     if several := tuned["several"]:
         points += f" ({several:.1%} of all skipped: labels of several classes, which eval counts)"
-    output.say(f"tune error: {points} → {target}")
+    _end(output, f"tune error: {points} → {target}", target, "--error ")
 
 
 def tune_risk(
@@ -108,7 +109,8 @@ def tune_risk(
     output.result(
         tuned, Group(kept_table(tuned["kept"]["classes"], tuned.get("classes", {})), *sentences)
     )
-    output.say(f"tune risk: {tuned['promise']} → {target}, {tuned['curve']}")
+    summary = f"tune risk: {tuned['promise']} → {target}, {tuned['curve']}"
+    _end(output, summary, target, "--reject risk ")
 
 
 def tune_dropout(
@@ -137,7 +139,16 @@ def tune_dropout(
     tuned = _tuned("dropout", dataset, target, settings, selection, overwrite, output, **rates)
     best = tuned["best"]
     output.result(tuned, rate_table(tuned["rates"], tuned["objectives"], best))
-    output.say(f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}")
+    summary = f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}"
+    _end(output, summary, target, stage="uncertainty")
+
+
+def _end(
+    output: console.Output, summary: str, target: Path, option: str = "", stage: str = "predict"
+) -> None:
+    """Print the last lines: what was fitted, and the command that most users type next."""
+    output.say(summary)
+    output.say(f"next: salsanext {stage} SCANS OUT {option}--weights {shlex.quote(str(target))}")
 
 
 def _tuned(

@@ -188,7 +188,7 @@ def test_another_temperature_leaves_the_errors_as_they_are(
         out = tmp_path / str(number)
         summary = predict_scans(world.data, out, settings=network, extras=(ERROR,)).summary
         assert summary is not None
-        expected.append(summary.expected_accuracy()[0])
+        expected.append(summary.expected_accuracy().accuracy)
         errors.append([np.load(path) for path in sorted(out.rglob("error/*.npy"))])
     for before, after in zip(*errors, strict=True):
         np.testing.assert_allclose(after, before, atol=2e-3)

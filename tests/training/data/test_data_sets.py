@@ -72,7 +72,7 @@ def roots(tmp_path: Path) -> list[Path]:
             write_sequence(tmp_path / name / "sequences" / sequence, ["0", "1"], count=3000)
     for number, path in enumerate(sorted((tmp_path / "two").glob("sequences/*/velodyne/*.bin"))):
         scan = make_scan(3000, number)
-        up = np.radians(40)
+        up = np.radians(30)
         turned = scan.points @ np.array(
             [[1, 0, 0], [0, np.cos(up), np.sin(up)], [0, -np.sin(up), np.cos(up)]], np.float32
         )
