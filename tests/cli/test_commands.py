@@ -364,7 +364,9 @@ def test_a_temperature_is_printed_and_stored(run, data, weights, tmp_path, monke
     assert before[0] == "1.0000"
     assert after[0] == f"{read_card(target).temperature:.4f}"
     assert float(after[1]) < float(before[1])
-    assert result.stderr.endswith(f" points of 2 scans → {target}\n")
+    summary, following = result.stderr.splitlines()[-2:]
+    assert summary.endswith(f" points of 2 scans → {target}")
+    assert following == f"next: salsanext predict SCANS OUT --weights {target}"
     assert "exists" in run(*arguments).stderr
     found = only_json(run(*arguments, "--overwrite", "--json", "--limit", 1))
     expected = {"stage": "tune temperature", "scans": 1, "weights": str(target)}
