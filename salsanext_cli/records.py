@@ -18,8 +18,7 @@ Double = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
-CHANNELS = ("range", "x", "y", "z", "intensity")
-"""Channels of a range image, in the published order."""
+CHANNELS = ("range", "x", "y", "z", "intensity")  # Of a range image, in the published order
 MAX_RANGE_M = MAX_INTENSITY = np.float32(1e6)
 """Largest range in metres, and largest intensity, that count as measurements of a range image."""
 

@@ -35,10 +35,8 @@ KEYS = (
     ALTERNATIVES,
 )
 MAX_UNKNOWN_SHARE = 0.1
-"""Largest share of the labelled points of a scan whose ids may be unknown where that is tolerated,
-beyond twice the standard error of a small number; of another data set it was 0.4 or more."""
-MOVING = "moving-"
-"""Start of the names of moving things, which are classes of their own over several scans only."""
+"""Largest tolerated share of points of unknown ids; other data sets had 0.4 or more."""
+MOVING = "moving-"  # Start of the names of moving things, classes of their own over several scans
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,8 +24,7 @@ BFLOAT16_ISA = {
     "avx512_bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
     "bf16": ("BF16", "FP16", "AMX", "AVX10", "ALL", "DEFAULT"),
 }
-"""Flags of processors that multiply bfloat16, of x86 and of ARM, and parts of the values of
-`ISA_VARIABLES` that leave them to the libraries."""
+"""x86 and ARM flags of bfloat16 multiplication, and the `ISA_VARIABLES` values that allow it."""
 
 log = logging.getLogger(__name__)
 

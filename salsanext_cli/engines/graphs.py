@@ -31,10 +31,8 @@ ERFC = (
     *(0.17087277, -0.82215223, 1.48851587, -1.13520398, 0.27886807),
     *(-0.18628806, 0.09678418, 0.37409196, 1.00002368, -1.26551223),
 )
-"""Coefficients of ln(erfc(x)/t) + x² in t = 1/(1 + x/2), highest power first; relative error below
-1.2e-7 (Press et al., Numerical Recipes, 1992, section 6.2)."""
-_COMPILING = threading.Lock()
-"""Held while one thread traces and compiles: tracing has state of its own in torch."""
+"""ln(erfc(x)/t) + x² in t = 1/(1 + x/2), highest power first (Numerical Recipes, 1992, 6.2)."""
+_COMPILING = threading.Lock()  # Held while a thread traces and compiles: torch has global state
 
 
 def compiled_graph(

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from salsanext_cli.sensors.sensor import Sensor
 
 AUTO = "auto"
-DEFAULT_WEIGHTS = Path("default")
-"""Name of the weights of the package; a file of that name needs an absolute path."""
+DEFAULT_WEIGHTS = Path("default")  # Of the package; a file of that name needs an absolute path
 COLUMNS_HELP = "Columns of files that do not name them, such as x,y,z,intensity,ring; _ for others."
 COLUMNS_DEFAULT = "those of the sensor, else x,y,z,intensity"
 OTHER_IMAGES = "images of %s have not the size and normalisation of training, which costs accuracy"

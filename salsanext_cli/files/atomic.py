@@ -18,10 +18,8 @@ from salsanext_cli.files.reading import present, reason
 MARK: ContextVar[str] = ContextVar("MARK", default=uuid.uuid4().hex)
 """Prefix of the temporary names of a run, so that `sweep` finds those of its killed workers."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-TEMPORARY = re.compile(r"\.(?:[0-9a-f]{32}){1,2}\.part")
-"""The names, mark and all, that unfinished files have here."""
-STALE_AFTER_S = 24 * 3600.0
-"""Seconds that an unfinished file has not been touched when its writer must be dead."""
+TEMPORARY = re.compile(r"\.(?:[0-9a-f]{32}){1,2}\.part")  # Names of unfinished files
+STALE_AFTER_S = 24 * 3600.0  # Without a change for so long, the writer of a file must be dead
 WEIGHTS_SUFFIX = ".safetensors"
 
 

@@ -15,8 +15,7 @@ import numpy.typing as npt
 from salsanext_cli.errors import FormatError, SalsanextError, error_text
 
 NO_FILE = "neither a file nor a link to one"
-PANIC = "PanicException"
-"""Error of libraries in Rust, no `Exception`, whose class no module has."""
+PANIC = "PanicException"  # Error of libraries in Rust, no `Exception`, whose class no module has
 
 
 @contextmanager

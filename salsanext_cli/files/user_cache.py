@@ -15,11 +15,9 @@ from salsanext_cli.files.atomic import sweep_stale, writing
 from salsanext_cli.version import __version__
 
 CHECKSUM_BYTES = 32
-MAX_FOLDER_BYTES = 2 << 30
-"""Size of a folder of the cache above which the files unused for longest are removed."""
+MAX_FOLDER_BYTES = 2 << 30  # Above it, the files unused for longest are removed
 
-_said: list[str] = []
-"""The one warning of this process, once it was given."""
+_said: list[str] = []  # The one warning of this process, once it was given
 
 log = logging.getLogger(__name__)
 

@@ -14,10 +14,8 @@ from salsanext_cli.files.reading import reading
 
 MAX_YAML_BYTES, MAX_TOML_BYTES = 1 << 18, 1 << 14
 """Largest files; the time to read some texts grows with the square of their length."""
-MAX_LINE_CHARACTERS = 1000
-"""Longest line of TOML; a key of thousands of parts takes hundreds of megabytes."""
-MAX_NESTED_BRACKETS = 20
-"""Deepest nesting of brackets in YAML; each makes later characters slower to read."""
+MAX_LINE_CHARACTERS = 1000  # A TOML key of thousands of parts takes hundreds of megabytes
+MAX_NESTED_BRACKETS = 20  # Each YAML bracket makes later characters slower to read
 YAML_ERRORS = (
     *(yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError),
     RecursionError,

@@ -14,21 +14,16 @@ from salsanext_cli.records import Double, Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 
 MAX_POINTS = 512  # Points that a plane is sought among, evenly taken from those near the sensor
-RANGES_M = (2.0, 25.0)
-"""Nearest and farthest of them: nearer is the vehicle itself, farther the ground bends."""
+RANGES_M = (2.0, 25.0)  # Their ranges: nearer is the vehicle itself, farther the ground bends
 TRIPLES = 2048  # Triples of points that planes are put through
 PLANES = 256  # Planes that are tried, of those that may be the ground
 MIN_AREA_M2 = np.float32(1e-3)  # Twice the least area of the triangle of a triple
 TOLERANCE_M = 0.15
 MIN_SHARE = 0.1  # Least share of the points on a plane that is called the ground
 MIN_GROUND_POINTS = 100
-MIN_HEIGHT_M = 0.4
-"""Least height of a sensor; lower, the origin of the points is not the sensor's place."""
-MIN_COSINE = 0.8
-"""Least cosine of the angle between the ground's normal and the axis of the sensor's rotation."""
-FLAT = 0.75
-"""Share of the next larger one that the mean of a coordinate of directions may have, if the sensor
-turns about that axis."""
+MIN_HEIGHT_M = 0.4  # Least height of a sensor; lower, the origin is not the sensor's place
+MIN_COSINE = 0.8  # Least cosine of the angle between the ground's normal and the rotation axis
+FLAT = 0.75  # Largest ratio of the two least mean coordinates if the sensor turns about an axis
 AXES, UPWARDS = range(3), 2  # Indices of x, y, z, and of z
 
 
@@ -128,10 +123,8 @@ def _axis_of_rotation(directions: Float) -> int | None:
 
 
 BIN_DEG = 0.02
-FINE_BINS, COARSE_BINS = 3, 51
-"""Widths of the two averages of the histogram: within a tooth, and over several."""
-DISTANCES_M = (2.0, 60.0)
-"""Nearest and farthest points: the farther, the less a place's error turns them."""
+FINE_BINS, COARSE_BINS = 3, 51  # Widths of histogram averages: within a tooth, over several
+DISTANCES_M = (2.0, 60.0)  # Nearest and farthest points: a place's error turns far ones less
 FAR_M = 15.0  # Least distance of points that tell the height whatever the place in the plane is
 ABOVE_M = (-1.0, 5.0)
 AHEAD_M = (-3.0, 3.0)
@@ -139,8 +132,7 @@ ASIDE_M = (-1.5, 1.5)
 """Box in which the sensor is sought, above the origin of the files, ahead of it and to its left."""
 STEP_OF_HEIGHT_M, STEP_M, LAST_STEP_M = 0.05, 0.25, 0.01
 MIN_SHARPNESS = 1.4
-"""Least sharpness of a comb: sensors of 32 to 128 beams had 1.8 to 20 at their place; a Livox,
-whose points are no cones, had 1.1."""
+"""Least sharpness of a comb: sensors of 32 to 128 beams had 1.8 to 20; a Livox had 1.1."""
 MIN_SHARPNESS_ELSEWHERE, MIN_GAIN = 1.6, 1.5
 """The same at another place than the origin, and the least factor between it and that at the
 origin. Of clouds of no single sensor, some place had up to 1.4, and 1.1 times the origin's; sensors
@@ -203,24 +195,17 @@ def _averaged(histogram: Double, width: int) -> Double:
 
 
 MAX_TILT_DEG = 8.0
-"""Largest angle between the ground's normal and z of a sensor that stands upright; real ones had up
-to 5°. A vehicle stands on its street, however steep that is."""
+"""Largest angle between ground normal and z of an upright sensor; real ones had up to 5°."""
 UPSIDE_DOWN_DEG = 155.0  # Least angle of a ground above the sensor
-SUPPORT = 1.5
-"""Factor by which a tilted ground must have more points than the best one that is not."""
+SUPPORT = 1.5  # Factor by which a tilted ground must have more points than the best level one
 SUPPORT_OF_CEILING = 4.0
 """The same of a ground above the sensor with a level one below it: ceilings of simulated rooms had
 up to 3.7 times the points of the floor; below sensors that hang over a street was none."""
-HEIGHTS_M = (1.0, 2.6)
-"""Least and largest height of a sensor on a vehicle; those of the real scans were 1.4 to 2.1."""
-USUAL_HEIGHT_M = 1.75
-"""Height that is assumed where the origin is on the ground and the scans do not tell it."""
-MIN_THICKNESS_M = 1.0
-"""Least extent upwards of points above the ground; less, a scanner of one plane sees that plane."""
-MIN_OFFSET_M = 0.3
-"""Least distance of a sensor from the origin that counts; optical centres lie 0.2 m off it."""
-SCANS_OF_ORIGIN, POINTS_OF_ORIGIN = 4, 8192
-"""Scans that the place of the sensor is sought with, and points of each."""
+HEIGHTS_M = (1.0, 2.6)  # Usual heights of a sensor on a vehicle; real scans had 1.4 to 2.1
+USUAL_HEIGHT_M = 1.75  # Assumed where the origin is on the ground and the scans do not show it
+MIN_THICKNESS_M = 1.0  # Least upward extent of points above the ground, else from one plane
+MIN_OFFSET_M = 0.3  # Least distance from the origin that counts; optical centres lie 0.2 m off
+SCANS_OF_ORIGIN, POINTS_OF_ORIGIN = 4, 8192  # Scans that show the origin, and points of each
 DIGITS = 3
 
 

@@ -66,8 +66,7 @@ class ScanCheck:
 
 UNCHECKED = ScanCheck()
 
-MAX_USUAL_INTENSITY = 2.0
-"""Largest upper intensity of the scale 0…1, where that of training is not known."""
+MAX_USUAL_INTENSITY = 2.0  # Upper intensity of the scale 0…1, if that of training is unknown
 APART = "label it by itself, into a folder of its own"
 SCALE_IT = "set intensity_scale in a file for --sensor"
 NAME_IT = (
@@ -76,26 +75,19 @@ NAME_IT = (
 )
 RENAME_IT = "if the files hold one of another name, rename that field to intensity"
 
-MAX_SHARE_OUTSIDE = 0.2
-"""Largest share of points outside without a warning; a matching sensor has 0.07 or less."""
-MEDIAN_RANGES_M = (0.3, 250.0)
-"""Least and largest median range of a scan in metres; real scans had 4 to 32."""
+MAX_SHARE_OUTSIDE = 0.2  # Most points outside without a warning; a matching sensor has 0.07
+MEDIAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan in metres; real scans had 4 to 32
 USUAL_RANGES_M = (60.0, 300.0)
 """Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
-MIN_FAR_M = 15.0
-"""Least usual 99 % quantile of ranges; streets had 27 m or more, a room and a hall 8 and 9 m."""
+MIN_FAR_M = 15.0  # Least usual 99 % quantile of ranges; streets had 27 m, a room and a hall 8 and 9
 MAX_VIEW_DEG = 120.0  # Largest usual field of view; that of sensors was 90° or less
-MIN_MEASURED = 0.4
-"""Least usual share of the points with a measurement; organised clouds had 0.55 or more."""
+MIN_MEASURED = 0.4  # Least usual share of measured points; organised clouds had 0.55 or more
 MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
 """Least usual share of the rows with points, more than a tenth of the average; those had 0.47."""
-MIN_SHARE_OF_GROUND = 0.15
-"""Least share of the near points on a ground that gives reason to doubt."""
+MIN_SHARE_OF_GROUND = 0.15  # Least share of the near points on a ground that gives reason to doubt
 SECTORS = 64
-MIN_SECTORS = 0.6
-"""Least share of the directions around with a point; revolutions had 0.89 or more."""
-FEW_SECTORS = 0.1
-"""Least share of a sensor that looks one way; solid-state ones had 0.14 or more."""
+MIN_SECTORS = 0.6  # Least share of the directions around with a point; revolutions had 0.89 or more
+FEW_SECTORS = 0.1  # Least share of a sensor that looks one way; solid-state ones had 0.14 or more
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
 AUTO = "--sensor auto"
 ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"

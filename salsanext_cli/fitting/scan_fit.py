@@ -37,11 +37,9 @@ Scans = Sequence[ScanFile | Scan]
 Result = TypeVar("Result")
 
 MAX_SCANS = 16  # Scans that a fit reads, evenly spaced among all of a source
-FITTED = ("name", "fov_up", "fov_down", "up", "origin")
-"""Fields of a sensor that a fit of the view changes."""
+FITTED = ("name", "fov_up", "fov_down", "up", "origin")  # Fields that a fit of the view changes
 VIEW_TOLERANCES = {"fov_up": 5.0, "fov_down": 5.0, "up": 0.1, "origin": 0.5}
-"""Differences in degrees, of a unit vector, and in metres, that fits to scans of one sensor have;
-those to halves of drives of nuScenes and to single scans differed by up to 5 degrees."""
+"""Largest differences, in degrees, of a unit vector, in metres, of fits to scans of one sensor."""
 EGO = ("min_range", "ego_box")  # Fields that it finds unless they are told
 INTENSITIES = ("auto", "match", "raw", "none")
 

@@ -13,29 +13,21 @@ from salsanext_cli.records import MAX_RANGE_M, Double, Float, Indices, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 
 DIGITS = 2
-MIN_RANGE_M = 1.0
-"""Range below which only housing and mount were seen, of four vehicles; the street began at 1.3."""
-SHARE_OF_HEIGHT = 0.8
-"""Largest minimum range, as a share of the height above the ground: a low sensor sees its floor."""
+MIN_RANGE_M = 1.0  # Only housing and mount of four vehicles were nearer; the street began at 1.3
+SHARE_OF_HEIGHT = 0.8  # Bound of the minimum range by the height: a low sensor sees its floor
 MIN_SENSOR_HEIGHT_M = 0.1  # Least height of a sensor above what can be the ground that it stands on
 FARTHEST_M = 3.0  # Farthest body of a vehicle that is sought
 MIN_SCANS = 5
 AZIMUTHS, ELEVATIONS = 120, 120  # Cells around, and from straight down to straight up
-MIN_CELLS = 5
-"""Fewest cells of a body; of SemanticKITTI's car, which is not seen, was one by chance."""
+MIN_CELLS = 5  # Fewest cells of a body; SemanticKITTI's car, which is not seen, had one by chance
 CENTRES = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS - 0.5) * np.pi
-TOLERANCE_M = 0.1
-"""Largest difference between the nearest range of a cell and its usual one, if it stays."""
-SEEN, STAYS = 0.9, 0.8
-"""Least share of the scans in which a cell of the vehicle has a point, and of those in which its
-range stays."""
-MOVING = 0.15
-"""Largest share of the farther cells above the ground whose range stays, if the vehicle moves."""
+TOLERANCE_M = 0.1  # Largest difference of the nearest range of a cell that stays
+SEEN, STAYS = 0.9, 0.8  # Least shares of the scans in which a vehicle cell has a point, and stays
+MOVING = 0.15  # Largest share of farther cells whose range stays, if the vehicle moves
 ABOVE_GROUND_M = 0.4  # Height above the ground of what is not the ground
 MARGIN_M = 0.05
 WIDEST_M = 2.6
-"""Largest of the lesser of length and width of a vehicle; wider is something beside it, and so is
-what begins more than `MIN_RANGE_M` from the axis of the sensor."""
+"""Largest width of a vehicle; what is wider, or begins beyond `MIN_RANGE_M`, is beside it."""
 
 
 def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
@@ -104,17 +96,13 @@ def _in_cells(points: Float) -> tuple[Indices, Double]:
 
 OUTLIERS = 0.001  # Share of the points above, and of those below, that no view needs to show
 SHOWN = 0.85
-"""Least share of the points that a fitted view shows; the whole view of a sensor that sees far up
-and down would make objects much lower in the image than those of training."""
-MAX_ENLARGED = 1.2
-"""Largest extent of a view of all points that is taken as it is, as a multiple of training's."""
+"""Least share of points in a fitted view; a whole view would make objects too low in the image."""
+MAX_ENLARGED = 1.2  # Largest extent of a whole view, as a multiple of training's
 PLACES = 400  # Places of a view of given extent that are tried
-NEARLY = 0.999
-"""Share of the most points in a view at which another is as good; of these, the middle one."""
+NEARLY = 0.999  # Share of the most points at which a view is as good; the middle one is taken
 MIN_VIEW_DEG = 1.0
 EDGE_DEG, BEYOND_DEG = 60.0, 5.0
-"""Farthest edge of a field of view, and angle between the horizon and one that lies beyond it, that
-are fitted; rotating sensors had 52° and 0°. Accumulated clouds are seen from no single place."""
+"""Farthest edges of a view, and of one beyond the horizon; rotating sensors had 52° and 0°."""
 MIN_VIEW_POINTS = 1000
 
 

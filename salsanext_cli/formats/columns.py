@@ -19,10 +19,8 @@ INTENSITY_NAMES = ("intensity", "scalar_intensity", "reflectivity", "reflectance
 USED_NAMES = {"x", "y", "z", *INTENSITY_NAMES}  # Names of the columns that make a scan
 MAX_SHOWN_CHARACTERS = 300
 USUAL_COLUMNS = ("x", "y", "z", "intensity")
-MAX_UNNAMED_COLUMNS = 5
-"""Most columns that are taken for the usual ones and another one: six may end in colours."""
-MAX_DISTANCE_M = 10_000.0
-"""Distance along an axis that no LiDAR measures; up to it float32 holds millimetres."""
+MAX_UNNAMED_COLUMNS = 5  # The usual ones and another: six may end in colours
+MAX_DISTANCE_M = 10_000.0  # No LiDAR measures farther; up to it float32 holds millimetres
 
 
 def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:

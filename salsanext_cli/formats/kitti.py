@@ -26,8 +26,7 @@ from salsanext_cli.sensors.sensor import UNUSED_COLUMN
 COLUMNS = 4  # x, y, z in metres, remission
 COLUMNS_WITH_RING = 5  # x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes
 GZIP_SUFFIX = ".gz"
-MAX_DECOMPRESSED_BYTES = 1 << 28
-"""Sixteen million points; a file of some hundred kilobytes could fill the memory otherwise."""
+MAX_DECOMPRESSED_BYTES = 1 << 28  # Sixteen million points
 ANEW = "write it anew as float32 x, y, z, intensity"
 MAX_CLASS = 0xFFFF  # Largest label of four bytes without an instance
 
@@ -187,16 +186,12 @@ MAGIC = {
 TEXT_SUFFIX = ".csv"
 TERRASCAN = b"\xa1\xce\x0e\x00CXYZ"  # Bytes 8 to 16 of files of TerraScan
 TEXT_BYTES = 4096  # Size of the start of a file that shows whether it is text
-MIN_TEXT_BYTES = 256
-"""Size from which on float32 values hold some of the bytes that do not occur in text."""
-MIN_ASCII_BYTES = 16
-"""The same, if all are of ASCII: as float32 they are hardly ever coordinates in metres."""
-CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")
-"""Bytes that do not occur in text; blanks, line ends and escapes do."""
+MIN_TEXT_BYTES = 256  # Size from which float32 values hold bytes that do not occur in text
+MIN_ASCII_BYTES = 16  # The same for ASCII, which is hardly ever coordinates in metres
+CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")  # Not in text
 LEAST, MOST = 1e-12, 1e7
 """Possible magnitudes of values other than 0, in metres and in any unit of intensity and time."""
-MIN_POSSIBLE_SHARE = 0.5
-"""Share of coordinates that are possible in any scan; of random bytes it is a quarter."""
+MIN_POSSIBLE_SHARE = 0.5  # Share of coordinates possible in any scan; random bytes have a quarter
 MIN_POSSIBLE_SHARE_OF_LOW = 0.42
 """The same of every second float32, of which a scanner of one plane has half, z, equal to 0."""
 MIN_POSSIBLE_SHARE_OF_FLOAT64 = 0.9
@@ -254,11 +249,9 @@ BLOCKS = 32  # Places of a file that are looked at, evenly spaced
 ROWS, VALUES = 64, 128  # Rows of each, for their order, and about so many values, for their kinds
 STEP_DEG = 5.0  # Largest difference in azimuth between points that a scanner measured in turn
 IN_TURN = 0.6
-"""Least share of such points that shows the rows to be points; in real scans it is 0.8 or more, in
-tables read with another number of columns 0.34 or less."""
+"""Least share of such points; real scans have 0.8 or more, wrong widths 0.34 or less."""
 SHARE_OF_LARGEST = 0.6
-"""Share of the largest explained variance at which a number of columns is a possible one: in real
-scans the right one has 0.97 or more, in tables of others 4 has 0.4 or less."""
+"""Least share of the largest variance; the right number of columns has 0.97 or more."""
 MIN_EXPLAINED, MIN_EXPLAINED_BY_CHANCE = 0.05, 40
 """Explained variance below which nothing is said; the second is by the number of values."""
 MIN_VARIANCE = 0.005  # Variance of a property below which it is not looked at

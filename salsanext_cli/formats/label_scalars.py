@@ -32,8 +32,7 @@ LABEL_NAMES = (
     *("semantic", "semantics", "semantic_label", "sem_class", "sem_label", "segmentation"),
 )
 """Names of scalars that hold labels, in lower case, without the prefix."""
-OF_ASPRS = "classification"
-"""Name of the scalar that holds classes of the ASPRS in LAS files, whoever made them."""
+OF_ASPRS = "classification"  # Scalar with classes of the ASPRS in LAS files
 PREFIX = "scalar_"  # Start of the names of scalars in what CloudCompare writes
 NO_VALUE = np.iinfo(np.int64).min  # Id of a point without a value, for which programs write NaN
 MAX_ID = 0xFFFFFFFF  # Largest number that a label file holds, the instance in its upper 16 bits

@@ -30,8 +30,7 @@ IN_DEGREES = re.compile(
 """Geographic coordinate system in the records of a file: the first key, or the text of a name."""
 RECORD_BYTES = 54  # Least size of a record of variable length
 COMPRESSED_SUFFIX = ".laz"
-MAX_POINTS_PER_BYTE = 16
-"""Largest number of points for a byte of compressed data; of a LiDAR's each takes some bytes."""
+MAX_POINTS_PER_BYTE = 16  # Of compressed data; a LiDAR's points take some bytes each
 INTENSITY_RANGE = 65535
 EXACT_INTENSITY = "scalar_intensity"
 """Extra dimension with the intensity as a float, which the standard one rounds to 16 bits."""

@@ -16,8 +16,7 @@ from salsanext_cli.files.reading import read_values, reading, refusing_damage, s
 from salsanext_cli.records import Float, Mask
 
 MAX_HEADER_BYTES = 1024  # Largest header; that of an array with a few dimensions has 128
-ROUNDING = 0.01
-"""Largest deviation of a sum over the classes from 1; that by float16 is a tenth of it."""
+ROUNDING = 0.01  # Largest deviation of a sum over the classes from 1; float16 has a tenth of it
 
 
 def load_array(file: BufferedIOBase, size: int, path: Path, expected: str) -> npt.NDArray[Any]:

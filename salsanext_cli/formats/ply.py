@@ -17,8 +17,7 @@ from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats.columns import Columns
 
 MAX_HEADER_BYTES = 1 << 20
-COUNT = re.compile(rb"(?:^|[\r\n])\s*element\s+\S+\s+(\S+)")
-"""Number of elements of a kind, in a line of a header."""
+COUNT = re.compile(rb"(?:^|[\r\n])\s*element\s+\S+\s+(\S+)")  # Number of elements of a kind
 VERTICES = re.compile(rb"(?:^|[\r\n])\s*element\s+vertex\s")
 BLANKS = re.compile(rb"[ \t]+(?=[\r\n])")  # Blanks at the end of a line, which plyfile refuses
 

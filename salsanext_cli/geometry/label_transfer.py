@@ -13,15 +13,11 @@ import numpy.typing as npt
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.records import Double, Float, Indices, Mask
 
-TOLERANCE_M = 1e-3
-"""Largest distance between a point and its copy; millimetres rounded per axis differ by 0.87."""
-MAX_NEIGHBOURS = 16
-"""Places that are looked at around a point, the nearest ones; no LiDAR resolves so many."""
-CLASS = np.uint32(0xFFFF)
-"""Bits of a label that are the class; the others are the instance, 0 for none."""
+TOLERANCE_M = 1e-3  # Distance of a copy; millimetres rounded per axis differ by 0.87
+MAX_NEIGHBOURS = 16  # Nearest places around a point; no LiDAR resolves so many
+CLASS = np.uint32(0xFFFF)  # Bits of a label that are the class; the others are the instance
 NO_INSTANCE = np.uint32(1 << 16)  # Above every instance
-NOTHING = np.iinfo(np.int64).max
-"""Lowest of no labels; the highest is -1, below it, while that of several is above."""
+NOTHING = np.iinfo(np.int64).max  # Lowest of no labels; the highest is -1, below it
 
 Labels = npt.NDArray[np.uint32]
 

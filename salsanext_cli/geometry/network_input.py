@@ -18,24 +18,17 @@ from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
 QUANTILE_DIGITS = 6  # Significant digits of a quantile
 BRIGHT = 0.95  # Quantile of the upper intensities, which tell the scale
 INTENSITY_FACTOR = 4.0  # Largest factor between the upper intensities of scans of one scale
-NO_INTENSITY = (0.0,) * INTENSITY_LEVELS
-"""Quantiles that stand for scans without intensity: everything is mapped to the mean."""
+NO_INTENSITY = (0.0,) * INTENSITY_LEVELS  # Quantiles that map scans without intensity to the mean
 MIN_PIXELS = 1000  # Fewest pixels of a scan whose quantiles count, unless all scans have fewer
-SAMPLE = 1024
-"""Points of a scan that are looked at; few, so that neighbours in the sample are no neighbours."""
+SAMPLE = 1024  # Points of a scan that are looked at, so few that they are no neighbours
 MIN_INTENSITY_POINTS = 100  # Fewest points with an intensity of which something is said
-MAX_UNUSABLE = 0.05
-"""Largest share of points without a usable intensity; real scans had none."""
-MAX_EQUAL = 0.95
-"""Largest share of points of the same intensity; real scans had 0.16 or less."""
+MAX_UNUSABLE = 0.05  # Largest share of points without a usable intensity; real scans had none
+MAX_EQUAL = 0.95  # Largest share of points of the same intensity; real scans had 0.16 or less
 MAX_DEPENDENCE = 0.9
-"""Largest `dependence` of an intensity on range, elevation, azimuth or order of the points: real
-ones had 0.51 or less, narrow sectors of a street 0.88; columns of ranges, rings and times had 0.95
-or more."""
+"""Largest `dependence` of an intensity on range, direction, order; real ones had 0.88 or less."""
 MAX_GAP = 6  # Most rows of a gap; larger ones are sky, or beams that returned nothing
 FILLED_ROWS = 2  # Rows within which a gap is filled: one more or less is worse on most scans
-MORE_GAPS = 0.08
-"""Difference to the gaps of training above which filling them makes labels better."""
+MORE_GAPS = 0.08  # Further gaps than in training above which filling makes labels better
 GAP_DIGITS = 4
 
 

@@ -16,18 +16,15 @@ from salsanext_cli.records import MAX_INTENSITY, Double, Float, Indices, Scan
 from salsanext_cli.sensors.sensor import Sensor
 
 NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)
-"""Elevations between which points are counted. Below them every beam meets the ground, wherever the
-sensor is; above, it may meet the sky."""
+"""Elevations between which points are counted: below the sky, beams meet the ground everywhere."""
 NODES = len(NODES_DEG) - 1  # Number of elevations around which points are counted
 MIN_TRAIT_POINTS = 100  # Fewest points with a measurement that show traits
 MIN_SHARE = 0.02  # Points around an elevation, as a share of all, up to which they do not count
 DENSITY_FACTOR = 1.5
-"""Least factor between the numbers of points that two sensors have around an elevation; scans of
-one sensor had up to 1.27, the two most similar sensors 1.77."""
+"""Least factor between sensors; scans of one had up to 1.27, the most similar sensors 1.77."""
 POINTS_FACTOR = 4.0  # The same for all their points, of which the sky leaves more or less
 SHARES_FACTOR = 1.35
-"""The same for the shares of the points around an elevation, which stay where a scan is cut off or
-thinned out; two sensors had 1.4 or more."""
+"""The same for shares of points, which stay in cut or thinned scans; sensors had 1.4 or more."""
 FACTORS = (*[DENSITY_FACTOR] * NODES, POINTS_FACTOR, INTENSITY_FACTOR, *[SHARES_FACTOR] * NODES)
 DIGITS = 6
 

@@ -25,18 +25,15 @@ from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.version import __version__
 
-KEY = "salsanext"
-"""The one key of the header: safetensors writes several in an order drawn anew each time."""
+KEY = "salsanext"  # The only key: safetensors writes several in an order drawn each time
 FORMAT = "salsanext-2"
-TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")
-"""Parts of a card that are mappings."""
+TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")  # Mappings of a card
 FITTED = {"risk": ("threshold", "at_most", "scans"), "accuracy": ("slope", "offset", "deviation")}
 """Parts that are mappings and may be absent, and the numbers that each holds."""
 OF_ERROR = re.compile(r"The error is fitted to ([^.]*)\. ?")
 """Sentence on the error model in the description of older files."""
 ONNX_SUFFIX = ".onnx"
-DIGITS = 24
-"""Hexadecimal digits of a digest: by chance, two of 20 000 scans agree once in 10¹¹ cases."""
+DIGITS = 24  # Of a digest: by chance, two of 20 000 scans agree once in 10¹¹ cases
 
 
 def scan_digest(scan: Scan) -> str:

@@ -32,8 +32,7 @@ UNREADABLE = (
     *(RecursionError, RuntimeError, TypeError, ValueError, UnpicklingError, struct.error),
 )
 """Errors over bytes that `torch.save` did not write."""
-MAX_IGNORED = 64
-"""Names of classes and functions that a checkpoint may mention beside its tensors."""
+MAX_IGNORED = 64  # Names of classes and functions that a checkpoint may mention beside its tensors
 BUILTINS = ("builtins", "__builtin__")
 UNKNOWN_NAME = re.compile(r"GLOBAL ([\w.]+)")
 

@@ -10,8 +10,7 @@ from salsanext_cli.network import salsanext
 from salsanext_cli.network.rangenet53 import RangeNet53
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
-NUMBERS = frozenset({"class_count", "dropout"})
-"""Numbers that a weights file may give of a network."""
+NUMBERS = frozenset({"class_count", "dropout"})  # That a weights file may give of a network
 
 
 def _of(design: salsanext.Design) -> Callable[..., SegmentationNetwork]:

@@ -19,8 +19,7 @@ from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.parallel.worker import CHUNKS_IN_FLIGHT, WorkerPool
 
-CONNECT_TIMEOUT_S = 15
-"""Time for a scheduler to answer, and for a first worker to come; Ray itself waits for minutes."""
+CONNECT_TIMEOUT_S = 15  # For a scheduler and a first worker; Ray itself waits for minutes
 RESULT_TIMEOUT_S = 3.0
 
 

@@ -18,10 +18,8 @@ from salsanext_cli.options import option, option_group
 if TYPE_CHECKING:
     from salsanext_cli.results.layout import ScanFile
 
-CLUSTERS = ("dask", "ray")
-"""Backends whose workers may be on other machines."""
-Progress = Callable[[int, int], None]
-"""Called with the number of scans done and the number of scans to do."""
+CLUSTERS = ("dask", "ray")  # Backends whose workers may be on other machines
+Progress = Callable[[int, int], None]  # Called with the numbers of scans done and to do
 SLURM_PREFIX = "SLURM_ARRAY_TASK_"
 
 log = logging.getLogger(__name__)

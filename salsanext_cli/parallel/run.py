@@ -67,10 +67,8 @@ HARMLESS_WARNINGS = (
 
 MAX_CHUNK_SCANS = 16
 """Bound of the work that is lost with a worker, and of the scans between signs of progress."""
-MIN_CHUNKS_PER_WORKER = 4
-"""Lower bound, so that the last chunks end at about the same time."""
-MAX_BATCH_SCANS = 16
-"""Scans computed together on a GPU; as many as a worker is sent together."""
+MIN_CHUNKS_PER_WORKER = 4  # Lower bound, so that the last chunks end about together
+MAX_BATCH_SCANS = 16  # Scans computed together on a GPU, as many as a worker is sent
 
 ScanSteps = Generator[Any, Any, Any]
 """Work on a scan: yields when the scan is read, when its results are computed, and the result."""

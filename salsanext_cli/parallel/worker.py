@@ -23,15 +23,12 @@ from salsanext_cli.files.atomic import MARK
 from salsanext_cli.parallel.options import RunOptions, cores, threads_of_workers, use_threads
 from salsanext_cli.results.layout import ScanFile
 
-CHUNKS_IN_FLIGHT = 2
-"""Chunks sent for each worker, so that the next one is there when one is done."""
+CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is there when one is done
 POLL_INTERVAL_S = 1.0
 THREAD_TIMEOUT_S = 10.0
 
-Chunk = tuple[ScanFile, ...]
-"""Scans that a worker is sent together."""
-Attempt = tuple[ScanFile, Any, SalsanextError | None]
-"""A scan, its result, and the error if there is none."""
+Chunk = tuple[ScanFile, ...]  # Scans that a worker is sent together
+Attempt = tuple[ScanFile, Any, SalsanextError | None]  # A scan, its result, its error
 AttemptFunction = Callable[[Iterable[ScanFile]], Iterator[Attempt]]
 """Works on scans in turn; a scan that fails is an attempt with an error."""
 

@@ -16,32 +16,28 @@ from typing import Any
 from salsanext_cli.errors import UsageError, quoted, shortened
 from salsanext_cli.files.yaml_toml import are_numbers, read_toml, refuse_unknown
 
-MAX_PIXELS = 1 << 21
-"""Largest range image, in pixels: 64×32768, eight times that of the finest sensor."""
+MAX_PIXELS = 1 << 21  # Largest range image: 64×32768, eight times the finest sensor
 BYTES_PER_PIXEL = 1000  # Approximate memory of a network per pixel
 MAX_NUMBER = 1e6
 """Bound of means, deviations and scales, in metres and units of intensity, and of their inverse."""
 SCALES = f"from {1 / MAX_NUMBER:g} to {MAX_NUMBER:g}"
 NOISE = ("range_noise", "intensity_noise")
 MIN_LENGTH = 1e-3  # Least length of a vector that tells a direction
-INTENSITY_LEVELS = 65
-"""Quantiles of intensity, evenly spaced from the smallest to the largest value."""
+INTENSITY_LEVELS = 65  # Quantiles of intensity, evenly spaced
 BOX_EXPECTED = "six numbers in metres, the least x, y, z and then the largest, or none"
 MAX_COLUMNS = 64
 COLUMNS_EXPECTED = (
     f"up to {MAX_COLUMNS} different names in lower case, with x, y and z, "
     "such as x,y,z,intensity,ring"
 )
-UNUSED_COLUMN = "_"
-"""Name of a column that means nothing; the only one that may occur more than once."""
+UNUSED_COLUMN = "_"  # Name of columns without meaning; only it may occur twice
 
 SEMANTIC_KITTI_MEANS = (12.12, 10.88, 0.23, -1.04, 0.21)
 SEMANTIC_KITTI_STDS = (12.32, 11.47, 6.91, 0.86, 0.16)
 NO_VIEW = ("name", *NOISE, "intensity_quantiles", "row_gaps", "traits")
 OF_IMAGES = ("height", "width", "means", "stds")
 """Fields that a network depends on, not a sensor: size and normalisation of its images."""
-OF_DEVICE = ("name", "intensity_scale", *NOISE)
-"""Fields of a built-in sensor that hold whatever the range images of a network are."""
+OF_DEVICE = ("name", "intensity_scale", *NOISE)  # Fields of a built-in sensor for any images
 UP = (0.0, 0.0, 1.0)  # Direction of the z axis, away from the ground
 ORIGIN = (0.0, 0.0, 0.0)
 FITTED_NAME = "fitted"  # Name of a sensor whose view or mounting was found from scans

@@ -14,8 +14,7 @@ _FILE = resources.files("salsanext_cli").joinpath("presets/streets.toml")
 _TABLES = tomllib.loads(_FILE.read_text("utf-8"))
 
 
-Numbers = SimpleNamespace
-"""Numbers of one table as attributes; the file says what each is."""
+Numbers = SimpleNamespace  # Numbers of one table as attributes; the file documents them
 
 
 def weighted_choice(rng: Rng, weights: Mapping[str, float]) -> str:

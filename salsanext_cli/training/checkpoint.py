@@ -23,8 +23,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row
 
-KEY = "salsanext-checkpoint"
-"""The one key of the header: safetensors writes several in an order drawn anew each time."""
+KEY = "salsanext-checkpoint"  # The only key, as in weights files
 DAMAGE = (safetensors.SafetensorError, OSError, LookupError, RuntimeError, TypeError, ValueError)
 """Errors that reading a damaged checkpoint may end in."""
 OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}

@@ -33,8 +33,7 @@ from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG
 from salsanext_cli.training.tuning.temperature import best_temperature
 
 SAVE_INTERVAL_S = 600.0  # Seconds between two checkpoints within an epoch
-MAX_VALIDATED_POINTS = 200_000
-"""Bound of the points of a validation whose logits the temperature is fitted to."""
+MAX_VALIDATED_POINTS = 200_000  # Points of a validation that the temperature is fitted to
 
 log = logging.getLogger(__name__)
 

@@ -18,8 +18,7 @@ from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, dat
 from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.recipe import Recipe
 
-BFLOAT16_CAPABILITY = 8
-"""Lowest compute capability (major) of GPUs that compute in bfloat16: Ampere."""
+BFLOAT16_CAPABILITY = 8  # Lowest compute capability (major) with bfloat16: Ampere
 DROPOUT = 2  # Purpose of the generator of dropout, a part of its seed beside those of `dataset`
 ONE_CYCLE_START, ONE_CYCLE_END = 1 / 25, 1 / 250_000
 """Learning rate at both ends of a one-cycle schedule, as shares of its peak."""

@@ -14,8 +14,7 @@ from salsanext_cli.errors import UsageError, shortened
 from salsanext_cli.files.yaml_toml import read_toml, refuse_unknown
 
 BUILT_IN = resources.files("salsanext_cli").joinpath("presets/recipes")
-MAX_INTEGER = 2**53
-"""Bound of whole numbers in place of others: floats are no longer exact beyond."""
+MAX_INTEGER = 2**53  # Beyond it, floats are no longer exact
 KINDS = {int: "a whole number", float: "a number", str: "a word"}  # Names of the types of keys
 
 Positive = Annotated[int, ("at least 1", lambda value: value >= 1)]

@@ -21,17 +21,13 @@ from salsanext_cli.compiled import parallel_for
 
 NODES = 12  # Nodes of the Gauss-Hermite quadrature of the logistic function
 CHUNK_SIZE = 1 << 15
-"""Numbers per step on a CPU: so few that torch does not divide them among threads, which would
-round some of them otherwise, and that what lies between stays in the cache."""
+"""Numbers per step on a CPU: too few to share among threads, which would round differently."""
 MAX_DEVIATIONS = 12.0
-"""Standard deviations from the kink beyond which what is on the other side changes no float64;
-farther out are numbers so small that computing with them takes many times as long."""
-Groups = Sequence[Sequence[int]]
-"""Classes that are merged into each of fewer; none into some of them."""
+"""Standard deviations from the kink beyond which the other side changes no float64."""
+Groups = Sequence[Sequence[int]]  # Classes merged into each of fewer; none into some
 MIN_DIVISOR = 1e-30  # Least divisor: what it divides is 0 where it acts
 DAMPING = 0.15
-"""Damping of a shift of second order, so that for large v it grows like √v, as the largest of
-several Gaussians does."""
+"""Damping of a second-order shift, so that it grows like √v for large v."""
 
 
 def leaky_relu_moments(mean: Tensor, variance: Tensor, slope: float) -> tuple[Tensor, Tensor]:

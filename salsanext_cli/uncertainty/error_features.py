@@ -18,8 +18,7 @@ from salsanext_cli.uncertainty.estimate import entropy
 
 ROWS, COLUMNS, STEP = 4, 8, 2
 """Pixels of the window on each side, of which every second row and column counts."""
-NEAR_M, NEAR_SHARE = 1.0, 0.05
-"""Ranges that differ by less, or by this share, are of the same surface."""
+NEAR_M, NEAR_SHARE = 1.0, 0.05  # Ranges of one surface differ less, or by less than this share
 COST = 8  # Time that a window takes, in those of a point's projection
 
 

@@ -17,8 +17,7 @@ from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import require_samples, sample, scan_seed
 
 EPISTEMIC_KINDS = ("epistemic", "entropy", "mutual_information")
-ALEATORIC_KINDS = ("aleatoric", "total")
-"""Kinds of uncertainty; the second ones need the sensor's noise."""
+ALEATORIC_KINDS = ("aleatoric", "total")  # These need the sensor's noise
 METHODS = ("sampling", "analytic")
 ALEATORIC_METHODS = ("copies", "paper", "none")
 

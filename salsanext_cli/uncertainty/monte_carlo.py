@@ -19,8 +19,7 @@ from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Double, Float, RangeImage
 from salsanext_cli.uncertainty.estimate import Estimate, entropy
 
-PASSES_PER_THREAD = 4
-"""Passes that a thread computes before they are added up, in the order of their numbers."""
+PASSES_PER_THREAD = 4  # Passes before results are added up, in order
 
 
 class PassStatistics:

@@ -13,8 +13,7 @@ from salsanext_cli.synthesis.things import boundaries, buildings, furniture, peo
 from salsanext_cli.synthesis.things.vehicles import car, length_of, truck, vehicle
 
 CAR_ROOM_M = 5.2  # Distance from the kerb to the house that a car in the driveway needs
-SOLID_M = 1.5
-"""Largest height of a wall or boards around a lot; higher walls are rarely labelled fence."""
+SOLID_M = 1.5  # Height of walls around a lot; higher ones are rarely labelled fence
 Span = tuple[float, float]
 Maker = Callable[[float], Mesh]  # Returns a piece of something long from its length in metres
 

@@ -8,8 +8,7 @@ from salsanext_cli.synthesis.surfaces import BICYCLE, BICYCLIST, MOTORCYCLE, MOT
 from salsanext_cli.synthesis.things.people import limb
 from salsanext_cli.synthesis.things.vehicles import dark_paint
 
-TYRE_SHADE = 3.0
-"""Brighter than rubber of cars; on a street no shade is more than the presets' most, 2.2."""
+TYRE_SHADE = 3.0  # Brighter than car tyres; in a street no shade exceeds 2.2
 WHEEL_M = 0.34  # Radius of a bicycle's wheel
 AXLE_M = 0.52  # Half the distance between the axles of a bicycle
 

@@ -7,8 +7,7 @@ from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, ellipsoid, face
 from salsanext_cli.synthesis.surfaces import TRUNK, VEGETATION, Material
 
 THIN_M = 0.06  # Largest radius of a stem that is a branch, not a trunk
-FOOT_M = -0.4
-"""Height of the foot of trunks, stems and hedges: below the ground, which is not level."""
+FOOT_M = -0.4  # Height of the foot of trunks and stems, below the uneven ground
 
 
 def leaf_skin(rng: Rng) -> Skin:

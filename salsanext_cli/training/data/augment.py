@@ -29,10 +29,8 @@ KINDS = ((True, False), (False, True), (True, True))
 """Kinds of checkerboards, of several bands or sectors or both: LaserMix, PolarMix, boxes."""
 MIN_BANDS, MAX_BANDS = 2, 6
 MAX_SECTOR_PAIRS = 3
-PASTED_COPIES = 2
-"""Number of times that rare points are pasted, each time turned by another angle."""
-CLEAR_RADIUS_M = 3.0
-"""Radius in metres around the sensor where nothing is pasted: the vehicle is there."""
+PASTED_COPIES = 2  # Copies of pasted rare points, each at another angle
+CLEAR_RADIUS_M = 3.0  # Nothing is pasted within it: the vehicle is there
 
 
 def augment(labelled: LabelledScan, recipe: Recipe, random: np.random.Generator) -> LabelledScan:

@@ -38,8 +38,7 @@ ORDER, SAMPLE = 0, 1
 """Purposes of generators, of orders and of samples: parts of their seeds beside `DROPOUT`."""
 
 SampleKey = tuple[int, int]  # Position of a sample in the whole training, index of its scan
-Sample = tuple[Float, TrainIds, int]
-"""Normalised image (5, H, W), targets (H, W), index of the scan."""
+Sample = tuple[Float, TrainIds, int]  # Normalised image (5, H, W), targets (H, W), scan index
 Batch = tuple[Tensor, Tensor, Tensor]
 """Normalised images (B, 5, H, W), targets (B, H, W) uint8, indices of the scans (B,) int64."""
 

@@ -21,25 +21,21 @@ from salsanext_cli.training.data.augment import shift
 Rng = np.random.Generator
 
 LOG_GAIN, LOG_GAMMA, RANGE_POWER, OFFSET = 0.3, 0.3, 0.15, 0.05
-"""Standard deviations of what intensities are changed by: log of gain and of exponent, power of the
-range, and offset."""
+"""Standard deviations of log gain, log exponent, power of the range, and offset of intensities."""
 RESPONSE_RANGE_M = 10.0  # Range at which a power of the range changes nothing
 LOWERED_M, RAISED_M = 0.55, 0.9  # Largest distances that a sensor is moved down and up
 TILT_DEG = 1.0  # Standard deviation of the angle that a sensor is tilted by
 EDGE_SHIFT_DEG, EDGE_SHIFT = 6.0, 0.25
-"""Largest shift of an edge of the view, in degrees and as a share of the view, so that the edges
-never meet."""
+"""Largest shift of an edge, in degrees and as a share of the view: the edges never meet."""
 MIN_ROWS, MAX_ROWS = 0.25, 0.75  # Bounds of the share of rows that are kept
-MAX_RUN = 4
-"""Most pixels between two measured ones of a row of which the holes among them are counted."""
+MAX_RUN = 4  # Most pixels of a hole between two measured ones of a row
 EDGE_RATIO = 1.1  # Ratio of the ranges on both sides above which there is an edge between them
 RANGE_EDGES_M = (5.0, 10.0, 20.0, 40.0)  # Bounds of the bins of the range on the nearer side
 HOLE_SHARES = np.array([[0.064, 0.026, 0.026, 0.051, 0.067], [0.119, 0.114, 0.115, 0.149, 0.176]])
 """Share of holes on surfaces and at edges, by range."""
 CONTINUED = 0.42  # Share of holes whose neighbour to the right is a hole, too
 MAX_HOLES = 2.0  # Largest factor of the shares: that of the sensor with the most holes, OS2-32
-MAX_JITTER_M = 0.03
-"""Largest standard deviation of positions: of ranges it is what makers state as typical."""
+MAX_JITTER_M = 0.03  # Largest standard deviation of positions, typical for ranges
 
 
 def change_intensity(scan: Scan, bright: float, random: Rng) -> Scan:

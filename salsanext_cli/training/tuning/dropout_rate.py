@@ -19,8 +19,7 @@ from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan_seed
 
 MIN_VARIANCE = 1e-4
-"""Lower bound of a variance, (1 % of probability)²: else a few points that are sure and wrong would
-weigh more than all others."""
+"""(1 % of probability)²: a few sure and wrong points must not weigh more than all others."""
 SAMPLES = 30  # Passes per scan and rate
 LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10  # Ends of the range of rates, and their number
 

@@ -35,8 +35,7 @@ from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
 CURVE_POINTS = 101
-MAX_LISTED = 5
-"""Most sequences left out that are listed, those with most wrong labels."""
+MAX_LISTED = 5  # Held-out sequences that are listed, those with most wrong labels
 
 log = logging.getLogger(__name__)
 

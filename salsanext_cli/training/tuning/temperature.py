@@ -20,8 +20,7 @@ from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
-MAX_LOGITS = 4_000_000
-"""Bound of the number of logits, 32 MB in float64: 200 000 points with 20 classes."""
+MAX_LOGITS = 4_000_000  # 32 MB in float64: 200 000 points with 20 classes
 SEED = 0  # Seed of the choice of points that are kept
 
 Points = tuple[Tensor, Tensor]  # Their logits (M, C) float32, and train ids (M,) int64
