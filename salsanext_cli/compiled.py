@@ -32,13 +32,7 @@ MAX_THREADS = 256  # Size of the pool, which starts only as many threads as are 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Item = TypeVar("Item")
 CACHE_ERRORS = (
-    AttributeError,
-    ImportError,
-    OSError,
-    PickleError,
-    RuntimeError,
-    TypeError,
-    ValueError,
+    *(AttributeError, ImportError, OSError, PickleError, RuntimeError, TypeError, ValueError),
 )
 """Raised where no folder can be written, and by code of another version of llvmlite."""
 MIN_SLICE_ITEMS = 16384  # Number below which a second thread costs more than it saves

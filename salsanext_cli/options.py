@@ -101,12 +101,9 @@ class KnnParameters:
 
     def __post_init__(self) -> None:
         window, most = self.window, self.window**2
+        is_odd = 1 <= window <= MAX_WINDOW_PX and window % 2 == 1
         conditions = (
-            (
-                "window",
-                1 <= window <= MAX_WINDOW_PX and window % 2 == 1,
-                f"an odd window from 1 to {MAX_WINDOW_PX}",
-            ),
+            ("window", is_odd, f"an odd window from 1 to {MAX_WINDOW_PX}"),
             ("k", 1 <= self.k <= most, f"1 ≤ k ≤ {most} neighbours in a window of {window}"),
             ("sigma", 0 < self.sigma < math.inf, "a finite sigma above 0 pixels"),
             ("cutoff", self.cutoff >= 0, "a cutoff ≥ 0 metres"),
@@ -131,7 +128,5 @@ class FusionReach:
 
     def __post_init__(self) -> None:
         if not 0 <= self.movable_reach <= self.reach <= MAX_REACH:
-            found = f"{self.movable_reach} of {self.reach} scans"
-            raise UsageError(
-                "--reach and --movable-reach", found, f"0 ≤ movable ≤ reach ≤ {MAX_REACH}"
-            )
+            found, expected = f"{self.movable_reach} of {self.reach} scans", "0 ≤ movable ≤ reach"
+            raise UsageError("--reach and --movable-reach", found, f"{expected} ≤ {MAX_REACH}")

@@ -112,7 +112,7 @@ class LabelSpace:
         train: TrainIds = self._train_of_raw[raw & 0xFFFF]
         unknown = train == UNKNOWN
         if count := np.count_nonzero(unknown):
-            certain = count - 2 * count**0.5
+            certain = count - 2 * count**0.5  # less two standard errors of a small number
             if strict or certain > MAX_UNKNOWN_SHARE * np.count_nonzero(train):
                 raise self._unknown(raw, source)
             train[unknown] = 0

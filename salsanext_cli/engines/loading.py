@@ -160,12 +160,6 @@ def _load_onnx(
         raise UsageError("--device", f"{device} for an ONNX model", "cpu, or .safetensors weights")
     if engine == "torch":
         raise UsageError("--engine", "torch for an ONNX model", "openvino, or .safetensors weights")
-
-    def no_module() -> "SegmentationNetwork":
-        from salsanext_cli.network.weights import read_weights
-
-        return read_weights(path)[0]  # raises what is to be said
-
     number_type = choose_precision(precision, "cpu")
     try:
         library = choose_engine("openvino", "cpu")
@@ -173,6 +167,10 @@ def _load_onnx(
         remedy = "install it again, or give the .safetensors weights"
         raise MissingDependency(error.subject, error.found, remedy=remedy) from error
     sha256 = fingerprint(path)
+
+    def no_module() -> "SegmentationNetwork":
+        return _read_module(path, "cpu", sha256)  # raises what is to be said
+
     loaded = OnnxEngine(
         no_module, card, size, "cpu", number_type, library, str(path), sha256, path=path
     )

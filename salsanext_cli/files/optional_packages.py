@@ -31,12 +31,17 @@ def import_open3d() -> Any:
 
 def import_extra(name: str, extra: str) -> Any:
     """Import a package that comes with an extra of this one."""
+    return import_package(name, f"'salsanext[{extra}]'")
+
+
+def import_package(name: str, installed_with: str = "") -> Any:
+    """Import a package; an error says what to install."""
     try:
         return import_module(name)
     except ImportError as error:
         missing = error.name in (name, name.partition(".")[0])
         found = "not installed" if missing else f"cannot be imported: {error}"
-        remedy = f"pip install 'salsanext[{extra}]'"
+        remedy = f"pip install {installed_with or name}"
         raise MissingDependency(name, found, remedy=remedy) from error
 
 

@@ -102,10 +102,8 @@ def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> 
     images = [replace(each, means=wanted.means, stds=wanted.stds) for each in projected.members]
     pairs = zip(images, fits, strict=False)
     if changed := next(filter(None, (differences(a.view(), b.view()) for a, b in pairs)), ""):
-        raise UsageError(
-            folder,
-            f"range images of {projected.name}, {projected.height}×{projected.width}: {changed}",
-            "those that the weights or --sensor say",
-            "project again, or give the sensor that was projected with",
-        )
+        size = f"{projected.height}×{projected.width}"
+        found = f"range images of {projected.name}, {size}: {changed}"
+        remedy = "project again, or give the sensor that was projected with"
+        raise UsageError(folder, found, "those that the weights or --sensor say", remedy)
     return replace(fits[0], others=tuple(fits[1:]))

@@ -108,10 +108,7 @@ def _heights(points: Float, normals: Float, offsets: Float) -> Float:
     # A matrix product would leave threads behind that take the processors from the network.
     x, y, z = np.ascontiguousarray(points.T)
     of_x, of_y, of_z = normals.T[:, :, None]
-    heights: Float = of_x * x
-    heights += of_y * y
-    heights += of_z * z
-    heights -= offsets[:, None]
+    heights: Float = of_x * x + of_y * y + of_z * z - offsets[:, None]
     return heights
 
 

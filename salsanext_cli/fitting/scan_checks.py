@@ -196,12 +196,9 @@ def _require_metres(path: Path, count: int, ranges: Double) -> None:
         return
     median, (least, most) = float(np.median(ranges)), MEDIAN_RANGES_M
     if not least <= median <= most:
-        raise FormatError(
-            path,
-            f"a median range of {median:.3g} m",
-            "coordinates in metres, with the sensor at the origin",
-            "convert millimetres or centimetres; take the sensor's place off map coordinates",
-        )
+        expected = "coordinates in metres, with the sensor at the origin"
+        remedy = "convert millimetres or centimetres; take the sensor's place off map coordinates"
+        raise FormatError(path, f"a median range of {median:.3g} m", expected, remedy)
 
 
 def _of_units(ranges: Double, measured: float, sensor: Sensor) -> Iterator[Finding]:

@@ -28,7 +28,7 @@ def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
     points = coordinates(columns, path)
     _require_near_origin(points, path)
     require_no_matrix(points, path)
-    known = {name.lower(): values for name, values in columns.items() if values.dtype.kind in "iuf"}
+    known = _numbers(columns)
     intensities = (known[name] for name in INTENSITY_NAMES if name in known)
     intensity = next(intensities, np.zeros(len(points), np.float32))
     return Scan(points, normalised_intensity(intensity, intensity_scale))
@@ -36,13 +36,16 @@ def scan_of(columns: Columns, path: Path, intensity_scale: float) -> Scan:
 
 def coordinates(columns: Columns, path: Path) -> Float:
     """Return the columns x, y, z, in upper or lower case, as points (N, 3) float32 in metres."""
-    numbers = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
-    by_axis = {name.lower(): values for name, values in numbers.items()}
+    by_axis = _numbers(columns)
     if missing := [axis for axis in "xyz" if axis not in by_axis]:
         raise FormatError(path, f"points of {listed(columns)}", f"also {', '.join(missing)}")
     # float64 beyond float32 becomes infinity, and a NaN may signal; neither is a measurement.
     with np.errstate(over="ignore", invalid="ignore"):
         return np.column_stack([by_axis[axis].astype(np.float32) for axis in "xyz"])
+
+
+def _numbers(columns: Columns) -> Columns:
+    return {name.lower(): values for name, values in columns.items() if values.dtype.kind in "iuf"}
 
 
 def listed(columns: Columns) -> str:
@@ -67,12 +70,9 @@ def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[st
         remedy = "give the scan itself, if these are labels or other values of its points"
         raise FormatError(path, counted(count, "column"), "x, y, z at least", remedy)
     if count > MAX_UNNAMED_COLUMNS:
-        raise FormatError(
-            path,
-            f"{counted(count, 'column')} without names",
-            f"3 to {MAX_UNNAMED_COLUMNS}: x, y, z, intensity and another one",
-            "name them, with --columns x,y,z,intensity,_,ring for example",
-        )
+        expected = f"3 to {MAX_UNNAMED_COLUMNS}: x, y, z, intensity and another one"
+        remedy = "name them, with --columns x,y,z,intensity,_,ring for example"
+        raise FormatError(path, f"{counted(count, 'column')} without names", expected, remedy)
     return (*USUAL_COLUMNS, UNUSED_COLUMN)[:count]
 
 
@@ -93,9 +93,6 @@ def _require_near_origin(points: Float, path: Path) -> None:
         if (np.abs(values) <= MAX_DISTANCE_M).any():
             continue
         if len(finite := values[np.isfinite(values)]):
-            raise FormatError(
-                path,
-                f"{axis} from {finite.min():.0f} to {finite.max():.0f}, as of a map",
-                "metres from a sensor at the origin",
-                "subtract the position of the sensor from the coordinates",
-            )
+            found = f"{axis} from {finite.min():.0f} to {finite.max():.0f}, as of a map"
+            remedy = "subtract the position of the sensor from the coordinates"
+            raise FormatError(path, found, "metres from a sensor at the origin", remedy)

@@ -33,7 +33,7 @@ MAX_CLASS = 0xFFFF  # Largest label of four bytes without an instance
 
 def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float = 1.0) -> Scan:
     """Read a scan of float32 x, y, z, intensity and, in `.pcd.bin` files, ring, or of `columns`."""
-    width = len(columns) or _usual_width(path)
+    width = len(columns) or usual_width(path)
     values, size = _read_floats(path, width)
     count = evident_count(values, width)
     if count and are_coordinates(values[:, None]):
@@ -57,7 +57,8 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
     return scan
 
 
-def _usual_width(path: Path) -> int:
+def usual_width(path: Path) -> int:
+    """Return the number of columns of a file without named columns."""
     has_ring = path.name.lower().removesuffix(GZIP_SUFFIX).endswith(".pcd.bin")
     return COLUMNS_WITH_RING if has_ring else COLUMNS
 
@@ -100,7 +101,7 @@ def _other_count(path: Path, count: int, expected: int) -> FormatError:
     """Return the error of a file of another number of columns, with names to try."""
     names = ",".join((*USUAL_COLUMNS, *count * [UNUSED_COLUMN])[:count])
     remedy = f"name its columns, with --columns {names} for example"
-    if count == _usual_width(path):
+    if count == usual_width(path):
         remedy = "leave --columns out"
     elif suffix := {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count):
         remedy = f"give it the suffix {suffix}, or {remedy}"
@@ -188,7 +189,7 @@ TERRASCAN = b"\xa1\xce\x0e\x00CXYZ"  # Bytes 8 to 16 of files of TerraScan
 TEXT_BYTES = 4096  # Size of the start of a file that shows whether it is text
 MIN_TEXT_BYTES = 256  # Size from which float32 values hold bytes that do not occur in text
 MIN_ASCII_BYTES = 16  # The same for ASCII, which is hardly ever coordinates in metres
-CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")  # Not in text
+CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1a\x1c-\x1f\x7f]")  # Bytes that do not occur in text
 LEAST, MOST = 1e-12, 1e7
 """Possible magnitudes of values other than 0, in metres and in any unit of intensity and time."""
 MIN_POSSIBLE_SHARE = 0.5  # Share of coordinates possible in any scan; random bytes have a quarter

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.errors import FormatError, MissingDependency
+from salsanext_cli.errors import FormatError
 from salsanext_cli.files.atomic import write_bytes
+from salsanext_cli.files.optional_packages import import_package
 from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats.columns import Columns
 
@@ -32,7 +33,7 @@ def ply_columns(path: Path) -> Columns:
 
 def read_ply(path: Path, content: bytes) -> Any:
     """Return what plyfile finds in the content of a file with vertices."""
-    plyfile = _plyfile()
+    plyfile = import_package("plyfile")
     with refusing_damage(path, "a whole .ply file"), warnings.catch_warnings():
         # plyfile warns of empty lines before it refuses them.
         warnings.simplefilter("ignore")
@@ -60,7 +61,7 @@ def encode_ply(columns: Mapping[str, npt.NDArray[Any]], comments: Iterable[str] 
     reads: integers wider than a byte become int, or double beyond its range. Of `comments`, lines
     of the header, anything outside ASCII is escaped.
     """
-    plyfile = _plyfile()
+    plyfile = import_package("plyfile")
     readable = {name: _readable(values) for name, values in columns.items()}
     table = np.empty(
         len(next(iter(readable.values()))), [(name, v.dtype) for name, v in readable.items()]
@@ -89,11 +90,3 @@ def _readable(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return values.astype(np.int32 if fits else np.float64)
     smaller = {np.dtype(bool): np.uint8, np.dtype(np.float16): np.float32}
     return values.astype(smaller.get(values.dtype, values.dtype), copy=False)
-
-
-def _plyfile() -> Any:
-    try:
-        import plyfile  # noqa: TID251
-    except ImportError as error:
-        raise MissingDependency("plyfile", "not installed", remedy="pip install plyfile") from error
-    return plyfile

@@ -59,8 +59,7 @@ def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Callable[[Mask], byte
             case ".bin" | ".pcd.bin" | ".bin.gz" | ".pcd.bin.gz":
                 if suffix.endswith(kitti.GZIP_SUFFIX):
                     body = kitti.decompressed(io.BytesIO(body), path)[0].getvalue()
-                usual = kitti.COLUMNS_WITH_RING if ".pcd" in suffix else kitti.COLUMNS
-                width = 4 * (len(names) or usual)
+                width = 4 * (len(names) or kitti.usual_width(path))
             case _:
                 mark = len(body) - len(body.removeprefix(text.BYTE_ORDER_MARK))
                 layout = text.layout_of(body[mark:], has_names=bool(names))

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.records import Double, Float, Indices, Mask
 
-TOLERANCE_M = 1e-3  # Distance of a copy; millimetres rounded per axis differ by 0.87
+TOLERANCE_M = 1e-3  # Largest distance of a copy; millimetres rounded per axis differ by 0.87
 MAX_NEIGHBOURS = 16  # Nearest places around a point; no LiDAR resolves so many
 CLASS = np.uint32(0xFFFF)  # Bits of a label that are the class; the others are the instance
 NO_INSTANCE = np.uint32(1 << 16)  # Above every instance

@@ -53,12 +53,9 @@ def normalise(channels: Float, sensor: Sensor) -> Float:
 def noise_of(sensor: Sensor) -> tuple[float, float]:
     """Return the noise of ranges (metres) and of intensities, as standard deviations."""
     if sensor.range_noise is None or sensor.intensity_noise is None:
-        raise UsageError(
-            f"sensor {sensor.name}",
-            "its noise is not known",
-            "range_noise in metres and intensity_noise",
-            "write both into a sensor's .toml and give it with --sensor",
-        )
+        found, expected = "its noise is not known", "range_noise in metres and intensity_noise"
+        remedy = "write both into a sensor's .toml and give it with --sensor"
+        raise UsageError(f"sensor {sensor.name}", found, expected, remedy)
     return sensor.range_noise, sensor.intensity_noise
 
 

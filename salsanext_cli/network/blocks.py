@@ -22,9 +22,8 @@ Stack = Callable[[int, int], nn.Module]
 class Unit(nn.Sequential):
     """Convolution → LeakyReLU → batch norm, size preserving: (B, in, H, W) → (B, out, H, W)."""
 
-    # A 2×2 kernel keeps its size only with dilation 2 and padding 1.
-
     def __init__(self, inputs: int, outputs: int, kernel: int, dilation: int = 1) -> None:
+        # A 2×2 kernel keeps its size only with dilation 2 and padding 1.
         padding = dilation * (kernel - 1) // 2
         super().__init__(
             nn.Conv2d(inputs, outputs, kernel, padding=padding, dilation=dilation),

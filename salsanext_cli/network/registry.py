@@ -10,7 +10,7 @@ from salsanext_cli.network import salsanext
 from salsanext_cli.network.rangenet53 import RangeNet53
 from salsanext_cli.network.segmentation import SegmentationNetwork
 
-NUMBERS = frozenset({"class_count", "dropout"})  # That a weights file may give of a network
+NUMBERS = frozenset({"class_count", "dropout"})  # Of a network, in a weights file
 
 
 def _of(design: salsanext.Design) -> Callable[..., SegmentationNetwork]:

@@ -163,18 +163,13 @@ class RunOptions:
         self.workers_here()
         is_cluster = self.backend in CLUSTERS
         if self.scheduler is not None and not is_cluster:
-            raise UsageError(
-                f"--scheduler {self.scheduler}", f"--backend {self.backend}", "dask or ray"
-            )
+            subject = f"--scheduler {self.scheduler}"
+            raise UsageError(subject, f"--backend {self.backend}", "dask or ray")
         # The program that calls us may have initialised Ray.
         ray = _if_loaded("ray") if self.backend == "ray" else None
         if self.scheduler is None and is_cluster and not (ray and ray.is_initialized()):
-            raise UsageError(
-                f"--backend {self.backend}",
-                "no --scheduler",
-                "the address of a running cluster",
-                "use loky on one machine",
-            )
+            expected, remedy = "the address of a running cluster", "use loky on one machine"
+            raise UsageError(f"--backend {self.backend}", "no --scheduler", expected, remedy)
 
     def workers_here(self) -> int:
         """Return how many workers are wanted on this machine."""

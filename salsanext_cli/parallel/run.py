@@ -217,12 +217,8 @@ def _of_chunks(
             for of_chunk in attempts:
                 yield from of_chunk
     except pool.died as error:
-        raise WorkersLost(
-            f"--backend {backend} --jobs {pool.workers}",
-            "the system ended a worker",
-            "memory for all of them",
-            "use fewer jobs",
-        ) from error
+        subject, found = f"--backend {backend} --jobs {pool.workers}", "the system ended a worker"
+        raise WorkersLost(subject, found, "memory for all of them", "use fewer jobs") from error
 
 
 @dataclass(frozen=True, slots=True)

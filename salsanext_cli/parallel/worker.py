@@ -168,12 +168,9 @@ class Worker:
             try:
                 os.chdir(context.folder)
             except OSError as error:
-                raise OutputError(
-                    context.folder,
-                    f"no such folder on {socket.gethostname()}",
-                    "folders that all machines share",
-                    "start the run in one of them",
-                ) from error
+                found = f"no such folder on {socket.gethostname()}"
+                expected, remedy = "folders that all machines share", "start the run in one of them"
+                raise OutputError(context.folder, found, expected, remedy) from error
             self.run = context.run
             self._attempts = opened(task)
         return self._attempts

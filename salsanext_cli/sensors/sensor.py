@@ -178,11 +178,8 @@ class Sensor:
 
     def resized(self, height: int | None = None, width: int | None = None) -> Sensor:
         """Return the same sensor with another image size."""
-        return replace(
-            self,
-            height=self.height if height is None else height,
-            width=self.width if width is None else width,
-        )
+        height = self.height if height is None else height
+        return replace(self, height=height, width=self.width if width is None else width)
 
 
 def are_columns(names: tuple[str, ...]) -> bool:

@@ -13,7 +13,6 @@ from salsanext_cli.synthesis.mesh import Rng
 _FILE = resources.files("salsanext_cli").joinpath("presets/streets.toml")
 _TABLES = tomllib.loads(_FILE.read_text("utf-8"))
 
-
 Numbers = SimpleNamespace  # Numbers of one table as attributes; the file documents them
 
 

@@ -68,12 +68,9 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
         learner.scaler.load_state_dict(values["scaler"])
         _restore(learner, tensors)
     except DAMAGE as error:
-        raise TrainingError(
-            path,
-            f"cannot be resumed from: {error_text(error)}",
-            "a checkpoint of this training",
-            "start anew with --overwrite or in another folder",
-        ) from error
+        found = f"cannot be resumed from: {error_text(error)}"
+        remedy = "start anew with --overwrite or in another folder"
+        raise TrainingError(path, found, "a checkpoint of this training", remedy) from error
     return state
 
 

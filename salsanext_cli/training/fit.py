@@ -129,22 +129,16 @@ class Training:
         try:
             loss = self.learner.step(images, truth, step, self.samples.plan.steps_per_epoch)
         except torch.OutOfMemoryError as error:
-            raise TrainingError(
-                f"step {step + 1}",
-                f"no memory is left on {self.learner.device} for {len(images)} images",
-                "images that fit",
-                "--set accumulate=2, or more parts still",
-            ) from error
+            found = f"no memory is left on {self.learner.device} for {len(images)} images"
+            remedy = "--set accumulate=2, or more parts still"
+            raise TrainingError(f"step {step + 1}", found, "images that fit", remedy) from error
         if math.isfinite(loss):
             return loss
         batch_indices = self.learner.group.gather(indices.to(self.learner.device))
         files = [self.samples.scan_at(int(i))[1].path for i in torch.cat(batch_indices)]
-        raise TrainingError(
-            f"step {step + 1}",
-            f"the loss or its gradient is not finite with {', '.join(map(str, files))}",
-            "finite ones",
-            "look at these scans, lower learning_rate or set clip_gradient",
-        )
+        found = f"the loss or its gradient is not finite with {', '.join(map(str, files))}"
+        remedy = "look at these scans, lower learning_rate or set clip_gradient"
+        raise TrainingError(f"step {step + 1}", found, "finite ones", remedy)
 
     def _write(self, state: TrainingState, row: Row, write_epoch: EpochWriter) -> None:
         """Write weights, log, curve, pictures and, last, the checkpoint."""

@@ -106,12 +106,11 @@ def openvino_passes(
     """Yield softmax (C, H, W) and entropy (H, W) of every pass, with the padding."""
     threads = thread_count()
     features = engine.graph("trunk", SegmentationNetwork.padded_trunk)(image)
-    rest = engine.graph(
-        "rest",
-        _rest,
-        lambda: _inputs_of_rest(engine.module, map(torch.from_numpy, features)),
-        streams=threads,
-    )
+
+    def inputs() -> list[Tensor]:
+        return _inputs_of_rest(engine.module, map(torch.from_numpy, features))
+
+    rest = engine.graph("rest", _rest, inputs, streams=threads)
     rate = require_dropout(engine.module)
     size = PASSES_PER_THREAD * threads
     for start in range(0, len(seeds), size):

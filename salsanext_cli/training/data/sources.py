@@ -187,10 +187,7 @@ def labelled_split(
     members = space.split(split)
     scans = [scan for scan in find_scans(dataset) if scan.sequence in members]
     if not scans:
-        raise NoInputError(
-            dataset,
-            f"no scans of split {split}",
-            f"one of the sequences {', '.join(members) or '(none)'}",
-            "name your sequences in labels.yaml, under split, or cross-validate: --set folds=3",
-        )
+        expected = f"one of the sequences {', '.join(members) or '(none)'}"
+        remedy = "name your sequences in labels.yaml, under split, or cross-validate: --set folds=3"
+        raise NoInputError(dataset, f"no scans of split {split}", expected, remedy)
     return space, scans

@@ -39,7 +39,6 @@ LEAST = 1e-6  # Least probability in a logarithm
 HEIGHT = FEATURES.index("height above the sensor")
 MIN_SPREAD = 1e-3  # Features that hardly differ are not blown up
 
-
 log = logging.getLogger(__name__)
 
 

@@ -38,7 +38,6 @@ from salsanext_cli.training.data.targets import class_sets
 
 Tuned = tuple[WeightsCard, dict[str, Any]]  # Card of the new weights, and a report, plain data
 
-
 log = logging.getLogger(__name__)
 
 
@@ -101,12 +100,10 @@ def labelled_scans(
     found = scans_of(dataset)
     space = space_of(found, card.space)
     if not space.fits(card.space):
-        raise LabelError(
-            dataset,
-            f"labels in the classes of {space.name} ({first_few(space.differences(card.space))})",
-            f"those of {card.space.name}, as the weights",
-            "use weights for these classes",
-        )
+        others = f"labels in the classes of {space.name}"
+        others += f" ({first_few(space.differences(card.space))})"
+        expected = f"those of {card.space.name}, as the weights"
+        raise LabelError(dataset, others, expected, "use weights for these classes")
     scans = choose(found, replace(selection, limit=None), space, dataset)
     if not (selection.split or selection.sequences):
         splits = with_splits(space, data_set_of(scans[0]))

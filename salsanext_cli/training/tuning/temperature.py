@@ -109,9 +109,8 @@ def _samples(scans: TuningScans, most: int) -> Iterator[Points]:
 def _scores(tempered: Sequence[tuple[Points, float]]) -> dict[str, float]:
     """Return `nll` and `ece` of all points, each part at its temperature."""
     softmax = torch.cat([torch.softmax(logits / t, dim=1) for (logits, _), t in tempered])
-    errors = softmax_errors(
-        softmax.numpy(), torch.cat([truth for (_, truth), _ in tempered]).numpy()
-    )
+    every_truth = torch.cat([truth for (_, truth), _ in tempered])
+    errors = softmax_errors(softmax.numpy(), every_truth.numpy())
     histogram = confidence_histogram(errors, np.zeros(len(errors.wrong), np.intp), 1)
     counts = [len(truth) for (_, truth), _ in tempered]
     losses = [negative_log_likelihood(*points, t) for points, t in tempered]
