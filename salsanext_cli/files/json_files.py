@@ -6,13 +6,11 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import present, reading
-
-Kind = TypeVar("Kind")
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:
@@ -50,24 +48,22 @@ class RecordedSettings(dict[str, Any]):
 
     def table(self, key: str) -> RecordedSettings:
         """Return a setting that is itself a mapping."""
-        return RecordedSettings(self._as(dict, key, "a JSON object"), self.path)
+        return RecordedSettings(self._of_type(key, "a JSON object", dict), self.path)
 
     def number(self, key: str) -> float:
         """Return a setting that is a number."""
-        if type(value := self[key]) not in (int, float):
-            raise self._wrong(f"settings have {key} {value!r}", "a number")
-        return float(value)
+        return float(self._of_type(key, "a number", int, float))
 
     def numbers(self, key: str) -> tuple[float, ...]:
         """Return a setting that is two numbers or more."""
-        value = self._as(list, key, "two numbers or more")
+        value = self._of_type(key, "two numbers or more", list)
         if len(value) < 2 or any(type(v) not in (int, float) for v in value):
             raise self._wrong(f"settings have {key} {value!r}", "two numbers or more")
         return tuple(map(float, value))
 
-    def _as(self, kind: type[Kind], key: str, expected: str) -> Kind:
+    def _of_type(self, key: str, expected: str, *types: type) -> Any:
         value = self[key]
-        if type(value) is not kind:
+        if type(value) not in types:
             raise self._wrong(f"settings have {key} {value!r}", expected)
         return value
 

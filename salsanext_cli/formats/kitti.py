@@ -58,7 +58,7 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
 
 
 def usual_width(path: Path) -> int:
-    """Return the number of columns of a file without named columns."""
+    """Return the number of columns of a `.bin` file, 5 for `.pcd.bin`."""
     has_ring = path.name.lower().removesuffix(GZIP_SUFFIX).endswith(".pcd.bin")
     return COLUMNS_WITH_RING if has_ring else COLUMNS
 

@@ -208,10 +208,7 @@ def measured_ranges(points: Float, farthest: float = sys.float_info.max) -> tupl
 def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
     """Return some points of a scan in their order, sampled evenly; all if there are no more."""
     # Of points in the order of a grid, every n-th could be of few beams or in few directions.
-    if len(scan) <= count:
-        return scan
-    places = sample_places(len(scan), count)
-    return Scan(scan.points[places], scan.intensity[places])
+    return scan if len(scan) <= count else scan.take(sample_places(len(scan), count))
 
 
 def sample_places(length: int, count: int) -> Indices:

@@ -315,13 +315,8 @@ def _pad(x: Gaussian, pad: Sequence[int], mode: str = "constant", value: Any = N
     return x.like(F.pad(x.mean, pad, mode, value), F.pad(x.variance, pad, mode))
 
 
-def _moved(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
-    """Return the rule of a function that only moves numbers."""
-
-    def rule(x: Gaussian, *args: Any, **kwargs: Any) -> Gaussian:
-        return x.like(function(x.mean, *args, **kwargs), function(x.variance, *args, **kwargs))
-
-    return rule
+def _pixel_shuffle(x: Gaussian, factor: int) -> Gaussian:
+    return x.like(F.pixel_shuffle(x.mean, factor), F.pixel_shuffle(x.variance, factor))
 
 
 Gaussian.RULES = {
@@ -332,7 +327,7 @@ Gaussian.RULES = {
     F.avg_pool2d: _avg_pool2d,
     F.dropout2d: _dropout2d,
     F.pad: _pad,
-    F.pixel_shuffle: _moved(F.pixel_shuffle),
+    F.pixel_shuffle: _pixel_shuffle,
     torch.softmax: Gaussian.softmax,
     torch.cat: _concatenate,
 }
