@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Data set of synthetic streets, in SemanticKITTI's layout."""
 
-import logging
 import math
 from collections import Counter
 from collections.abc import Mapping
@@ -33,8 +32,6 @@ MAX_DRIVE_M = 3000.0
 """Longest drive of one sequence; the whole street is held in memory."""
 SEQUENCE_FILES = ("poses.txt", "times.txt", "calib.txt")
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
-
-log = logging.getLogger(__name__)
 
 
 def synthesise(
