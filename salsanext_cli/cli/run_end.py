@@ -99,11 +99,10 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
             yield f"sensor: {each.name}, {each.height}×{each.width}, {view_text(each)}"
         if (share := summary.unlabelled_share) >= LEAST_SHOWN:
             # The sample that the share of the vehicle is estimated from may exceed the total.
-            ego, place = (
-                min(summary.ego_share, share),
-                f"the sensor's housing and vehicle ({ego_text(sensor)})",
-            )
-            of_ego = f", about {100 * ego:.1f} % on {place}" * (ego >= LEAST_SHOWN)
+            ego = min(summary.ego_share, share)
+            place = "" if sensor.others else f" ({ego_text(sensor)})"
+            words = f", about {100 * ego:.1f} % on the sensor's housing and vehicle{place}"
+            of_ego = words * (ego >= LEAST_SHOWN)
             yield f"unlabelled: {100 * share:.1f} % of the points{of_ego}"
         if expected := summary.expected_accuracy():
             yield expected.text

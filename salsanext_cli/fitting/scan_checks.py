@@ -70,8 +70,8 @@ MAX_USUAL_INTENSITY = 2.0  # Upper intensity of the scale 0…1, if that of trai
 APART = "label it by itself, into a folder of its own"
 SCALE_IT = "set intensity_scale in a file for --sensor"
 NAME_IT = (
-    "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or its "
-    "scale, intensity_scale in a file for --sensor"
+    "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or in the "
+    "first line of text files; or set its scale, intensity_scale in a file for --sensor"
 )
 RENAME_IT = "if the files hold one of another name, rename that field to intensity"
 

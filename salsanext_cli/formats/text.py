@@ -45,6 +45,8 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
         raise FormatError(path, "not text", "a point in each line, in ASCII or UTF-8")
     try:
         layout = layout_of(content, has_names=bool(names))
+        if layout.names and names and layout.names != names:
+            notice_once("--columns is not used for files whose first line names the columns")
         names = layout.names or columns_of_width(layout.width, names, path)
         used = {name: i for i, name in enumerate(names) if name in USED_NAMES}
         if len(used) < sum(name in USED_NAMES for name in names):

@@ -31,22 +31,20 @@ def line_numbers(
     """Return the possible line numbers of the wanted ones of all scans of a sequence, sorted stems.
 
     A file with a line for each scan is in the order of their names. In another one, as KITTI's of a
-    whole drive, the name of a scan is the number of its line, from 0 or from 1: of two readings,
-    the one from 0 comes first.
+    whole drive, the name of a scan is the number of its line, counted from 0, or also from 1 if no
+    scan is named 0. A name beyond the last line counted from 0 is refused: either count may be
+    meant, or lines are missing.
     """
     if lines == len(scans):
         places = {name: number for number, name in enumerate(scans)}
-        readings = [[places.get(name, -1) for name in wanted]]
+        numbers = [places.get(name, -1) for name in wanted]
     else:
-        from_0 = [int(name) if name.isdecimal() else -1 for name in wanted]
-        readings = [from_0]
-        if all(name.isdecimal() and int(name) for name in scans):
-            readings.append([number - 1 for number in from_0])
-    possible = [each for each in readings if all(0 <= number < lines for number in each)]
-    if not possible:
+        numbers = [int(name) if name.isdecimal() else -1 for name in wanted]
+    if not all(0 <= number < lines for number in numbers):
         expected = f"one for each of {counted(len(scans), 'scan')}, or names that are line numbers"
         raise FormatError(path, counted(lines, "line"), expected)
-    return possible
+    may_count_from_1 = lines != len(scans) and all(n.isdecimal() and int(n) for n in scans)
+    return [numbers, [number - 1 for number in numbers]] if may_count_from_1 else [numbers]
 
 
 def pose_readings(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> list[Poses]:

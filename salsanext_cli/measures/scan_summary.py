@@ -108,7 +108,8 @@ class RunSummary:
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)  # Traits of the sensor by scan
     looked_at: set[str] = field(default_factory=set)  # Names of the scans that were added
     rejected_points: int = 0  # Number of points unlabelled for their error
-    ego_shares: list[float] = field(default_factory=list)  # Of the points of scans, of the vehicle
+    # Share of the points on the vehicle, and number of points, of each scan
+    ego_shares: list[tuple[float, int]] = field(default_factory=list)
     # Mean of the largest probabilities of the points, 0…1, by name of the scan
     confidences: dict[str, float] = field(default_factory=dict)
     accuracy: Mapping[str, float] = field(default_factory=dict)  # As in `WeightsCard`
@@ -130,7 +131,8 @@ class RunSummary:
         """Add a scan; say at once what is found for the first time."""
         self.looked_at.add(scan.file.name)
         self.rejected_points += scan.rejected_points
-        self.ego_shares.append(scan.check.ego_share)
+        points = 1 if scan.class_points is None else int(scan.class_points.sum())
+        self.ego_shares.append((scan.check.ego_share, points))
         if not math.isnan(scan.confidence):
             self.confidences[scan.file.name] = scan.confidence
         for finding in scan.check.findings:
@@ -198,7 +200,8 @@ class RunSummary:
     @property
     def ego_share(self) -> float:
         """Share of the points, 0…1, of housing and vehicle, over the scans of this run."""
-        return sum(self.ego_shares) / max(len(self.ego_shares), 1)
+        shares = math.fsum(share * points for share, points in self.ego_shares)
+        return shares / max(sum(points for _, points in self.ego_shares), 1)
 
     @property
     def unlabelled_share(self) -> float:

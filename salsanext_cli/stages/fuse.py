@@ -299,9 +299,10 @@ def _checked(
     def read(index: int) -> Float:
         return _points(files[index], sensor)
 
-    if from_1 := best_reading(readings, read):
-        log.log(NOTICE, "%s: scans fit best if their names count its lines from 1", path)
-    poses = readings[from_1]
+    counted_from = best_reading(readings, read)
+    if counted_from == 1:
+        log.log(NOTICE, "%s: scan names are line numbers counted from 1: the scans fit best", path)
+    poses = readings[counted_from]
     return Drive(poses, require_fitting(path, poses, read))
 
 

@@ -54,12 +54,11 @@ def test_names_may_be_line_numbers_from_0_or_from_1(tmp_path):
         ("2 7", "2 7", [[2, 7], [1, 6]]),
         ("2 7", "7", [[7], [6]]),
         ("0 2 7", "2 7", [[2, 7]]),
-        ("2 10", "2 10", [[1, 9]]),
         ("2 7 a", "2 7", [[2, 7]]),
     ):
         found = pose_readings(path, scans.split(), wanted.split())
         assert [poses[:, 0, 3].tolist() for poses in found] == readings
-    for scans, wanted in (("0 10", "10"), ("2 11", "11"), ("2 a", "a")):
+    for scans, wanted in (("0 10", "10"), ("2 10", "2 10"), ("2 a", "a")):
         with pytest.raises(FormatError, match="10 lines"):
             pose_readings(path, scans.split(), wanted.split())
     with pytest.raises(FormatError, match="10 lines"):

@@ -12,7 +12,6 @@ from salsanext_cli.results.layout import find_scans
     ("stems", "lines", "picked"),
     [
         (("000000", "000002"), 9, "line 0\nline 2\n"),
-        (("000001", "000009"), 9, "line 0\nline 8\n"),
         (("000001", "000002"), 2, "line 0\nline 1\n"),
         (("000001", "000002"), 9, None),
     ],

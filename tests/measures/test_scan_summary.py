@@ -207,3 +207,11 @@ def test_labels_that_hardly_ever_agree_are_doubted(right, wrong, said):
     warnings = [*counts.label_warnings(label_space())]
     assert len(warnings) == bool(said)
     assert all(said in text and "--label-space" in text for text in warnings)
+
+
+def test_the_share_of_the_vehicle_is_one_of_points():
+    summary = RunSummary(SMALL, SPACE)
+    for name, count, share in (("a", 900, 0.0), ("b", 100, 0.5)):
+        labels, check = np.ones(count, np.uint8), ScanCheck(ego_share=share)
+        summary.add(ScanSummary.of_labels(replace(FILE, stem=name), labels, SPACE, check))
+    assert summary.ego_share == pytest.approx(0.05)

@@ -235,3 +235,10 @@ def test_reported_files_that_are_no_scans_are_named(real_data):
     }.items():
         with pytest.raises(FormatError, match=found):
             read_scan(folder / name)
+
+
+def test_columns_that_a_header_overrules_are_noticed(tmp_path, said):
+    path = tmp_path / "s.csv"
+    path.write_text("x,y,z\n1,2,3\n")
+    assert read_scan(path, replace(SMALL, columns=("z", "y", "x"))).points.tolist() == [[1, 2, 3]]
+    assert "--columns is not used" in said.text
