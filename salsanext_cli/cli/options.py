@@ -129,10 +129,12 @@ def sensor(name: str | None) -> "Sensor | None":
 
 
 def source(scans: Path | None, dataset: Path | None, topic: str | None) -> Path:
-    """Return where to look for scans: SCANS, else the data set, which may be here; or a topic."""
-    if scans is None and dataset is None and not Path("sequences").is_dir():
-        found = "none given, and the current folder is no data set"
-        raise UsageError("SCANS", found, SCANS_HELP[0].lower() + SCANS_HELP[1:-1])
+    """Return where to look for scans: SCANS, else the data set or sequence here; or a topic."""
+    here = any(Path(name).is_dir() for name in ("sequences", "velodyne"))
+    if scans is None and dataset is None and not here:
+        found = "not given, and the current folder is neither a data set nor a sequence"
+        expected, remedy = SCANS_HELP[0].lower() + SCANS_HELP[1:-1], "for those of this folder: ."
+        raise UsageError("SCANS", found, expected, remedy)
     return in_topic(scans or dataset or Path(), topic)
 
 

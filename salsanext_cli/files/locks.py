@@ -6,6 +6,7 @@ Both end with the process that holds them.
 
 import errno
 import logging
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -22,6 +23,8 @@ UNSUPPORTED = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL)
 """Error numbers of file systems without locks."""
 PREFIX, LOCK = ".salsanext-", ".lock"
 """Start of the names of temporary folders, and the file in each that its process has locked."""
+
+STALE_AFTER_S = 3600.0  # Age of a lock's file from which on its folder may be removed
 
 log = logging.getLogger(__name__)
 
@@ -62,12 +65,15 @@ def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[N
 def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
     """Make a folder that is gone after the body, by default in the system's temporary one.
 
-    Those of killed processes, whose locks have ended, are removed first.
+    Those of killed processes, whose locks have ended for an hour or more, are removed first.
     """
     parent = parent or Path(gettempdir())
-    for folder in parent.glob(f"{PREFIX}*"):
-        with suppress(OSError), FileLock(folder / LOCK, timeout=0, fallback_to_soft=False):
-            rmtree(folder)
+    # A folder without the file of a lock, or of a process that is about to lock it, stays.
+    for lock in parent.glob(f"{PREFIX}*/{LOCK}"):
+        with suppress(OSError):
+            if time.time() - lock.stat().st_mtime > STALE_AFTER_S:
+                with FileLock(lock, timeout=0, fallback_to_soft=False):
+                    rmtree(lock.parent)
     with TemporaryDirectory(prefix=PREFIX, dir=parent) as name:
         lock = FileLock(Path(name, LOCK), fallback_to_soft=False)
         with suppress(OSError):  # A file system without locks, where nothing is removed either.

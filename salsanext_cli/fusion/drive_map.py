@@ -36,6 +36,8 @@ def drive_of_map(results: ResultFolder, files: Sequence[ScanFile]) -> Drive:
     drive = recorded_drive(folder, [file.stem for file in files])
     if drive is None:
         remedy = f"run `salsanext fuse {results.root}`, and give the folder of the fused labels"
+        if results.owner("predictions") == "fuse":
+            remedy = f"run `salsanext fuse OUT {results.root} --overwrite` on what `predict` wrote"
         found = f"no {POSES} and {DRIVE} for these scans"
         raise NoInputError(folder, found, "those that `fuse` wrote", remedy)
     return drive

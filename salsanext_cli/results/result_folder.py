@@ -359,12 +359,11 @@ def _one_of_each_name(
     chosen = []
     for key, group in groupby(sorted(scans), lambda scan: (scan.sequence, scan.stem)):
         files = list(group)
-        if len(files) > 1 and key[0] in sources:
-            name = key[1] + sources[key[0]].suffixes.get(key[1], "")
-            files = [file for file in files if file.path.name == name] or files
+        if key[0] in sources and (suffix := sources[key[0]].suffixes.get(key[1])):
+            files = [file for file in files if file.path.name == key[1] + suffix]
         if key in wanted:
             require_unique_stems(files)
-        chosen.append(files[0])
+        chosen += files[:1]
     return chosen
 
 

@@ -55,7 +55,8 @@ def merged_sources(several: Iterable[Mapping[str, ScanSource]]) -> dict[str, Sca
     merged: dict[str, ScanSource] = {}
     for name, source in chain.from_iterable(each.items() for each in several):
         known = merged.get(name, source).suffixes
-        merged[name] = ScanSource(source.folder, known | source.suffixes)
+        told = {stem: suffix or known.get(stem, "") for stem, suffix in source.suffixes.items()}
+        merged[name] = ScanSource(source.folder, known | told)
     return merged
 
 

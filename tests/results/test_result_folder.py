@@ -127,6 +127,9 @@ def test_the_file_that_was_predicted_is_found_beside_others_of_its_stem(world, t
     for dataset in (None,) if suffix == ".npy" else (None, folder):
         found = ResultFolder(world.out, dataset).scans()
         assert [scan for scan in found if scan.stem == "a"] == named
+    gone = named[0].path.rename(tmp_path / named[0].path.name)
+    assert not [scan for scan in ResultFolder(world.out).scans() if scan.stem == "a"]
+    gone.rename(named[0].path)
     other = find_scans(folder / ("a.ply" if suffix == ".bin" else "a.bin"))
     with pytest.raises(OutputError, match=rf"came from .*a\{suffix} · expected not .*a\."):
         ask(world, other)
