@@ -54,7 +54,7 @@ def compiled(function: Function) -> Function:
         kernel._cache = KernelCache(function)
     except CACHE_ERRORS:
         folder = settings["CACHE_DIR"] or "a home folder"
-        say_once(f"compiled kernels: cannot write to {folder}: going on without it")
+        say_once(f"compiled kernels are not cached: cannot write to {folder}")
     finally:
         # What other programs compile in this process keeps its place.
         settings["CACHE_DIR"] = before

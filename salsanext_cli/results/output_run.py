@@ -155,7 +155,9 @@ def _scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]
         if recorded.folder != folder or other != scan.path.name:
             came_from = shortened(str(Path(recorded.folder, other)), MAX_PATH_CHARACTERS)
             found = f"results of sequence {scan.sequence} came from {came_from}"
-            raise OutputError(out, found, f"not {scan.path}", "use another output folder")
+            raise OutputError(
+                out, found, f"that file, not {scan.path}", "use another output folder"
+            )
         source.suffixes[scan.stem] = suffix
     return sources
 

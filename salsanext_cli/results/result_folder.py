@@ -105,7 +105,7 @@ class ScanResults:
         wrong = self.wrong(space)
         judged = wrong[~np.isnan(wrong)]
         coverage, risk = len(judged) / max(known.sum(), 1), judged.sum() / max(len(judged), 1)
-        return f"coverage {coverage:.1%}, risk {risk:.1%}"
+        return f"coverage {100 * coverage:.1f} %, risk {100 * risk:.1f} %"
 
     def rejecting(self, max_error: float, space: LabelSpace) -> "ScanResults":
         """Return the same with the points unlabelled whose error is above a threshold."""

@@ -59,7 +59,7 @@ def test_most_uncertain_most_wrong_and_worst_class_are_chosen():
     ]
     found = worth_looking_at(rows, SPACE)
     assert found["00/1"] == "most uncertain (mean entropy 0.9)"
-    assert found["00/4"] == "most wrong (30.0 % of the judged points)"
+    assert found["00/4"] == "most wrong (30.0 % of the points with a label)"
     assert found["00/3"] == "worst class: 4 points of car wrong"
     assert sorted(found.values())[0] == "at random"
     assert len(found) == 4

@@ -51,7 +51,7 @@ def test_the_report_gives_coverage_and_risk(world, query):
     numbers = found.to_dict()
     assert (numbers["coverage"], numbers["risk"]) == (4 / 16, 1 / 4)
     assert (numbers["accuracy"], numbers["iou_mean_present"]) == (None, None)
-    assert found.shown["08/0"].startswith("most wrong (33.3 % of the judged points)")
+    assert found.shown["08/0"].startswith("most wrong (33.3 % of the points with a label)")
     page = found.page.read_text()
     assert "<b>25.0 %</b>coverage: accepted points of 2 scans" in page
     assert "<b>25.0 %</b>risk" in page
@@ -79,10 +79,10 @@ def test_pictures_and_clouds_say_coverage_and_risk(world, query, monkeypatch):
     # In the place of what draws nothing, which `undrawn` in conftest.py has put there
     monkeypatch.setattr(pictures, "picture_of_results", picture_of_results)
     picture(world.out, colours=["wrong"], query=query)
-    assert titles[0] == "errors of the accepted labels: coverage 37.5%, risk 33.3%"
+    assert titles[0] == "errors of the accepted labels: coverage 37.5 %, risk 33.3 %"
     export_ply(world.out, colour="wrong", query=query)
     cloud = plyfile.PlyData.read(world.out / "sequences/08/ply/0.ply")
-    assert "coverage 37.5%, risk 33.3%" in cloud.comments
+    assert "coverage 37.5 %, risk 33.3 %" in cloud.comments
     assert np.isnan(cloud["vertex"]["scalar_wrong"]).sum() == 7
 
 

@@ -245,7 +245,7 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
         words = f"most uncertain (mean {kind.replace('_', ' ')}"
         add_largest(means, lambda value: f"{words} {value:.3g})")
     wrong = [row.wrong for row in rows]
-    add_largest(wrong, lambda share: f"most wrong ({100 * share:.1f} % of the judged points)")
+    add_largest(wrong, lambda share: f"most wrong ({100 * share:.1f} % of the points with a label)")
     worst = _worst_class(rows, space)
     if worst is not None:
         missed = [_missed(row.confusion, worst) for row in rows]
