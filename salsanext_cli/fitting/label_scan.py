@@ -7,7 +7,7 @@ from pathlib import Path
 
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
@@ -101,7 +101,10 @@ def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> 
     fits = [replace(each, columns=projected.columns) for each in wanted.members]
     images = [replace(each, means=wanted.means, stds=wanted.stds) for each in projected.members]
     pairs = zip(images, fits, strict=False)
-    if changed := next(filter(None, (differences(a.view(), b.view()) for a, b in pairs)), ""):
+    changed = next(filter(None, (differences(a.view(), b.view()) for a, b in pairs)), "")
+    if len(images) != len(fits):
+        changed = f"{counted(len(images), 'sensor')}, not {len(fits)}"
+    if changed:
         size = f"{projected.height}×{projected.width}"
         found = f"range images of {projected.name}, {size}: {changed}"
         remedy = "project again, or give the sensor that was projected with"

@@ -61,7 +61,7 @@ class ScanTraits:
 
     def __str__(self) -> str:
         """Describe the scan: ``92,677 points, intensities to 158``."""
-        return f"{self.points:,} points" + f", intensities to {self.bright:.2g}" * bool(self.bright)
+        return f"{self.points:,} points" + f", intensities to {self.bright:.3g}" * bool(self.bright)
 
 
 def sines_of(points: Float) -> Float:

@@ -171,8 +171,9 @@ def predict_scans(
     if ERROR in extras:
         error_model(network)
     network = network_of_run(settings, network, found, out, overwrite=options.overwrite)
-    seen = network.sensor.members
-    if "view" in risk and any(is_other_view(risk["view"], each) for each in seen):
+    views = [risk["view"], *risk.get("other_views", ())] if "view" in risk else []
+    seen = network.sensor.members if views else ()
+    if any(all(is_other_view(view, each) for view in views) for each in seen):
         log.warning("--reject risk: %s", OTHER_VIEW)
     temperature = network.card.temperature
     recorded = settings.record(network) | {"temperature": temperature, "knn": asdict(knn)}
