@@ -19,7 +19,8 @@ OF_RUN = ("mixed-sensors",)
 WITHHELD_FOR = (
     *OF_RUN,
     *("few-directions", "few-points", "height", "indoor", "low-confidence", "not-measured"),
-    *("one-class", "out-of-view", "sparse", "tilted", "units", "upside-down", "wide-view"),
+    *("one-class", "other-images", "out-of-view", "sparse", "tilted", "units", "upside-down"),
+    "wide-view",
 )
 """Warnings about scans that are unlike those of the ten drives. Solid-state sensors, which only get
 `part-of-circle`, had the expected accuracy within 3 points."""
