@@ -99,10 +99,8 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
         yield from (f"sensor: {line}" for line in dict.fromkeys(lines))
         if (share := summary.unlabelled_share) >= LEAST_SHOWN:
             # The sample that the share of the vehicle is estimated from may exceed the total.
-            ego, place = (
-                min(summary.ego_share, share),
-                f"the sensor's housing and vehicle ({ego_text(sensor)})",
-            )
+            ego = min(summary.ego_share, share)
+            place = f"the sensor's housing and vehicle ({ego_text(sensor)})"
             of_ego = f", about {100 * ego:.1f} % on {place}" * (ego >= LEAST_SHOWN)
             yield f"unlabelled: {100 * share:.1f} % of the points{of_ego}"
         if expected := summary.expected_accuracy():

@@ -139,8 +139,7 @@ class NetworkSettings:
         default = self.weights in (None, DEFAULT_WEIGHTS)
         name = f"default weights ({network.card.summary()})" if default else self.weights
         merged = f", merged into the classes of {network.space.name}" if network.merging else ""
-        library, precision = network.engine.library, network.engine.precision
-        computing = f"on {network.device} by {library} in {precision}"
+        computing = f"on {network.device} by {network.engine.library} in {network.engine.precision}"
         log.log(NOTICE, "%s %s%s", name, computing, merged)
 
     def resolved(self, network: "Network") -> "NetworkSettings":

@@ -96,10 +96,7 @@ FIT_CODES = frozenset({"out-of-view", "tilted", "upside-down"})  # Findings that
 UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
 TRAIN_HERE = "expect worse labels, or `salsanext train` weights on scans of such places"
-ORIGIN = (
-    "if the sensor is not there, write its position as `origin` into a file for --sensor; else "
-    "expect worse labels"
-)
+ORIGIN = "expect worse labels, or write the sensor's place as `origin` into a file for --sensor"
 
 
 def training_findings(
@@ -158,8 +155,8 @@ def check_scan(
     """Check a scan that is projected for a sensor, from some of its points.
 
     `path`: for errors; `trained`: sensor of the weights, if a network is to label the scan or to
-    learn from it, so that the intensity matters; without quantiles it stands for 0 to 1;
-    `fit`: remedy of what a fit may remove.
+    learn from it, so that the intensity matters; without quantiles it stands for 0 to 1; `fit`:
+    advice for findings that a fit may remove.
     """
     some = in_sensor_frame(few_points(scan), sensor)
     ranges, measured = measured_ranges(some.points)

@@ -80,20 +80,18 @@ def inspect(
 ) -> Inspection:
     """Survey and check scans; to fit, as `predict` does, or with `images` to all points."""
     scans, files = select_scans(source, selection, space), find_scans(source)
-    remedy = ALONE
+    remedy = ALONE if fit else FIT
     if fit:
-        weights = read_card(default_weights()).sensor
-        plain = replace(sensor, fov_up=weights.fov_up, fov_down=weights.fov_down)
+        usual = read_card(default_weights()).sensor
+        plain = replace(sensor, fov_up=usual.fov_up, fov_down=usual.fov_down)
         sensor = fitted_view(files, plain)
         if sensor.others:
-            found = f"scans of {len(sensor.members)} sensors"
-            raise NoInputError(source, found, "one sensor", APART)
+            raise NoInputError(source, f"scans of {len(sensor.members)} sensors", "one", APART)
         # Only the view of this pass counts, so its checks would be against a wrong one.
         if images and (first := _inspect(scans, sensor, space, options)).total.pixels:
             sensor = _with_field_of_view(sensor, first.total)
-    else:
-        kinds = kinds_of(ScanSample(files, sensor).scans)[1]
-        remedy = APART if len(kinds) > 1 else FIT
+    elif len(kinds_of(ScanSample(files, sensor).scans)[1]) > 1:
+        remedy = APART
     return _inspect(scans, sensor, space, options, remedy)
 
 
@@ -119,10 +117,8 @@ def _inspect(
     outcome = run_over_scans(task, scans, options, on_result=add)
     sequences = dict(sorted(sequences.items()))
     total = sum(sequences.values(), start=Survey())
-    warnings = summary.finished().warnings()
-    return Inspection(
-        sequences, total, sensor, space or space_of(scans), outcome.failures, warnings
-    )
+    warnings, space = summary.finished().warnings(), space or space_of(scans)
+    return Inspection(sequences, total, sensor, space, outcome.failures, warnings)
 
 
 def inspect_scan(file: ScanFile, sensor: Sensor, remedy: str) -> tuple[Survey, ScanSummary]:

@@ -172,8 +172,8 @@ def predict_scans(
         error_model(network)
     network = network_of_run(settings, network, found, out, overwrite=options.overwrite)
     views = [risk["view"], *risk.get("other_views", ())] if "view" in risk else []
-    seen = network.sensor.members if views else ()
-    if any(all(is_other_view(view, each) for view in views) for each in seen):
+    others = (all(is_other_view(view, s) for view in views) for s in network.sensor.members)
+    if views and any(others):
         log.warning("--reject risk: %s", OTHER_VIEW)
     temperature = network.card.temperature
     recorded = settings.record(network) | {"temperature": temperature, "knn": asdict(knn)}
@@ -243,10 +243,8 @@ def predict_range_images(
     """Label range images that `project` wrote into `OUT/sequences/<seq>/pixel_labels`."""
     network = settings.load()
     projected = projected_sensor(folder)
-    if projected is not None:
-        found_view = fitted_view([], network.sensor, projected, view=settings.fits_view)
-        network = network.for_sensor(found_view)
-    network = network.for_sensor(sensor_of_images(folder, projected, network.sensor))
+    seen = fitted_view([], network.sensor, projected, view=settings.fits_view)
+    network = network.for_sensor(sensor_of_images(folder, projected, seen))
     found = with_outputs(ResultFolder(folder).scans(), folder, "range")
     scans = choose(found, selection, space_of(found, network.card.space), folder)
     network = network_of_run(
