@@ -47,6 +47,8 @@ def inspect(
     from salsanext_cli.stages.inspect import write_sensor
 
     view = with_columns(find_sensor(sensor or "hdl64"), columns).resized(height, width)
+    # For weights to come; those that are there have a size and normalisation of their own.
+    images = height is not None or width is not None
     with over_scans("inspect", running, output.quiet) as run:
         found = stage(
             options.source(scans, dataset, topic),
@@ -55,10 +57,9 @@ def inspect(
             selection=selection,
             options=run,
             fit=fit is not None,
+            images=images,
         )
     if fit is not None:
-        # For weights to come; those that are there have a size and normalisation of their own.
-        images = height is not None or width is not None
         fitted = found.fitted_sensor(fit.stem, images=images)
         write_sensor(fit, fitted, images=images, overwrite=running.overwrite)
         output.say(f"inspect: sensor, {view_text(fitted)} → {fit}")

@@ -95,8 +95,8 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
         sensor = summary.sensor
         from salsanext_cli.fitting.view_fit import ego_text, view_text
 
-        for each in sensor.members:
-            yield f"sensor: {each.name}, {each.height}×{each.width}, {view_text(each)}"
+        lines = (f"{s.name}, {s.height}×{s.width}, {view_text(s)}" for s in sensor.members)
+        yield from (f"sensor: {line}" for line in dict.fromkeys(lines))
         if (share := summary.unlabelled_share) >= LEAST_SHOWN:
             # The sample that the share of the vehicle is estimated from may exceed the total.
             ego = min(summary.ego_share, share)

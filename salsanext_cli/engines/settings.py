@@ -19,7 +19,6 @@ AUTO = "auto"
 DEFAULT_WEIGHTS = Path("default")  # Of the package; a file of that name needs an absolute path
 COLUMNS_HELP = "Columns of files that do not name them, such as x,y,z,intensity,ring; _ for others."
 COLUMNS_DEFAULT = "those of the sensor, else x,y,z,intensity"
-OTHER_IMAGES = "images of %s have not the size and normalisation of training, which costs accuracy"
 
 log = logging.getLogger(__name__)
 
@@ -137,17 +136,11 @@ class NetworkSettings:
 
     def announce(self, network: "Network") -> None:
         """Log what computes, and on what the default weights were trained."""
-        from salsanext_cli.sensors.sensor import OF_IMAGES
-
         default = self.weights in (None, DEFAULT_WEIGHTS)
         name = f"default weights ({network.card.summary()})" if default else self.weights
         merged = f", merged into the classes of {network.space.name}" if network.merging else ""
-        library, precision = network.engine.library, network.engine.precision
-        computing = f"on {network.device} by {library} in {precision}"
+        computing = f"on {network.device} by {network.engine.library} in {network.engine.precision}"
         log.log(NOTICE, "%s %s%s", name, computing, merged)
-        own, trained = network.sensor, network.card.sensor
-        if any(getattr(own, key) != getattr(trained, key) for key in OF_IMAGES):
-            log.log(NOTICE, OTHER_IMAGES, own.name)
 
     def resolved(self, network: "Network") -> "NetworkSettings":
         """Log what computes, and return the settings for workers: all the same, same weights."""

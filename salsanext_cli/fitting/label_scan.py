@@ -3,12 +3,14 @@
 
 from collections.abc import Generator
 from dataclasses import dataclass, fields, replace
+from itertools import starmap
 from pathlib import Path
 
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
-from salsanext_cli.fitting.scan_checks import ScanCheck, check_scan
+from salsanext_cli.fitting.scan_checks import FIT_CODES, WRONG, ScanCheck, check_scan
+from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.projection import project
@@ -69,8 +71,20 @@ def project_scan(
     """Read, check and project a scan; `trained` is the sensor of weights that are to label it."""
     scan = read_scan(file.path, sensor) if scan is None else scan
     sensor = sensor_of(scan, sensor)
-    check = check_scan(file.path, scan, sensor, trained)
+    check = check_with_remedy(file.path, scan, sensor, trained)
     return ProjectedScan(file, scan, project(scan, sensor), check, sensor)
+
+
+def check_with_remedy(
+    path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None, fit: str = ""
+) -> ScanCheck:
+    """Check a scan as `check_scan`; advise a fit only where a fit to the scan is a remedy."""
+    check = check_scan(path, scan, sensor, trained, fit)
+    if lasting := FIT_CODES & {finding.code for finding in check.findings}:
+        alone = fit_view([scan], trained or sensor)
+        lasting &= {finding.code for finding in check_scan(path, scan, alone).findings}
+    changed = (f._replace(remedy=WRONG) if f.code in lasting else f for f in check.findings)
+    return replace(check, findings=tuple(changed))
 
 
 def labelled(
@@ -100,8 +114,9 @@ def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> 
         raise UsageError(folder, "holds no range images", "the output folder of `project`")
     fits = [replace(each, columns=projected.columns) for each in wanted.members]
     images = [replace(each, means=wanted.means, stds=wanted.stds) for each in projected.members]
-    pairs = zip(images, fits, strict=False)
-    if changed := next(filter(None, (differences(a.view(), b.view()) for a, b in pairs)), ""):
+    pairs = ((a.view(), b.view()) for a, b in zip(images, fits, strict=False))
+    counts = ({"sensors": len(images)}, {"sensors": len(fits)})
+    if changed := next(filter(None, starmap(differences, (counts, *pairs))), ""):
         size = f"{projected.height}×{projected.width}"
         found = f"range images of {projected.name}, {size}: {changed}"
         remedy = "project again, or give the sensor that was projected with"

@@ -43,7 +43,7 @@ from salsanext_cli.geometry.scan_traits import (
     upper_intensity,
 )
 from salsanext_cli.records import Double, Float, Scan
-from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor, presets
+from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, Sensor, presets
 
 
 class Finding(NamedTuple):
@@ -90,20 +90,22 @@ MIN_SECTORS = 0.6  # Least share of the directions around with a point; revoluti
 FEW_SECTORS = 0.1  # Least share of a sensor that looks one way; solid-state ones had 0.14 or more
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
 AUTO = "--sensor auto"
-ALONE = f"expect wrong labels; if the other scans are of another sensor or mounting, {APART}"
+WRONG = "expect wrong labels"
+ALONE = f"{WRONG}; if the other scans are of another sensor or mounting, {APART}"
+FIT_CODES = frozenset({"out-of-view", "tilted", "upside-down"})  # Findings that a fit may remove
 UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
 TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
 TRAIN_HERE = "expect worse labels, or `salsanext train` weights on scans of such places"
-ORIGIN = (
-    "if the sensor is not there, write its place as `origin` into the file of `salsanext inspect "
-    "SCANS --fit sensor.toml`, then --sensor sensor.toml; else expect worse labels"
-)
+ORIGIN = "expect worse labels, or write the sensor's place as `origin` into a file for --sensor"
 
 
-def intensity_findings(
+def training_findings(
     bright: float, reason: str, sensor: Sensor, trained: Sensor, name_it: str = NAME_IT
 ) -> Iterator[Finding]:
-    """Compare an upper intensity with what is expected; `reason` says why it is none, if so."""
+    """Compare images and their upper intensity with those of training; `reason`: why it is none."""
+    if any(getattr(sensor, key) != getattr(trained, key) for key in OF_IMAGES):
+        found = "the sensor file changes the size or normalisation of the images"
+        yield Finding("other-images", found, "accuracy drops")
     matched = sensor.intensity_quantiles
     can_match = trained.intensity_quantiles and not matched
     if reason:
@@ -132,12 +134,12 @@ def intensity_findings(
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
-    """Check the intensity of a range image (5, H, W); its view was checked by `project`."""
+    """Compare a range image (5, H, W) with training; its view was checked by `project`."""
     occupied = channels[:, channels[0] > 0]
     if occupied.shape[1] < MIN_TRAIT_POINTS:
         return UNCHECKED
     reason, bright = why_no_intensity(occupied[1:4].T, occupied[4]), upper_intensity(occupied[4])
-    return ScanCheck(tuple(intensity_findings(bright, reason, sensor, trained)))
+    return ScanCheck(tuple(training_findings(bright, reason, sensor, trained)))
 
 
 def share_outside(sines: npt.NDArray[np.floating[Any]], sensor: Sensor) -> float:
@@ -147,11 +149,14 @@ def share_outside(sines: npt.NDArray[np.floating[Any]], sensor: Sensor) -> float
     return float(outside.mean()) if len(sines) else 0.0
 
 
-def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None) -> ScanCheck:
+def check_scan(
+    path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None, fit: str = ""
+) -> ScanCheck:
     """Check a scan that is projected for a sensor, from some of its points.
 
     `path`: for errors; `trained`: sensor of the weights, if a network is to label the scan or to
-    learn from it, so that the intensity matters; without quantiles it stands for 0 to 1.
+    learn from it, so that the intensity matters; without quantiles it stands for 0 to 1; `fit`:
+    advice for findings that a fit may remove.
     """
     some = in_sensor_frame(few_points(scan), sensor)
     ranges, measured = measured_ranges(some.points)
@@ -171,7 +176,7 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     some = Scan(some.points[measured], some.intensity[measured])
     sines = sines_of(some.points)
     reason = why_no_intensity(some.points, some.intensity)
-    fit = FIT if sensor is trained else ALONE
+    fit = fit or (FIT if sensor is trained else ALONE)
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         fit = AUTO
     findings = [
@@ -182,7 +187,7 @@ def check_scan(path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = 
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
         name_it = RENAME_IT if scan_suffix(path.name) in NAMING_SUFFIXES else NAME_IT
-        findings += intensity_findings(bright, reason, sensor, trained, name_it)
+        findings += training_findings(bright, reason, sensor, trained, name_it)
     per_point = len(scan) * (1 - ego_share) * share / count
     traits = ScanTraits.of(sines, bright, per_point, sensor)
     return ScanCheck(tuple(findings), traits, ego_share)

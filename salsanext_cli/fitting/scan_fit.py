@@ -189,8 +189,9 @@ def _by_sensor(fit: Fit, sample: ScanSample, sensor: Sensor, earlier: Sensor | N
     fits = []
     for kind, of_kind in enumerate(usual):
         files = [file for (file, _), each in zip(sample.read, kinds, strict=True) if each == kind]
-        scans, name = counted(len(files), "scan"), getattr(next(iter(files), None), "name", "none")
-        log.log(NOTICE, "sensor %d of %d: %s, such as %s", kind + 1, len(usual), scans, name)
+        if files:
+            scans, name = counted(len(files), "scan"), getattr(files[0], "name", "none")
+            log.log(NOTICE, "sensor %d of %d: %s, such as %s", kind + 1, len(usual), scans, name)
         part = ScanSample(files, sample.sensor, sample.image_of)
         own = sensor.members[kind] if sensor.others else sensor
         before = earlier.members[kind] if earlier and earlier.others else earlier

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.geometry.network_input import BRIGHT, INTENSITY_FACTOR, why_no_intensity
+from salsanext_cli.geometry.network_input import BRIGHT, why_no_intensity
 from salsanext_cli.geometry.projection import few_points, measured_ranges
 from salsanext_cli.records import MAX_INTENSITY, Double, Float, Indices, Scan
 from salsanext_cli.sensors.sensor import Sensor
@@ -23,9 +23,10 @@ MIN_SHARE = 0.02  # Points around an elevation, as a share of all, up to which t
 DENSITY_FACTOR = 1.5
 """Least factor between sensors; scans of one had up to 1.27, the most similar sensors 1.77."""
 POINTS_FACTOR = 4.0  # The same for all their points, of which the sky leaves more or less
+BRIGHT_FACTOR = 8.0  # The same for intensities: one sensor had up to 5.7 (wet), scales 100 or more
 SHARES_FACTOR = 1.35
 """The same for shares of points, which stay in cut or thinned scans; sensors had 1.4 or more."""
-FACTORS = (*[DENSITY_FACTOR] * NODES, POINTS_FACTOR, INTENSITY_FACTOR, *[SHARES_FACTOR] * NODES)
+FACTORS = (*[DENSITY_FACTOR] * NODES, POINTS_FACTOR, BRIGHT_FACTOR, *[SHARES_FACTOR] * NODES)
 DIGITS = 6
 
 
@@ -61,7 +62,7 @@ class ScanTraits:
 
     def __str__(self) -> str:
         """Describe the scan: ``92,677 points, intensities to 158``."""
-        return f"{self.points:,} points" + f", intensities to {self.bright:.2g}" * bool(self.bright)
+        return f"{self.points:,} points" + f", intensities to {self.bright:.3g}" * bool(self.bright)
 
 
 def sines_of(points: Float) -> Float:

@@ -17,9 +17,9 @@ of the nine others, nine lie in it."""
 OF_RUN = ("mixed-sensors",)
 """Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
 WITHHELD_FOR = (
-    *OF_RUN,
-    *("few-directions", "few-points", "height", "indoor", "low-confidence", "not-measured"),
-    *("one-class", "out-of-view", "sparse", "tilted", "units", "upside-down", "wide-view"),
+    *(*OF_RUN, "few-directions", "few-points", "height", "indoor", "low-confidence"),
+    *("not-measured", "one-class", "other-images", "out-of-view", "sparse", "tilted", "units"),
+    *("upside-down", "wide-view"),
 )
 """Warnings about scans that are unlike those of the ten drives. Solid-state sensors, which only get
 `part-of-circle`, had the expected accuracy within 3 points."""

@@ -131,7 +131,9 @@ class WeightsCard:
             if bad := [key for key in tables if not isinstance(values[key], dict)]:
                 raise TypeError(f"{bad[0]} is no table")
             # A view that a threshold holds for is that of a sensor.
-            Sensor.from_dict({**values["sensor"], **values.get("risk", {}).get("view", {})}, source)
+            risk = values.get("risk", {})
+            for view in (risk.get("view", {}), *risk.get("other_views", ())):
+                Sensor.from_dict({**values["sensor"], **view}, source)
             description, error = str(values["description"]), values.get("error")
             if error and (statement := OF_ERROR.search(description)):
                 # It describes the error model, so it goes when the error model is replaced.

@@ -10,13 +10,15 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NoInputError, counted
 from salsanext_cli.files.atomic import require_absent, write_bytes
 from salsanext_cli.files.reading import present
-from salsanext_cli.fitting.scan_checks import check_scan
-from salsanext_cli.fitting.scan_fit import EGO, fitted_view
+from salsanext_cli.fitting.label_scan import check_with_remedy
+from salsanext_cli.fitting.scan_checks import ALONE, FIT
+from salsanext_cli.fitting.scan_fit import ScanSample, fitted_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.network_input import NO_INTENSITY
 from salsanext_cli.geometry.projection import project, without_ego
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.geometry.scan_traits import kinds_of
+from salsanext_cli.measures.scan_summary import APART, RunSummary, ScanSummary
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.options import ScanSelection
@@ -41,8 +43,6 @@ class Inspection:
     space: LabelSpace  # Names of the classes
     failures: tuple[Failure, ...]  # Scans that could not be read, or cannot be right
     warnings: list[dict[str, Any]]  # Reasons to doubt scans, as `RunSummary.warnings` lists them
-    # Sensor that `predict` fits to these scans
-    seen: Sensor | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -56,10 +56,10 @@ class Inspection:
         }
 
     def fitted_sensor(self, name: str, *, images: bool = True) -> Sensor:
-        """Return the sensor for weights to be trained on images of these scans, or `seen`."""
-        _require_fit(name, self.total, self.seen)
-        if self.seen and not images:
-            return replace(self.seen, name=name)
+        """Return the sensor of images to train on, or of labels; `images` as for `inspect`."""
+        _require_fit(name, self.total)
+        if not images:
+            return replace(self.sensor, name=name)
         return replace(
             _with_field_of_view(self.sensor, self.total),
             name=name,
@@ -76,21 +76,23 @@ def inspect(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
     fit: bool = False,
+    images: bool = True,
 ) -> Inspection:
-    """Survey scans, over range images of a sensor, and check them; to fit, read them twice."""
-    scans = select_scans(source, selection, space)
+    """Survey and check scans; to fit, as `predict` does, or with `images` to all points."""
+    scans, files = select_scans(source, selection, space), find_scans(source)
+    remedy = ALONE if fit else FIT
     if fit:
-        weights = read_card(default_weights()).sensor
-        seen = replace(sensor, fov_up=weights.fov_up, fov_down=weights.fov_down)
-        seen = fitted_view(find_scans(source), seen)
-        of_seen = {name: getattr(seen, name) for name in ("up", "origin", *EGO)}
-        sensor = replace(sensor, **of_seen)
+        usual = read_card(default_weights()).sensor
+        plain = replace(sensor, fov_up=usual.fov_up, fov_down=usual.fov_down)
+        sensor = fitted_view(files, plain)
+        if sensor.others:
+            raise NoInputError(source, f"scans of {len(sensor.members)} sensors", "one", APART)
         # Only the view of this pass counts, so its checks would be against a wrong one.
-        first = _inspect(scans, sensor, space, options, checked=False)
-        if first.total.pixels:
+        if images and (first := _inspect(scans, sensor, space, options)).total.pixels:
             sensor = _with_field_of_view(sensor, first.total)
-    inspection = _inspect(scans, sensor, space, options, checked=True)
-    return replace(inspection, seen=seen if fit else None)
+    elif len(kinds_of(ScanSample(files, sensor).scans)[1]) > 1:
+        remedy = APART
+    return _inspect(scans, sensor, space, options, remedy)
 
 
 def _inspect(
@@ -98,9 +100,9 @@ def _inspect(
     sensor: Sensor,
     space: LabelSpace | None,
     options: RunOptions,
-    checked: bool,
+    remedy: str = "",
 ) -> Inspection:
-    """Read the scans once."""
+    """Read the scans once; check them if there is a remedy of what a fit may remove."""
     sequences: dict[str, Survey] = {}
     summary = RunSummary(sensor)
 
@@ -108,34 +110,30 @@ def _inspect(
         of_scan, scan = result
         name = scan.file.sequence
         sequences[name] = sequences.get(name, Survey()) + of_scan
-        if checked:
+        if remedy:
             summary.add(scan)
 
-    outcome = run_over_scans(partial(inspect_scan, sensor=sensor), scans, options, on_result=add)
+    task = partial(inspect_scan, sensor=sensor, remedy=remedy)
+    outcome = run_over_scans(task, scans, options, on_result=add)
     sequences = dict(sorted(sequences.items()))
     total = sum(sequences.values(), start=Survey())
-    warnings = summary.finished().warnings()
-    return Inspection(
-        sequences, total, sensor, space or space_of(scans), outcome.failures, warnings
-    )
+    warnings, space = summary.finished().warnings(), space or space_of(scans)
+    return Inspection(sequences, total, sensor, space, outcome.failures, warnings)
 
 
-def inspect_scan(file: ScanFile, sensor: Sensor) -> tuple[Survey, ScanSummary]:
+def inspect_scan(file: ScanFile, sensor: Sensor, remedy: str) -> tuple[Survey, ScanSummary]:
     """Read, check, project and count one scan."""
     scan = read_scan(file.path, sensor)
     # Whatever the scale of the intensity is, `predict` matches it.
     matched = replace(sensor, intensity_quantiles=NO_INTENSITY)
-    check = check_scan(file.path, scan, matched, matched)
+    check = check_with_remedy(file.path, scan, matched, matched, remedy)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
     counts = survey(without_ego(scan, sensor), project(scan, sensor), raw)
     return counts, ScanSummary(file, check)
 
 
-def _require_fit(name: str, found: Survey, seen: Sensor | None) -> None:
-    """Refuse to fit a sensor to scans of several, or that do not show its field of view."""
-    if seen and seen.others:
-        remedy = "put the scans of each sensor into a folder of their own, and fit each"
-        raise NoInputError(name, f"scans of {len(seen.members)} sensors", "one sensor", remedy)
+def _require_fit(name: str, found: Survey) -> None:
+    """Refuse to fit a sensor to scans that do not show its field of view."""
     measured = found.points - found.invalid
     up, down = found.field_of_view()
     if measured < MIN_POINTS_OF_FIT or up - down < MIN_FIELD_OF_VIEW_DEG:

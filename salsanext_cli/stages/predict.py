@@ -171,8 +171,9 @@ def predict_scans(
     if ERROR in extras:
         error_model(network)
     network = network_of_run(settings, network, found, out, overwrite=options.overwrite)
-    seen = network.sensor.members
-    if "view" in risk and any(is_other_view(risk["view"], each) for each in seen):
+    views = [risk["view"], *risk.get("other_views", ())] if "view" in risk else []
+    others = (all(is_other_view(view, s) for view in views) for s in network.sensor.members)
+    if views and any(others):
         log.warning("--reject risk: %s", OTHER_VIEW)
     temperature = network.card.temperature
     recorded = settings.record(network) | {"temperature": temperature, "knn": asdict(knn)}
@@ -242,10 +243,8 @@ def predict_range_images(
     """Label range images that `project` wrote into `OUT/sequences/<seq>/pixel_labels`."""
     network = settings.load()
     projected = projected_sensor(folder)
-    if projected is not None:
-        found_view = fitted_view([], network.sensor, projected, view=settings.fits_view)
-        network = network.for_sensor(found_view)
-    network = network.for_sensor(sensor_of_images(folder, projected, network.sensor))
+    seen = fitted_view([], network.sensor, projected, view=settings.fits_view)
+    network = network.for_sensor(sensor_of_images(folder, projected, seen))
     found = with_outputs(ResultFolder(folder).scans(), folder, "range")
     scans = choose(found, selection, space_of(found, network.card.space), folder)
     network = network_of_run(

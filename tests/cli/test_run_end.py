@@ -13,7 +13,7 @@ from evaluated import CAR, ROAD, World
 from scans import SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import label_space
-from salsanext_cli.cli.run_end import next_command
+from salsanext_cli.cli.run_end import _lines, next_command
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.run import Outcome
 from salsanext_cli.results.layout import find_scans
@@ -84,6 +84,14 @@ def test_each_warning_is_printed_once(run, data, tmp_path, count):
         assert result.stderr.count("(out-of-view)") == 1
         assert result.stderr.count("out-of-view in 1 more scan: 08/000001") == count - 1
         assert result.stderr.count("out-of-view") == count
+
+
+def test_equal_sensors_are_printed_once():
+    """Such as two whose intensities alone were fitted otherwise."""
+    darker, leaning = replace(SMALL, row_gaps=0.5), replace(SMALL, up=(0.5, 0.0, 0.9))
+    for others, count in (((darker,), 1), ((darker, leaning), 2)):
+        lines = list(_lines(RunSummary(replace(SMALL, others=others)), None))
+        assert len([line for line in lines if line.startswith("sensor: ")]) == count
 
 
 def test_without_scans_nothing_is_read_and_no_folder_is_made(run, data, tmp_path, monkeypatch):

@@ -177,7 +177,13 @@ def test_intensities_of_two_scales_are_told_apart():
     scans = dict(zip(files("08", 4), [usual, usual, bytes_, none], strict=True))
     (file,) = found = mixed_sensors(scans)
     assert file.stem == "000002"
-    assert "intensities to 1.3e+02" in found[file].found
+    assert "intensities to 130)" in found[file].found
+
+
+def test_scans_of_one_sensor_may_differ_in_brightness_as_on_a_wet_road():
+    """The largest factor between scans of one real sensor; scales differ by 100 or more."""
+    dry, wet = (replace(OF["of-64"][0], bright=bright) for bright in (0.247, 0.043))
+    assert groups_of([dry, wet]) == [0, 0]
 
 
 def test_a_run_says_it_at_its_end(caplog):

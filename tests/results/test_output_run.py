@@ -210,7 +210,7 @@ def test_another_source_of_the_same_name_is_refused_before_anything_is_removed(t
     predicted(tmp_path / "out", scans_of(tmp_path, "a"))
     before = files_below(tmp_path / "out")
     other = find_scans(write_sequence(tmp_path / "other/08", ["a"]))
-    with pytest.raises(OutputError, match=r"sequence 08 came from .*data.* expected that file, not .*other"):
+    with pytest.raises(OutputError, match=r"came from .*data.* expected that file, not .*other"):
         predict(tmp_path / "out", {"weights": "new"}, scans=other, overwrite=True)
     assert files_below(tmp_path / "out") == before
     with pytest.raises(OutputError, match="sequence 08 came from"):

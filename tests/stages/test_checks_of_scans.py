@@ -103,10 +103,9 @@ def test_a_training_that_goes_on_knows_the_warnings(dataset, monkeypatch):
     kept = dataset.parent / "run/class_counts.json"
     content = json.loads(kept.read_bytes())
     assert content["warnings"] == warnings
-    check, checked = counting.check_scan, []
-    monkeypatch.setattr(
-        counting, "check_scan", lambda path, *a, **k: checked.append(path) or check(path, *a, **k)
-    )
+    check, checked = counting.check_with_remedy, []
+    counted = lambda path, *a, **k: checked.append(path) or check(path, *a, **k)  # noqa: E731
+    monkeypatch.setattr(counting, "check_with_remedy", counted)
     assert trained(dataset) == warnings
     assert not checked
     # Of an older version: looked at again.

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NoInputError
+from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges, upright_rotation
 from salsanext_cli.options import ScanSelection
@@ -138,11 +138,31 @@ def test_a_scan_that_no_fit_looked_at_is_named(tmp_path):
     assert names == ["many/01"]
 
 
-@pytest.mark.parametrize("images", [True, False])
-def test_a_sensor_file_of_scans_of_several_sensors_is_refused(mixed, images):
-    found = inspect(mixed, sensor=SMALL, fit=True)
-    with pytest.raises(NoInputError, match="scans of 2 sensors"):
-        found.fitted_sensor("mine", images=images)
+def test_a_sensor_file_of_scans_of_several_sensors_is_refused_before_the_survey(mixed, monkeypatch):
+    monkeypatch.setattr("salsanext_cli.stages.inspect.run_over_scans", None)
+    with pytest.raises(NoInputError, match="scans of 2 sensors") as refused:
+        inspect(mixed, sensor=SMALL, fit=True)
+    assert refused.value.subject == str(mixed)
+
+
+def test_a_fit_is_not_advised_where_it_is_refused(mixed, tmp_path):
+    write_bin(tmp_path / "one/1.bin", leaning(1))
+    for folder, advised in ((mixed, False), (tmp_path / "one", True)):
+        found = {each["code"]: each for each in inspect(folder, sensor=SMALL).warnings}
+        assert ("--fit" in found["tilted"]["remedy"]) == advised
+
+
+def test_images_of_several_sensors_are_not_labelled_through_one(mixed, network, tmp_path, caplog):
+    caplog.set_level("INFO")
+    project_scans(mixed, tmp_path / "out", sensor=SMALL, fit=True)
+    caplog.clear()
+    predict_range_images(tmp_path / "out", tmp_path / "auto", settings=network)
+    assert caplog.text.count("such as mixed/") == 2
+    assert "such as none" not in caplog.text
+    for member in StageRecords(tmp_path / "out").known_sensor().members:
+        told = replace(network, sensor=replace(member, others=(), traits=()))
+        with pytest.raises(UsageError, match="sensors was 2 and is 1"):
+            predict_range_images(tmp_path / "out", tmp_path / "told", settings=told)
 
 
 def test_inspect_writes_the_sensor_that_predict_fits(mixed, tmp_path, narrow_default):
@@ -171,7 +191,7 @@ def test_images_unlike_those_of_training_are_named(tmp_path, narrow_default):
         line = ["predict", str(tmp_path / "one"), str(out), "--engine", "torch"]
         result = CliRunner().invoke(app, [*line, "--sensor", str(file)])
         assert result.exit_code == 0, result.stderr
-        assert ("costs accuracy" in result.stderr) == is_named
+        assert ("(other-images)" in result.stderr) == is_named
 
 
 def test_images_of_a_mixed_folder_without_results_are_upright(mixed):

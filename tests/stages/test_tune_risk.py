@@ -165,6 +165,12 @@ def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, ca
     save_with_card(target, target, replace(card, risk={**card.risk, "view": view}))
     predict_scans(world.data, world.out.with_name("o"), settings=network, reject="risk")
     assert "nothing is promised" in caplog.text
+    # One of several sensors that the threshold was chosen on
+    caplog.clear()
+    several = {**card.risk, "view": view, "other_views": [card.risk["view"]]}
+    save_with_card(target, target, replace(card, risk=several))
+    predict_scans(world.data, world.out.with_name("s"), settings=network, reject="risk")
+    assert "nothing is promised" not in caplog.text
 
 
 def test_a_curve_is_not_overwritten_unasked(world: World, target) -> None:

@@ -153,6 +153,7 @@ def fit_risk(
         "digests": "".join(scan.digest for scan in judged),
         "settings": labels_depend_on(scans.settings, scans.loaded),
         "view": view_record(network.sensor),
+        "other_views": [view_record(each) for each in network.sensor.others],
     }
     worst = sorted(left_out, key=lambda each: -each["loss"])[:MAX_LISTED]
     sentences = [*labels.sentences, *map(_sentence, worst)]
