@@ -23,8 +23,7 @@ from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
-MERGED_POINTS = 1 << 20
-"""Points that wait at least until they are merged into a map."""
+MERGED_POINTS = 1 << 20  # Points that wait at least until they are merged into a map
 
 Columns = dict[str, npt.NDArray[Any]]
 """Values by name, each (N,): x, y, z float64 metres in the world, range, scan, part, and others."""

@@ -18,27 +18,20 @@ ReadPoints = Callable[[int], Points]
 
 NEAR_M, FAR_M, ABOVE_GROUND_M, GROUND_PERCENTILE = 3.0, 30.0, 0.5, 40
 """Points that tell whether two scans lie on each other: near, and not of the ground."""
-THINNED = 2
-"""Of such points of one of the scans every so many are looked up in the other."""
-MIN_UPRIGHT = 100
-"""Fewer such points tell nothing."""
-COLUMN_M, COLUMN_HEIGHT_M = 0.5, 2.0
-"""Edges of the voxels that both scans must have points in."""
-GRID = (160, 160, 16)
-"""Voxels around a scan."""
+THINNED = 2  # Every so many of these points of one scan are looked up in the other
+MIN_UPRIGHT = 100  # Fewer such points tell nothing
+COLUMN_M, COLUMN_HEIGHT_M = 0.5, 2.0  # Edges of the voxels that both scans must have points in
+GRID = (160, 160, 16)  # Voxels around a scan
 MIN_OVERLAP = 0.4
 """Least share of points on each other: 0.59 or more of consecutive scans of real drives, 0.46 with
 half of the lasers; half of such pairs have less than 0.31 at the same place, 0.2 when turned."""
 OVERLAP_REACH_M = 8.0
 """Distance of two scans from which on they share the less, the farther apart they are."""
-SURE_OVERLAP = 0.75
-"""Share from which on no other pose is looked at."""
-MARGIN = 0.1
-"""Least gain in overlap by another pose, which is then said to be the right one."""
+SURE_OVERLAP = 0.75  # Share from which on no other pose is looked at
+MARGIN = 0.1  # Least gain in overlap by another pose, which is then the right one
 COMPARED_M, COMPARED_SCANS = 5.0, 10
 """Farthest scan before that one is compared with: slow drives move little from scan to scan."""
-OUT_OF_SIGHT_M = 50.0
-"""Distance from which on two scans are not compared."""
+OUT_OF_SIGHT_M = 50.0  # Distance from which on two scans are not compared
 MAX_MISFIT = 1 / 3
 """Share of the scans between pairs that do not fit, above which poses are refused."""
 SAMPLED_PAIRS = 8

@@ -11,18 +11,14 @@ from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.records import Float
 
-Points = npt.NDArray[np.float64] | Float
-"""(N, 3), metres."""
+Points = npt.NDArray[np.float64] | Float  # (N, 3), metres
 Poses = npt.NDArray[np.float64]
 """(N, 4, 4), or (4, 4) of one: from the frame of each scan to that of the drive, metres."""
 POSES, CALIBRATION = "poses.txt", "calib.txt"
 KITTI_NUMBERS, TUM_NUMBERS = 12, 8
-MAX_SHEAR = 1e-2
-"""Largest difference of a rotation in a file times its transpose from 1."""
-MAX_PLACE_M = 1e12
-"""Coordinate from which on float64 has no digits left for millimetres."""
-ROUNDED = 1e-12
-"""Difference of its lengths from 1 of one with all its digits."""
+MAX_SHEAR = 1e-2  # Largest difference from 1 of a rotation times its transpose
+MAX_PLACE_M = 1e12  # Coordinate from which on float64 has no digits left for millimetres
+ROUNDED = 1e-12  # Largest difference from 1 of the lengths of a rotation with all digits
 
 
 def line_numbers(

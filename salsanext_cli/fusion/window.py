@@ -39,10 +39,8 @@ STATIC_WORDS = {
 """Words that make of such a name that of a place: a bus stop stands."""
 MOVABLE_SHARE = 0.2
 """Share of a scan's vote for classes that may move from which on others are asked what stands."""
-SCAN_M = 500.0
-"""Distance to which voxels reach at least around the farthest scan of a drive."""
-ROUNDING = 1e-3
-"""By which a probability may be above 1."""
+SCAN_M = 500.0  # Least reach of the voxels around the farthest scan of a drive
+ROUNDING = 1e-3  # By which a probability may be above 1
 Content = TypeVar("Content")
 ReadScan = Callable[[int], tuple[Float, Float, npt.NDArray[np.bool_]]]
 """Function from the number of a scan in its drive to its points (N, 3), their softmax (N, C)

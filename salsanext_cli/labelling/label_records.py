@@ -28,8 +28,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder, States
 from salsanext_cli.results.selection import data_set_of
 from salsanext_cli.version import __version__
 
-PICKED, GUESSES = "pick.json", "guesses"
-"""Record of `pick`, and its key for the digests."""
+PICKED, GUESSES = "pick.json", "guesses"  # Record of `pick`, and its key for the digests
 STAGE = "import-labels"
 IMPORTED = f"{STAGE}.json"
 

@@ -21,8 +21,7 @@ from salsanext_cli.measures.scores import Counts, Ratios, scored_rows
 
 PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
 """Classes whose points are of people."""
-KEEPS_NONE = -1.0
-"""Threshold of a class of which no label is kept."""
+KEEPS_NONE = -1.0  # Threshold of a class of which no label is kept
 RISK_BOUND_EXCEEDED = (
     "more is kept and wrong than was promised: by chance, if these scans are few, else because "
     "their place, sensor or weather is another than that of the scans that the threshold was "

@@ -20,23 +20,19 @@ from salsanext_cli.sensors.sensor import Sensor
 
 Colours = npt.NDArray[np.uint8]
 Values = npt.NDArray[np.float64]
-Legend = Sequence[tuple[str, tuple[int, int, int]]]
-"""Names with their red, green, blue."""
+Legend = Sequence[tuple[str, tuple[int, int, int]]]  # Names with their red, green, blue
 Scale = tuple[float, ...]
 """Values at equal steps along the colour map, rising: its two ends at least."""
-Scales = dict[str, Scale]
-"""Scales by colour."""
+Scales = dict[str, Scale]  # Scales by colour
 FIXED_SCALES: Scales = {"error": (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)}
 """Those that are the same for every run: most errors are below 0.1, as those of kept points."""
 
-EMPTY = (36, 38, 45)
-"""Colour of a place without a measurement."""
+EMPTY = (36, 38, 45)  # Colour of a place without a measurement
 COLOUR_MAP = "viridis"
 """Name of matplotlib's colour map for values; it is perceptually uniform."""
 MIN_CONTRAST = 2.5
 """Least ratio of luminances of a colour and `EMPTY` in pictures, as WCAG 2 defines it."""
-MIN_DIFFERENCE = 18.5
-"""Least difference of two classes in pictures, by `colour_difference`."""
+MIN_DIFFERENCE = 18.5  # Least difference of two classes in pictures, by `colour_difference`
 APART = np.frombuffer(
     bytes.fromhex(
         "636363 5392ff 17c7fa 4361a5 9589b5 7b20ff ff1e1e ff5992 "

@@ -40,8 +40,7 @@ PICTURES = {
 """All plots, by the name of the file, in words."""
 ROW_PX, CELL_PX = 28, 46
 NAMES_PX = 150
-MIN_SHARE = 0.005
-"""Shares below this round to 0 % and are not written into their cell."""
+MIN_SHARE = 0.005  # Shares below this round to 0 % and are not written into their cell
 DASHED = (0, (5, 2))
 LINES = {
     "softmax_entropy": (DARK, DASHED),

@@ -42,12 +42,9 @@ if TYPE_CHECKING:
 
 WIDTH_PX, NARROW_PX = 2048, 1024
 HEAD_PX = 56
-VIEW_TITLE_PX, STRIP_TITLE_PX = 40, 34
-"""Pixels above each view and each strip for its title."""
-BAR_PX = 160
-"""Pixels beside the strips for colour bars and their numbers."""
-STRIP_HEIGHT_PX = 128
-"""Height of a strip: 64 rows are drawn twice as high as they are."""
+VIEW_TITLE_PX, STRIP_TITLE_PX = 40, 34  # Pixels above each view and each strip for its title
+BAR_PX = 160  # Pixels beside the strips for colour bars and their numbers
+STRIP_HEIGHT_PX = 128  # Height of a strip: 64 rows are drawn twice as high as they are
 MAX_IN_A_ROW = 4
 OVERSAMPLING = 2
 GRIDS_M = {5.0: 1.0, 10.0: 2.0, 20.0: 5.0, 45.0: 10.0}

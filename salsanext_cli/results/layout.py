@@ -19,8 +19,7 @@ from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
 """Tables that `eval`, `train` and `pick` write, which are no scans unless they are named."""
 SINGLE_SCAN_STAGES = ("predict", "knn-refine", "uncertainty")
-PREDICTION_STAGES = (*SINGLE_SCAN_STAGES, "fuse")
-"""The stages whose results later ones read."""
+PREDICTION_STAGES = (*SINGLE_SCAN_STAGES, "fuse")  # The stages whose results later ones read
 ERROR = "uncertainty/error"
 LEAST_CONFIDENCE = "uncertainty/least_confidence"
 """Folder of 1 − the largest probability, which `predict` always writes."""

@@ -39,8 +39,7 @@ RECORDS_LOCK_TIMEOUT_S = 1800.0
 LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")
 States = dict[Path, set[tuple[int, int]]]
 """Sizes and times of modification that files were written with."""
-Texts = tuple[str, str, str]
-"""Code, message and remedy of a finding."""
+Texts = tuple[str, str, str]  # Code, message and remedy of a finding
 
 log = logging.getLogger(__name__)
 

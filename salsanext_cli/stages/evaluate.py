@@ -42,8 +42,7 @@ from salsanext_cli.version import __version__
 
 FILES = ("scores.txt", *PICTURES, "eval.json")
 """Files that an evaluation may write into the output folder."""
-MAX_PART_BYTES = 100
-"""Longest list of sequences that names a folder."""
+MAX_PART_BYTES = 100  # Longest list of sequences that names a folder
 ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
 
 log = logging.getLogger(__name__)

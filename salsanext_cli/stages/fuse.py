@@ -64,8 +64,7 @@ from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of
 from salsanext_cli.sensors.sensor import Sensor
 
-FUSED = "fused"
-"""Folder of the fused labels in that of the labels of single scans."""
+FUSED = "fused"  # Folder of the fused labels in that of the labels of single scans
 SOFTMAX_FOLDERS = ("probabilities", "votes")
 ABOUT_THE_NETWORK = ("weights", "trained_on", "temperature")
 """Settings of `predict` that the record of fused labels repeats."""

@@ -43,8 +43,7 @@ from salsanext_cli.results.stage_records import StageRecords, as_json
 from salsanext_cli.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.uncertainty.scan_description import ScanDescription, describe_scan, label_sampled
 
-SAMPLES = 8
-"""Passes of Monte-Carlo dropout, whose masks are the same for all scans."""
+SAMPLES = 8  # Passes of Monte-Carlo dropout, whose masks are the same for all scans
 
 log = logging.getLogger(__name__)
 

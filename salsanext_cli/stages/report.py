@@ -40,8 +40,7 @@ from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.export_ply import map_of_drive
 
 PAGE = "report.html"
-MAP_SCANS = 400
-"""Scans of a drive on its map, evenly spaced."""
+MAP_SCANS = 400  # Scans of a drive on its map, evenly spaced
 SAMPLED = 5
 """Evenly spaced scans that `view` takes the scales from, besides those worth looking at."""
 

@@ -29,8 +29,7 @@ from salsanext_cli.version import __version__
 
 MANIFEST = "synth.json"
 LABEL_SPACE = "labels.yaml"
-MAX_DRIVE_M = 3000.0
-"""Longest drive of one sequence; the whole street is held in memory."""
+MAX_DRIVE_M = 3000.0  # Longest drive of a sequence, whose street is held in memory
 SEQUENCE_FILES = ("poses.txt", "times.txt", "calib.txt")
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 
