@@ -167,8 +167,7 @@ class Lines:
         """Take note of how many units of how many are done."""
         now = time.monotonic()
         if self.before is None:
-            # A training that goes on does not begin at 1.
-            self.before = max(done - 1, 0)
+            self.before = max(done - 1, 0)  # A training that goes on does not begin at 1.
         if now - self.last < LINE_INTERVAL_S or done == total:
             return
         self.last = now

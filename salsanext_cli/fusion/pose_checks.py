@@ -67,10 +67,8 @@ def overlap(points: Points, others: Points, pose: Poses) -> float:
 
 
 def _voxels(points: Points) -> tuple[Parts, ...]:
-    scaled = (
-        np.floor(points / np.array([COLUMN_M, COLUMN_M, COLUMN_HEIGHT_M])) + np.array(GRID) // 2
-    )
-    return tuple(np.clip(scaled, 0, np.array(GRID) - 1).astype(np.int64).T)
+    size, grid = np.array([COLUMN_M, COLUMN_M, COLUMN_HEIGHT_M]), np.array(GRID)
+    return tuple(np.clip(np.floor(points / size) + grid // 2, 0, grid - 1).astype(np.int64).T)
 
 
 @dataclass(slots=True)
@@ -148,10 +146,7 @@ def min_overlap(step: Poses) -> float:
 
 
 def require_fitting(path: Path, poses: Poses, read: ReadPoints) -> Parts:
-    """Return the parts of a drive by given poses; refuse them where too many do not fit the scans.
-
-    `path`: of the poses.
-    """
+    """Return the parts of a drive by given poses; refuse poses that do not fit too many scans."""
     parts, misfit = fitting_parts(poses, read)
     if misfit <= MAX_MISFIT and 2 * len(np.unique(parts)) <= len(poses) + 1:
         return parts
@@ -167,13 +162,12 @@ def require_fitting(path: Path, poses: Poses, read: ReadPoints) -> Parts:
 
 def _better_reading(poses: Poses, read: ReadPoints) -> str | None:
     """Return what the poses are if read otherwise they bring scans to lie on each other."""
+    to_scan = np.linalg.inv(CAMERA)
     readings = {
         "": poses,
         "are from the world to the scans": np.linalg.inv(poses),
-        "are of the camera": np.linalg.inv(CAMERA) @ poses @ CAMERA,
-        f"are of the scans, not of the camera of {CALIBRATION}": CAMERA
-        @ poses
-        @ np.linalg.inv(CAMERA),
+        "are of the camera": to_scan @ poses @ CAMERA,
+        f"are of the scans, not of the camera of {CALIBRATION}": CAMERA @ poses @ to_scan,
         "have w first in their quaternions, not last": with_w_first(poses),
         # The last 1 is scaled too, which cancels in the step from one pose to another.
         "are in centimetres": poses * [1, 1, 1, 0.01],

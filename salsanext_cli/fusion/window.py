@@ -77,10 +77,7 @@ def require_near(
 
 
 class DriveWindow(Generic[Content]):
-    """Content of the scans around one of a drive, each read once while the window moves on.
-
-    `parts`: (S,) number of the part of the drive that each scan is of.
-    """
+    """Content of the scans around one of a drive, each read once while the window moves on."""
 
     def __init__(self, parts: Parts, reach: int, read: Callable[[int], Content]) -> None:
         self.parts, self.reach, self.read = parts, reach, read
@@ -117,10 +114,7 @@ class PlacedScan(NamedTuple):
 
 
 class FusionWindow:
-    """Votes of the scans around one of a drive.
-
-    `movable`: (C,) which classes may move.
-    """
+    """Votes of the scans around one of a drive; `movable` (C,): which classes may move."""
 
     def __init__(
         self, drive: Drive, read: ReadScan, reach: FusionReach, movable: npt.NDArray[np.bool_]
@@ -216,9 +210,8 @@ def fuse(
     known = space or label_space("semantic-kitti")
     placed, of_all = np.asarray(poses, np.float64), f"for {counted(len(scans), 'scan')}"
     if len(probabilities) != len(scans):
-        raise UsageError(
-            "probabilities", counted(len(probabilities), "array"), f"one each {of_all}"
-        )
+        found = counted(len(probabilities), "array")
+        raise UsageError("probabilities", found, f"one each {of_all}")
     if placed.shape != (len(scans), 4, 4):
         raise UsageError("poses", f"an array {placed.shape}", f"({len(scans)}, 4, 4) {of_all}")
     for index, pose in enumerate(placed):

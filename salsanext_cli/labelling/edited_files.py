@@ -79,13 +79,12 @@ def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanF
     if len(fitting) == 1:
         return fitting[0]
     where = "" if sequence is None else f" in sequence {sequence}"
-    several = first_few([scan.name for scan in fitting])
-    raise LabelError(
-        path,
-        f"may belong to {several}" if fitting else f"belongs to no scan{where}",
-        "the name of one scan, alone or as a word, as in `000010 - Cloud.ply`",
-        "put it into a folder with the name of its sequence" if fitting else "rename it",
-    )
+    found, remedy = f"belongs to no scan{where}", "rename it"
+    if fitting:
+        found = f"may belong to {first_few([scan.name for scan in fitting])}"
+        remedy = "put it into a folder with the name of its sequence"
+    expected = "the name of one scan, alone or as a word, as in `000010 - Cloud.ply`"
+    raise LabelError(path, found, expected, remedy)
 
 
 def _sequence_of(path: Path, source: Path, sequences: set[str]) -> str | None:
@@ -177,10 +176,6 @@ def _require_same_scan(path: Path, transfer: LabelTransfer) -> None:
     cause = "it is of another scan, or its coordinates were shifted, turned or scaled"
     if distance < ROUNDED_M:
         cause = "its coordinates were rounded or moved: save it with more digits"
-    raise LabelError(
-        path,
-        f"{count:,} of its {transfer.cloud_points:,} points are none of the scan's, but "
-        f"{distance:.3g} m from the nearest (median)",
-        f"all within {1000 * TOLERANCE_M:g} mm of one",
-        cause,
-    )
+    found = f"{count:,} of its {transfer.cloud_points:,} points are none of the scan's"
+    found += f", but {distance:.3g} m from the nearest (median)"
+    raise LabelError(path, found, f"all within {1000 * TOLERANCE_M:g} mm of one", cause)

@@ -27,7 +27,6 @@ RISK_BOUND_EXCEEDED = (
     "their place, sensor or weather is another than that of the scans that the threshold was "
     "chosen on; choose it with `salsanext tune risk` on labelled scans like these"
 )
-"""Meaning of a promise that does not hold."""
 
 
 def means_of_units(losses: Ratios, units: npt.NDArray[Any]) -> Ratios:

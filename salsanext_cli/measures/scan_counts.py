@@ -177,15 +177,13 @@ def count_scan(
 ) -> ScanCounts:
     """Count one scan; one without predictions counts as missing.
 
-    Points whose truth is scored are counted by probability and by uncertainty too, if the output
-    folder holds `probabilities/` and `uncertainty/` of the scan. Points that `predict --reject`
-    left unlabelled are missed ones in the confusion, and have no uncertainty.
+    Points whose truth is scored are counted by probability and uncertainty too, where there are
+    any. Points that `predict --reject` left unlabelled are missed ones, and have no uncertainty.
 
-    `space`: classes that are compared, and meaning of the raw ids; `by_distance`: count distance
-    bands too, for which the scan is read; `labels`: meaning of the raw ids of the labels, if
-    they have their own for these classes; `merging`: of the classes of the probabilities into those
-    compared; `trained_on`: digests of scans that the weights were trained on; `objects`: whether
-    the predictions have instances; `rejection`: that of the run.
+    `space`: classes that are compared, and meaning of the raw ids; `by_distance`: whether to count
+    distance bands too; `labels`: meaning of the raw ids of the truth, if another; `merging`: of
+    the classes of the probabilities into those compared; `trained_on`: digests of scans;
+    `objects`: whether the predictions have instances.
     """
     counts = ScanCounts.none(space, by_distance)
     predictions = output_path(out, scan.sequence, "predictions", scan.stem)

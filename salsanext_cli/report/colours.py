@@ -75,10 +75,7 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
 def common_scales(
     out: Path, scans: Sequence[ScanFile], colours: Iterable[str], space: LabelSpace, sensor: Sensor
 ) -> Scales:
-    """Find what most points of some evenly spaced scans span, unless it is fixed.
-
-    Classes have no scale.
-    """
+    """Find what most points of some evenly spaced scans span, for values without a fixed scale."""
     folder, scales = ResultFolder(out), dict[str, Scale]()
     values: dict[str, list[npt.NDArray[Any]]] = {}
     sampled: dict[ScanFile, list[str]] = {}
@@ -162,14 +159,12 @@ def _spread(count: int) -> Colours:
 def _linear(colours: npt.NDArray[Any]) -> Values:
     """Return the light of sRGB values of 0 to 255, from 0 to 1."""
     share = colours / 255
-    light: Values = np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
-    return light
+    return np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
 
 
 def colour_difference(first: Colours, second: Colours) -> Values:
     """Return how far sRGB colours, (…, 3) each, lie apart in CIELAB of compressed chroma."""
-    difference: Values = np.linalg.norm(_lab_of(first) - _lab_of(second), axis=-1)
-    return difference
+    return np.linalg.norm(_lab_of(first) - _lab_of(second), axis=-1)
 
 
 def _lab_of(colours: Colours) -> Values:
@@ -192,10 +187,7 @@ def map_on_dark() -> Colours:
 def value_colours(
     values: npt.NDArray[Any], *scale: float, colour_map: Colours | None = None
 ) -> Colours:
-    """Colour values, (…) to (…, 3), by a `Scale` along a map (256, 3); NaN is `EMPTY`.
-
-    The map is otherwise that of pictures, `map_on_dark`.
-    """
+    """Colour values, (…) to (…, 3), along a map (256, 3), else `map_on_dark`; NaN is `EMPTY`."""
     marks = scale if scale[-1] > scale[0] else (scale[0], scale[0] + 1)
     share = np.interp(values, marks, np.linspace(0, 1, len(marks)))
     position = np.rint(np.nan_to_num(share) * 255).astype(np.intp)

@@ -49,12 +49,11 @@ LINES = {
 """Colour and dashes of each kind of uncertainty."""
 PLOT_PX = 720, 560
 """Width and height of every plot here, so that their text is of one size on a page."""
-LEFT, TOP, WIDTH = 80, 60, 600
+LEFT, TOP, WIDTH = MAIN_PX = 80, 60, 600
 HEIGHT, HEIGHT_ABOVE = 430, 330
 """Height of the main axes, and of those that have a legend or other axes below them."""
 NAME_PX, LINE_PX = 90, 13  # Room for the name of a class
-BELOW_PX = 90
-"""Height in pixels of the axes below them, which show the distribution of the points."""
+BELOW_PX = 90  # Height of the axes below them, which show the distribution of the points
 
 
 def evaluation_pictures(
@@ -184,7 +183,7 @@ def _diagram(
     diagram = diagram or Reliability(np.zeros(1, int), np.zeros(1), np.zeros(1))
     points = int(diagram.points.sum())
     title += f" · ECE {percent(diagram.error, 2, ' %')}" if points else ""
-    figure, axes = _main_plot(title, HEIGHT_ABOVE)
+    figure, axes = canvas.new_plot(*PLOT_PX, (*MAIN_PX, HEIGHT_ABOVE), title)
     bins = len(diagram.points)
     edges, width = 100 * np.arange(bins) / bins, 100 / bins
     shares = np.nan_to_num(100 * diagram.accuracy)
@@ -251,7 +250,7 @@ def _curves(
     **axis_labels: str,
 ) -> bytes:
     """Draw a score and a curve per kind, and the curves of the best orders, as a PNG."""
-    figure, axes = _main_plot(title, HEIGHT_ABOVE)
+    figure, axes = canvas.new_plot(*PLOT_PX, (*MAIN_PX, HEIGHT_ABOVE), title)
     for kind, (score, y) in curves.items():
         colour, dashes = LINES[kind]
         axes.plot(x, y, color=colour, linestyle=dashes, label=f"{kind} · {score}")
@@ -275,11 +274,6 @@ def _best_orders(kinds: Mapping[str, RankingResult]) -> list[Ratios]:
     return [np.maximum(0, 1 - (1 - rate) / COVERAGE) for rate in rates]
 
 
-def _main_plot(title: str, height: int = HEIGHT) -> tuple[Figure, Axes]:
-    """Return a figure and its main axes, of a height in pixels."""
-    return canvas.new_plot(*PLOT_PX, (LEFT, TOP, WIDTH, height), title)
-
-
 def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     """Draw the mean epistemic uncertainty of each class against its number of points, as a PNG."""
     present = {i: scores for i, scores in result.classes.items() if scores.points}
@@ -288,7 +282,7 @@ def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     title = "Epistemic uncertainty of the classes"
     if not math.isnan(result.class_size_correlation):
         title += f" · rank correlation {result.class_size_correlation:+.2f}"
-    figure, axes = _main_plot(title)
+    figure, axes = canvas.new_plot(*PLOT_PX, (*MAIN_PX, HEIGHT), title)
     colours = screen_colours(space)[[*present]] / 255
     axes.scatter(points, means, 60, colours, edgecolors=DARK, linewidths=0.8, zorder=3)
     axes.set_xscale("log")

@@ -211,18 +211,12 @@ def _draw_from_above(
     picture = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
     axes.set_axis_off()
     axes.imshow(picture, extent=(reach, -reach, -reach, reach), interpolation="nearest")
+    outline = [withStroke(linewidth=2.5, foreground=canvas.NIGHT)]
     for radius in np.arange(step, reach * 2**0.5, step):
         axes.add_patch(Circle((0, 0), radius, fill=False, ec=canvas.FAINT, lw=0.6, alpha=0.55))
         if radius < reach:
-            diagonal = radius * 0.5**0.5
-            axes.text(
-                -diagonal,
-                diagonal,
-                f"{radius:g} m",
-                color=canvas.INK,
-                fontsize=8,
-                path_effects=[withStroke(linewidth=2.5, foreground=canvas.NIGHT)],
-            )
+            diagonal, text = radius * 0.5**0.5, f"{radius:g} m"
+            axes.text(-diagonal, diagonal, text, color=canvas.INK, fontsize=8, path_effects=outline)
     axes.plot(way[:, 1], way[:, 0], color=canvas.INK, marker="^", markevery=[0], markersize=8)
     axes.set_xlim(reach, -reach)
     axes.set_ylim(-reach, reach)

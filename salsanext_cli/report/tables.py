@@ -159,10 +159,7 @@ def error_table(tuned: Mapping[str, Any]) -> Table:
 def kept_table(
     classes: Mapping[str, tuple[int, int]], thresholds: Mapping[str, float] = MappingProxyType({})
 ) -> Table:
-    """Return a table of the kept points of each predicted class and of the wrong ones of them.
-
-    `thresholds`: those of classes that have their own.
-    """
+    """Return a table of kept and wrong points by predicted class, with thresholds of their own."""
     rows = []
     for name in dict.fromkeys([*classes, *thresholds]):
         kept, wrong = classes.get(name, (0, 0))

@@ -110,12 +110,11 @@ def find_scans(
     try:
         is_file = present(source) and not source.is_dir()
         if is_file and not scan_suffix(source.name) and not recording_of(_absolute(source)):
-            raise NoInputError(
-                source,
-                f"a {source.suffix} file, which is not read" if source.suffix else "has no suffix",
-                f"one of {', '.join(SCAN_SUFFIXES)}",
-                "convert it to .ply or .las, with CloudCompare or PDAL for example",
+            kind = (
+                f"a {source.suffix} file, which is not read" if source.suffix else "has no suffix"
             )
+            remedy = "convert it to .ply or .las, with CloudCompare or PDAL for example"
+            raise NoInputError(source, kind, f"one of {', '.join(SCAN_SUFFIXES)}", remedy)
         scans = sorted(_scans_of(_absolute(source)))
         others = names_in(source) if not scans and source.is_dir() else []
     except OSError as error:
@@ -206,9 +205,8 @@ def of_sequences(
     existing = {scan.sequence for scan in scans}
     chosen: set[str] = set()
     for name in sequences:
-        matches = {name} & existing or {
-            e for e in existing if _number(e) == _number(name) is not None
-        }
+        same = (e for e in existing if name.isdecimal() and e.isdecimal() and int(e) == int(name))
+        matches = {name} & existing or {*same}
         if not matches:
             expected = f"one of {', '.join(sorted(existing))}"
             raise NoInputError(source, f"no scans of sequence {name}", expected)
@@ -216,21 +214,14 @@ def of_sequences(
     return [scan for scan in scans if scan.sequence in chosen]
 
 
-def _number(sequence: str) -> int | None:
-    return int(sequence) if sequence.isdecimal() else None
-
-
 def require_unique_stems(scans: list[ScanFile]) -> None:
     """Refuse scans of the same name, which lie beside each other in the order of `ScanFile`."""
     for name, group in groupby(scans, lambda scan: scan.name):
         paths = [scan.path for scan in group]
         if len(paths) > 1:
-            raise OutputError(
-                name,
-                f"{len(paths)} scans of that name: {', '.join(map(str, paths))}",
-                "one, so that results do not overwrite each other",
-                "move or rename the others",
-            )
+            found = f"{len(paths)} scans of that name: {', '.join(map(str, paths))}"
+            expected = "one, so that results do not overwrite each other"
+            raise OutputError(name, found, expected, "move or rename the others")
 
 
 def output_path(out: Path, sequence: str, folder: str, stem: str) -> Path:

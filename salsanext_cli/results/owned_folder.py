@@ -149,16 +149,13 @@ class OwnedFolder:
         self._list(path, path.lstat())
 
     def foreign_files(self, paths: Iterable[Path], states: States | None = None) -> list[Path]:
-        """Return those of some files that are there and changed, not listed, or behind a link.
-
-        An empty file, as a power cut leaves it, is one of ours. `states`: for a caller who asks
-        often.
-        """
+        """Return those of some files that are there and changed, not listed, or behind a link."""
         there = {path: path.lstat() for path in paths if os.path.lexists(path)}
         if states is None:
             states = self.states() if there else {}
 
         def is_own(path: Path, status: os.stat_result) -> bool:
+            # An empty file, as a power cut leaves it, is one of ours.
             listed = (status.st_size, status.st_mtime_ns) in states.get(path, ())
             return (listed or status.st_size == 0) and not self._behind_link(path)
 

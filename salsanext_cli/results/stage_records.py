@@ -190,12 +190,9 @@ class StageRecords:
             return space
         elif not named_alike and contradiction(space, target):
             named = first_few(target.differences(space))
-            raise LabelError(
-                self.root,
-                f"predictions in the classes of {target.name} ({named})",
-                f"those of {space.name}, as the labels",
-                "predict with weights for these classes, or merge both with --classes",
-            )
+            found = f"predictions in the classes of {target.name} ({named})"
+            remedy = "predict with weights for these classes, or merge both with --classes"
+            raise LabelError(self.root, found, f"those of {space.name}, as the labels", remedy)
         return replace(target, splits=space.splits or (classes or space).splits)
 
     def merging_into(self, space: LabelSpace) -> ClassMerging | None:

@@ -19,12 +19,7 @@ from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.panoptic import panoptic_quality
 from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED, KeptLabels, RiskBoundCheck
-from salsanext_cli.measures.scan_counts import (
-    BAND_NAMES,
-    CountsApart,
-    ScanCounts,
-    count_scan,
-)
+from salsanext_cli.measures.scan_counts import BAND_NAMES, CountsApart, ScanCounts, count_scan
 from salsanext_cli.measures.scores import Scores, band_rows, plain, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
@@ -207,9 +202,6 @@ def _require_labels(scans: Sequence[ScanFile]) -> None:
     for sequence, members in groupby(scans, lambda scan: scan.sequence):
         paths = [scan.label_path for scan in members]
         if not any(present(path) for path in paths):
-            raise LabelError(
-                paths[0].parent,
-                f"no labels of sequence {sequence}",
-                f"files like {paths[0].name}",
-                "label them, or leave them out with --split or --sequences",
-            )
+            found, expected = f"no labels of sequence {sequence}", f"files like {paths[0].name}"
+            remedy = "label them, or leave them out with --split or --sequences"
+            raise LabelError(paths[0].parent, found, expected, remedy)

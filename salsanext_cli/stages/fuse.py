@@ -239,10 +239,7 @@ def fuse_results(
 def _of_each(
     sequences: Iterable[str], function: Callable[[str], Found], options: RunOptions
 ) -> dict[str, Found | SalsanextError]:
-    """Return what a function finds of each sequence, or why it fails.
-
-    An error is raised if the run is to stop at the first, or if there is no sequence without.
-    """
+    """Return what a function finds of each sequence, or why it fails; raise if all of them do."""
     found: dict[str, Found | SalsanextError] = {}
     for name in sequences:
         try:
@@ -309,8 +306,7 @@ def _points(file: ScanFile, sensor: Sensor) -> Float:
     try:
         points = read_scan(file.path, sensor).points
     except SalsanextError:
-        # Its own turn says why.
-        return np.zeros((0, 3), np.float32)
+        return np.zeros((0, 3), np.float32)  # Its own turn says why.
     return points[np.isfinite(points).all(axis=1)]
 
 

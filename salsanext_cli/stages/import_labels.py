@@ -156,10 +156,8 @@ def _import_scan(
         log.warning(text, scan.name, counted(contradicted, "point"), first_few([*edited]))
     in_place = [*paths] == [scan.label_path]
     if not (overwrite or in_place or records.is_replaceable(scan, paths, contradicted)):
-        text = (
-            "kept: changed, not written by salsanext, imported from another file, or the files "
-            "contradict each other"
-        )
+        text = "kept: changed, not written by salsanext, imported from another file, "
+        text += "or the files contradict each other"
         remedy = "leave out older files, move the labels, or replace them with --overwrite"
         raise OutputError(scan.label_path, text, remedy=remedy)
     about = {"files": [*map(str, edited)], "points": len(points), **numbers}

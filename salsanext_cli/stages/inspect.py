@@ -41,8 +41,7 @@ class Inspection:
     space: LabelSpace  # Names of the classes
     failures: tuple[Failure, ...]  # Scans that could not be read, or cannot be right
     warnings: list[dict[str, Any]]  # Reasons to doubt scans, as `RunSummary.warnings` lists them
-    # Sensor that `predict` fits to these scans
-    seen: Sensor | None = None
+    seen: Sensor | None = None  # Sensor that `predict` fits to these scans
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -140,12 +139,10 @@ def _require_fit(name: str, found: Survey, seen: Sensor | None) -> None:
     up, down = found.field_of_view()
     if measured < MIN_POINTS_OF_FIT or up - down < MIN_FIELD_OF_VIEW_DEG:
         view = f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°"
-        raise NoInputError(
-            name,
-            f"{counted(measured, 'point')} with a measurement, {view}",
-            f"{MIN_POINTS_OF_FIT} or more, {MIN_FIELD_OF_VIEW_DEG:g}° or more",
-            "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor",
-        )
+        seen_points = f"{counted(measured, 'point')} with a measurement, {view}"
+        expected = f"{MIN_POINTS_OF_FIT} or more, {MIN_FIELD_OF_VIEW_DEG:g}° or more"
+        remedy = "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor"
+        raise NoInputError(name, seen_points, expected, remedy)
 
 
 def _with_field_of_view(sensor: Sensor, found: Survey) -> Sensor:

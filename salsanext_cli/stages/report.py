@@ -184,17 +184,15 @@ class RunServer(PageServer):
             return None
         run = self._run
         if _state_of(run.reader.out) != self._state:
-            raise OutputError(
-                run.reader.out, "results were made anew since", remedy="start view again"
-            )
+            found = "results were made anew since"
+            raise OutputError(run.reader.out, found, remedy="start view again")
         shown = run.read(run.rows[place])
         with self._lock:
             if new := shown.values().keys() - self._scales:
                 self._scales |= {name: scales_of([shown])[name] for name in new}
         cloud = encode_cloud(shown, run.reader.space, run.reader.sensor, self._scales)
         cloud["scales"] = self._scales
-        plain_cloud: dict[str, Any] = escaped(cloud)
-        return plain_cloud
+        return dict(escaped(cloud))
 
 
 def view(out: Path, *, port: int = 0, **choice: Unpack[RunChoice]) -> RunServer:
@@ -247,8 +245,7 @@ def _rows(
         raise NoInputError(reader.out, f"no results can be read, as {outcome.failures[0].reason}")
     if (scored := counts.scored()).left_out:
         rows = [replace(row, confusion=None) if row in trained_on else row for row in rows]
-    # Workers are done in any order.
-    rows.sort(key=lambda row: row.file)
+    rows.sort(key=lambda row: row.file)  # Workers are done in any order.
     return rows, scored if scored.scans else None, outcome.failures
 
 

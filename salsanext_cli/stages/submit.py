@@ -120,10 +120,10 @@ def submit(
         raise LabelError(out, found_classes, f"those of {full.name}", "predict without --classes")
     expected = _expected(space, scans, files)
     if unseen := sorted(expected.keys() - {scan.sequence for scan in scans}):
-        log.warning(
-            "no scans at hand of sequence %s: numbers of labels not compared; --dataset names them",
-            first_few(unseen),
+        text = (
+            "no scans at hand of sequence %s: numbers of labels not compared; --dataset names them"
         )
+        log.warning(text, first_few(unseen))
     total = sum(map(len, expected.values()))
     steps = count(1)
 

@@ -102,12 +102,9 @@ def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float) -> 
     if sum(sequences.values()) == 0:
         raise UsageError(", ".join(sequences), "0 sequences", "at least one")
     if not 0 < spacing < math.inf or spacing * (scans - 1) > MAX_DRIVE_M:
-        raise UsageError(
-            "--spacing",
-            f"{spacing} m between {counted(scans, 'scan')}",
-            f"more than 0 m, and drives of up to {MAX_DRIVE_M:.0f} m",
-            "ask for more sequences with fewer scans",
-        )
+        found = f"{spacing} m between {counted(scans, 'scan')}"
+        expected = f"more than 0 m, and drives of up to {MAX_DRIVE_M:.0f} m"
+        raise UsageError("--spacing", found, expected, "ask for more sequences with fewer scans")
 
 
 def _begin(
@@ -161,17 +158,13 @@ def _scan_files(sequence: Path, index: int) -> tuple[Path, Path]:
 def _write_sequence(
     file: ScanFile, owned: OwnedFolder, scans: int, seed: int, spacing: float, sensor: str
 ) -> Counter[int]:
-    """Write what is missing of a sequence; return how many points each raw id has.
-
-    Poses are relative to the first scan.
-    """
+    """Write what is missing of a sequence; return how many points each raw id has."""
     folder, points = file.path, Counter[int]()
     if all(map(filled, _files(folder, scans))):
         for index in range(scans):
             points += _points_of(read_labels(_scan_files(folder, index)[1]))
         return points
-    poses, times = [], []
-    first = np.eye(4)
+    poses, times, first = [], [], np.eye(4)
     frames = record(seed, int(file.sequence), scans, spacing, RIGS[sensor])
     for index, frame in enumerate(frames):
         scan, labels = _scan_files(folder, index)

@@ -121,12 +121,11 @@ def train(
             validated = evenly_spaced(scored.files, recipe.validation_scans)
             counts = class_counts(kept, sources, scored, validated, jobs, recipe.also)
             if strict and counts.warnings:
-                codes = [
-                    f"{warning['code']} in {counted(len(warning['scans']), 'scan')}"
-                    for warning in counts.warnings
-                ]
+                found = (
+                    f"{w['code']} in {counted(len(w['scans']), 'scan')}" for w in counts.warnings
+                )
                 remedy = "mend the scans or leave them out, or train without --strict"
-                raise TrainingError(dataset, f"doubtful scans: {', '.join(codes)}", "none", remedy)
+                raise TrainingError(dataset, f"doubtful scans: {', '.join(found)}", "none", remedy)
             begin(run, settings, overwrite=overwrite)
             random = "random weights (--weights default: those of the package)"
             if not (run / CHECKPOINT).exists():

@@ -131,8 +131,7 @@ class ShownScan:
     name: str  # Sequence and stem
     reason: str  # Why it is shown
     results: ScanResults  # N points and what is known about them
-    # Train id and `BOX` of every object
-    boxes: Sequence[Sequence[float]] = ()
+    boxes: Sequence[Sequence[float]] = ()  # Train id and `BOX` of every object
 
     def values(self) -> dict[str, npt.NDArray[Any]]:
         """Return all values of `SCALARS` that are known, (N,) each."""
