@@ -43,8 +43,7 @@ def _show_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
     if not ARRIVED:
         sys.__unraisablehook__(unraisable)
     elif unraisable.exc_type is KeyboardInterrupt:
-        # Lost in a destructor, say.
-        _come_again()
+        _come_again()  # It was lost in a destructor, say.
 
 
 def _left_to_python(number: int) -> bool:
@@ -87,8 +86,7 @@ def interruptible() -> Iterator[None]:
             ARRIVED.append(number)
             since = now
             if sys.unraisablehook is _show_unraisable:
-                # What libraries say about work that is cut off is noise.
-                logging.disable()
+                logging.disable()  # What libraries say about work that is cut off is noise.
         if TIMER and now - since < WAIT_S and _must_wait(frame):
             _come_again()
         else:

@@ -51,10 +51,9 @@ def upright_points(points: Points) -> Points:
 
 
 def overlap(points: Points, others: Points, pose: Poses) -> float:
-    """Return which share of a scan's upright points lies on those of another.
+    """Return which share of a scan's upright points (U, 3) lies on those of another (V, 3).
 
-    `points`, `others`: (U, 3), (V, 3) metres, each in its own frame; `pose`: (4, 4) from the first
-    to the second.
+    `pose`: (4, 4) from the first to the second.
     """
     grid = np.zeros(GRID, bool)
     # The outermost voxels are of points beyond the grid.
@@ -180,10 +179,7 @@ def _better_reading(poses: Poses, read: ReadPoints) -> str | None:
 
 
 def best_reading(readings: Sequence[Poses], read: ReadPoints) -> int:
-    """Return which of several readings brings neighbouring scans to lie on each other best.
-
-    The first one of equals, such as those of a drive at constant speed, which any of them serves.
-    """
+    """Return which reading, the first of equals, brings scans to lie on each other best."""
     if len(readings) == 1 or len(readings[0]) < 2:
         return 0
     return int(np.argmax(_mean_overlaps(readings, read)))

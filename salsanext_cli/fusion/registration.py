@@ -30,8 +30,7 @@ OTHER_STEPS = tuple(
 )
 """Steps that are compared where going on as before is not as good as before, as at the start."""
 MAX_DROP = 0.2
-"""By which less of a scan may lie on the one before than of that on its own: along a row of houses,
-wrong places have some overlap, too."""
+"""Largest loss of overlap from scan to scan: along houses, wrong places have some overlap, too."""
 PART_M = 1000.0  # Distance to the origin of the next part of a drive
 
 
@@ -51,8 +50,7 @@ class RegisteredPart:
 def register(scans: Iterable[Float]) -> Drive:
     """Return the poses of scans, each (M, 3) metres in its own frame, and the parts they are of.
 
-    The first is the frame of the drive. A scan that comes to lie on none of the two last parts
-    begins one whose place is not known: it starts `PART_M` farther along x.
+    A scan that lies on none of the two last parts begins another, `PART_M` farther along x.
     """
     small_gicp = import_extra("small_gicp", "fuse")
     poses: list[Poses] = []

@@ -99,11 +99,9 @@ def tally(
 ) -> Tally:
     """Add up the votes of a scan and of others for the places of its points.
 
-    Of each class it is the mean over the scans whose votes for it count, so that scans that have no
-    say about it are not against it; then the classes are scaled to add up to 1.
-
-    `others`: views of the same voxels, and (C,) whether the votes of each for a class count;
-    `stands`: (V,) in which voxels all of them count.
+    Of each class it is the mean over the scans whose votes for it count; then the classes are
+    scaled to add up to 1. `others`: views of the same voxels, and (C,) whether the votes of each
+    for a class count; `stands`: (V,) in which voxels all of them count.
     """
     total = own.votes.astype(np.uint32)
     counts = np.ones(total.shape, np.uint16)

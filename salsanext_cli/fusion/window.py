@@ -84,10 +84,7 @@ class DriveWindow(Generic[Content]):
         self.contents: dict[int, Content | SalsanextError] = {}
 
     def around(self, index: int) -> tuple[Content, dict[int, Content]]:
-        """Return the content of a scan, and of the others in reach in its part of the drive.
-
-        One of the others that cannot be read is left out: its own turn says why.
-        """
+        """Return the content of a scan, and of the readable others in reach in its part."""
         near = range(max(0, index - self.reach), min(len(self.parts), index + self.reach + 1))
         members = [each for each in near if self.parts[each] == self.parts[index]]
         before = self.contents
@@ -160,10 +157,7 @@ class FusionWindow:
 
 
 def fused_labels(tally: Tally, labels: TrainIds) -> TrainIds:
-    """Return the labels of a scan's points (N,) by all scans that see their places.
-
-    A label changes only where at least one other scan sees the place; unlabelled points stay so.
-    """
+    """Return the labels of points (N,) by all scans that see them; unlabelled ones stay so."""
     fused = (tally.probabilities[:, 1:].argmax(axis=1) + 1).astype(np.uint8)
     return np.where((tally.views > 1) & (labels > 0), fused, labels)
 

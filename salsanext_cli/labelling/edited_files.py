@@ -130,9 +130,8 @@ def edited_labels(
 ) -> tuple[RawIds, dict[str, Any]]:
     """Return the raw ids (N,) uint32 that files hold of a scan, with instances, and numbers of it.
 
-    Points without a label get the unlabelled raw id. Those `labelled`, with a class that counts,
-    `unlabelled`, `ambiguous` and `missing` are N; `unmatched` ones of the files are none of the
-    scan's, and each file has one label of `contradicted` ones.
+    Those `labelled`, with a class that counts, `unlabelled`, `ambiguous` and `missing` are N;
+    `unmatched` are none of the scan's points, and each file has one label of `contradicted` ones.
     """
     transfers = [transfer for transfer, _ in parts.values()]
     merged = merged_transfers(transfers, unlabelled)

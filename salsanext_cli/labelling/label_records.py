@@ -103,7 +103,7 @@ class LabelRecords:
         return self.is_guess(scan, digest) and not confirmed
 
     def is_replaceable(self, scan: ScanFile, edited: Iterable[Path], contradicted: int = 0) -> bool:
-        """Say whether a label file is as salsanext wrote it, from these edited files, or absent."""
+        """Say whether the label file of a scan, if there is one, may give way to edited files."""
         path, earlier = scan.label_path, self._imported.get(scan.name, {"files": []})
         # Files that are not recorded may be any.
         imported = Counter(Path(file).name for file in earlier.get("files", ["?"]))

@@ -46,7 +46,7 @@ def held_thresholds(
     (Σ losses + 1) / (n + 1) ≤ level: conformal risk control (Angelopoulos et al. 2022, arXiv
     2208.02814, eq. 4) of a loss of at most 1. With one they hold the loss of most scans: with this
     confidence, over the choice of the n, at most a share 1 − confidence of all scans loses more.
-    `scans`: the number n, if another; the mean loss, or the number of bad scans, is then that of n.
+    `scans`: the number n, if another than that of the losses.
     """
     n = scans or len(losses)
     if confidence is None:

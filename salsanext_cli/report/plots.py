@@ -60,11 +60,9 @@ def evaluation_pictures(
     scores: Scores, confusion: Counts, uncertainty: UncertaintyEvaluation, space: LabelSpace
 ) -> dict[str, bytes]:
     """Draw what there is to an evaluation, PNG by name, in the order of `PICTURES`."""
-    return {
-        "eval_iou.png": iou_bars(scores, space),
-        "eval_confusion.png": confusion_picture(confusion, space),
-        **uncertainty_pictures(uncertainty, space),
-    }
+    pictures = {"eval_iou.png": iou_bars(scores, space)}
+    pictures["eval_confusion.png"] = confusion_picture(confusion, space)
+    return pictures | uncertainty_pictures(uncertainty, space)
 
 
 def uncertainty_pictures(uncertainty: UncertaintyEvaluation, space: LabelSpace) -> dict[str, bytes]:
@@ -91,18 +89,12 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
     shares = [100 * c.iou if c.points else math.nan for c in result.classes]
     colours = screen_colours(space)[[c.train_id for c in result.classes]] / 255
     axes.barh(places, np.nan_to_num(shares), 0.72, color=colours, edgecolor=DARK, linewidth=0.6)
+    box = {"facecolor": canvas.PAPER, "edgecolor": "none", "pad": 1.5}
     for place, share in zip(places, shares, strict=True):
         absent = math.isnan(share)
         text, colour = ("absent", canvas.FAINT) if absent else (f"{share:.1f}", DARK)
-        axes.text(
-            1 if absent else share + 1,
-            place,
-            text,
-            color=colour,
-            fontsize=9,
-            va="center_baseline",
-            bbox={"facecolor": canvas.PAPER, "edgecolor": "none", "pad": 1.5},
-        )
+        left = 1 if absent else share + 1
+        axes.text(left, place, text, color=colour, fontsize=9, va="center_baseline", bbox=box)
     mean = 100 * result.iou_mean_present
     if not math.isnan(mean):
         axes.axvline(mean, color=DARK, linewidth=1, linestyle=(0, (4, 3)))

@@ -129,9 +129,8 @@ def scan_picture(
     """Draw a scan from above and its strips below that, as a PNG.
 
     `points` (N, 3) float32, metres, sensor frame; `views`: colours of the points (N, 3) by title;
-    `absent`: entries of the legend that are not shown; `reach`: metres from the middle to an edge,
-    by default as far as the scan needs, `REACH_M` at most; `way` (S, 3): of a drive, instead of the
-    sensor's place.
+    `absent`: faint entries of the legend; `reach`: metres from the middle to an edge, by default
+    as far as the scan needs, `REACH_M` at most; `way` (S, 3): of a drive, else the sensor's place.
     """
     if reach is None:
         far = np.abs(points[:, :2]).max(axis=1)

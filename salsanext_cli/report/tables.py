@@ -188,15 +188,10 @@ def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
         height, width = network["receptive_field"]
         flops = f"({paper['flops']} G)" if paper["flops"] else "(–)"
         ious = (f"{paper[key] or ABSENT:>4}" for key in ("miou_pixels", "miou", "miou_test"))
-        rows.append(
-            (
-                network["name"] + marks,
-                f"{network['parameters']:,} ({paper['parameters']} M)",
-                f"{network['multiply_accumulates'] / 1e9:.2f} G {flops:>10}",
-                f"{height}×{width}",
-                " ".join(ious),
-            )
-        )
+        parameters = f"{network['parameters']:,} ({paper['parameters']} M)"
+        macs = f"{network['multiply_accumulates'] / 1e9:.2f} G {flops:>10}"
+        name, field = network["name"] + marks, f"{height}×{width}"
+        rows.append((name, parameters, macs, field, " ".join(ious)))
     costs = ("parameters", "MACs at\n64×2048\n(FLOPs)", "receptive\nfield")
     headings = ("name", *costs, "mIoU\nwithout kNN,\nwith, on test")
     title = "Networks, with the papers' figures in brackets"

@@ -144,11 +144,8 @@ def _scans_of(path: Path) -> Iterator[ScanFile]:
             yield ScanFile(_sequence_of(path.parent), path.name[: -len(suffix)], path)
     else:
         # What holds no scans hides none: `sequences` may be of results beside them.
-        yield from (
-            [*_scans_of_sequences(path / "sequences")]
-            or [*_scans_in(path / SCAN_FOLDER)]
-            or _scans_at(path)
-        )
+        of_data_set = [*_scans_of_sequences(path / "sequences")]
+        yield from of_data_set or [*_scans_in(path / SCAN_FOLDER)] or _scans_at(path)
 
 
 def require_none_hidden(root: Path) -> None:

@@ -175,9 +175,8 @@ class StageRecords:
         """Return the classes in which predictions and labels are compared, with the labels' splits.
 
         They are those of both, or those of the predictions if these are merged ones of the labels',
-        or `classes`, into which both are merged. `space`: of the labels, else the data set's, else
-        the recorded one; `own_ids`: whether labels may have other raw ids for classes of the same
-        names.
+        or `classes`, into which both are merged. `space`: of the labels, if not the data set's;
+        `own_ids`: whether labels may have other raw ids for classes of the same names.
         """
         recorded = self.label_space()
         space = space or space_of(scans, recorded)

@@ -115,9 +115,8 @@ def evaluate(
     """Compare the predictions in an output folder with the labels of the scans.
 
     Writes `FILES`, in the place of earlier ones, into the folder or, of a part of the scans, into
-    ``eval/PART``; probabilities and uncertainties are evaluated too. Scans that the weights were
-    trained on are left out, unless all were. `space`: classes to compare; `by_distance`: also in
-    distance bands; `settings`: for the record; `labels`: as `space_of_labels` takes it.
+    ``eval/PART``. Scans that the weights were trained on are left out, unless all were.
+    `space`: classes to compare; `settings`: for the record; `labels`: as of `space_of_labels`.
     """
     folder = out / "eval" / part if part else out
     results = ResultFolder(out)
@@ -130,14 +129,12 @@ def evaluate(
     OwnedFolder(out).require_own(own_files)
     _require_labels(scans)
     apart = CountsApart(space, by_distance)
-    count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
-    count = partial(count, by_distance=by_distance, sensor=results.sensor())
-    recorded = results.settings_of("predictions")
-    promised = results.promised(space)
+    recorded, promised = results.settings_of("predictions"), results.promised(space)
     # Those of other programs may have instances.
     objects = recorded is None or bool(recorded.get("objects"))
-    count = partial(count, trained_on=results.trained_on(), objects=objects)
-    count = partial(count, rejection=results.rejection())
+    count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
+    count = partial(count, by_distance=by_distance, sensor=results.sensor(), objects=objects)
+    count = partial(count, trained_on=results.trained_on(), rejection=results.rejection())
     outcome = run_over_scans(count, scans, options, on_result=apart.add)
     counts = apart.scored()
     if not counts.scans:

@@ -154,8 +154,7 @@ def filter_scans(
 ) -> Outcome:
     """Write `FOLDER/sequences/<seq>/velodyne/`: the scans as they are, without some points.
 
-    `drop`, `keep`: names as `named_classes` takes them; `indices`: masks (N,) bool, as `.npy`, of
-    the points that stay, in the place of scans.
+    `drop`, `keep`: as of `named_classes`; `indices`: masks (N,) bool of them in the place of scans.
     """
     if not (drop or keep or split or max_error is not None):
         raise UsageError("--drop, --keep, --max-error, --split", "none given", "one of them")

@@ -154,9 +154,8 @@ def fuse_results(
 ) -> Outcome:
     """Fuse what `predict` said of the scans of drives into `TARGET/sequences/<seq>/predictions`.
 
-    What other views say against the labels of single scans goes to `uncertainty/disagreement` of
-    both folders. `target`: by default `OUT/fused`; `poses`: of the one sequence; by default those
-    in its folder, else they are computed and written there.
+    What other views say against the labels goes to `uncertainty/disagreement` of both folders.
+    `poses`: of the one sequence; by default those in its folder, else they are computed.
     """
     target = target or out / FUSED
     if target.resolve() == out.resolve():

@@ -58,8 +58,7 @@ def import_labels(
 ) -> LabelImport:
     """Write label files of the scans of a data set from files that a labelling tool wrote.
 
-    `ids`: YAML file that maps the tool's ids to names or raw ids; `overwrite`: whether label files
-    that were changed, or not written by salsanext, may be replaced.
+    `ids`: YAML file that maps the tool's ids to names or raw ids.
     """
     scans = find_scans(dataset)
     if recording_of(scans[0].path) is not None:

@@ -52,8 +52,7 @@ def synthesise(
 ) -> dict[str, Any]:
     """Write what is missing of a data set of synthetic streets, the same bytes for a `seed`.
 
-    Returns plain data: the number of all `scans`, the names of sequences by split, `splits`, and
-    the number of points by raw id, `points`.
+    Returns the number of all `scans`, names of sequences by split, and `points` by raw id.
     """
     counts = {"train": train, "valid": valid, "test": test}
     options = RunOptions(jobs=jobs, on_error="stop", progress=progress)

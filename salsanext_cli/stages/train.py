@@ -87,8 +87,7 @@ def train(
     """Train a network, or resume a training that was interrupted in the same folder.
 
     With a recipe of some folds, scans without a validation split are cross-validated, and then all
-    trained on. Started by torchrun, each worker learns from its share of every batch, on its own
-    GPU, and the first writes.
+    trained on. Started by torchrun, each worker learns from its share of every batch.
     """
     workers = worker_count(jobs)
     if recipe.batch < (size := group_of_environment().size):
