@@ -23,10 +23,8 @@ INTACT = "everything finished so far is intact"
 ARRIVED: list[int] = []  # The signal that has arrived during the work, if one has
 WAIT_S = 3.0  # Time that a signal waits for an import, or for a context to be entered or left
 RETRY_S = 0.02
-REPEATED_S = 1.0
-"""Time in which a second signal is the first: `timeout` sends it to a process and to its group."""
-TIMER = getattr(signal, "SIGALRM", None)
-"""Signal of the timer that brings a waiting signal again; without it, none waits."""
+REPEATED_S = 1.0  # `timeout` sends one signal twice: to a process and to its group
+TIMER = getattr(signal, "SIGALRM", None)  # It brings a waiting signal again; without it, none waits
 
 
 def end_on_signals() -> None:

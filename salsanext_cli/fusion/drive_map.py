@@ -124,8 +124,7 @@ class MapTask:
         labels = self.space.to_train(columns["label"], strict=False)
         movable = movable_classes(self.space)[labels]
         most = np.where(movable, there, 2 * there + 1)
-        stays: npt.NDArray[np.bool_] = (through == 0) | (through < most)
-        return stays
+        return (through == 0) | (through < most)
 
     def _seen(self, index: int, sensor: Sensor) -> MapScan:
         file, pose = self.files[index], self.drive.poses[index]

@@ -11,10 +11,8 @@ import numpy.typing as npt
 from salsanext_cli.errors import FormatError
 from salsanext_cli.fusion.poses import CALIBRATION, Points, Poses, with_w_first
 
-Parts = npt.NDArray[np.int64]
-"""(N,): number of the part of a drive that each scan is of, whose poses fit each other."""
-ReadPoints = Callable[[int], Points]
-"""Function from the number of a scan to its measured points (M, 3), metres."""
+Parts = npt.NDArray[np.int64]  # (N,): number of the part of a drive that each scan is of
+ReadPoints = Callable[[int], Points]  # From the number of a scan to its measured points (M, 3)
 
 NEAR_M, FAR_M, ABOVE_GROUND_M, GROUND_PERCENTILE = 3.0, 30.0, 0.5, 40
 """Points that tell whether two scans lie on each other: near, and not of the ground."""
@@ -25,15 +23,12 @@ GRID = (160, 160, 16)  # Voxels around a scan
 MIN_OVERLAP = 0.4
 """Least share of points on each other: 0.59 or more of consecutive scans of real drives, 0.46 with
 half of the lasers; half of such pairs have less than 0.31 at the same place, 0.2 when turned."""
-OVERLAP_REACH_M = 8.0
-"""Distance of two scans from which on they share the less, the farther apart they are."""
+OVERLAP_REACH_M = 8.0  # Scans farther apart share the less, the farther they are
 SURE_OVERLAP = 0.75  # Share from which on no other pose is looked at
 MARGIN = 0.1  # Least gain in overlap by another pose, which is then the right one
-COMPARED_M, COMPARED_SCANS = 5.0, 10
-"""Farthest scan before that one is compared with: slow drives move little from scan to scan."""
+COMPARED_M, COMPARED_SCANS = 5.0, 10  # Farthest earlier scan to compare with: drives may be slow
 OUT_OF_SIGHT_M = 50.0  # Distance from which on two scans are not compared
-MAX_MISFIT = 1 / 3
-"""Share of the scans between pairs that do not fit, above which poses are refused."""
+MAX_MISFIT = 1 / 3  # Poses are refused above this share of scans between pairs that do not fit
 SAMPLED_PAIRS = 8
 CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 """From x forward, y left, z up to the camera's x right, y down, z forward."""
@@ -46,8 +41,7 @@ def upright_points(points: Points) -> Points:
     if not is_near.any():
         return points[:0]
     ground = np.percentile(points[is_near, 2], GROUND_PERCENTILE)
-    upright: Points = points[(distance > NEAR_M) & (points[:, 2] > ground + ABOVE_GROUND_M)]
-    return upright
+    return points[(distance > NEAR_M) & (points[:, 2] > ground + ABOVE_GROUND_M)]
 
 
 def overlap(points: Points, others: Points, pose: Poses) -> float:

@@ -17,8 +17,7 @@ from salsanext_cli.records import Float
 
 VOXEL_SIZES_M = (0.3, 0.6)  # Edges of the voxels, whose shares of the votes are averaged
 KEY_BITS = 21  # Bits of a voxel's place along each axis: 2²¹ voxels of 0.3 m are 629 km
-MAX_CELLS = 1 << (KEY_BITS - 1)
-"""Voxels from the origin, along each axis, from which on there are no keys."""
+MAX_CELLS = 1 << (KEY_BITS - 1)  # Voxels farther from the origin, along any axis, have no keys
 SCALE = 65535  # Of a probability in a vote, which is kept as uint16
 
 Keys = npt.NDArray[np.int64]

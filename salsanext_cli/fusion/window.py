@@ -37,8 +37,7 @@ STATIC_WORDS = {
     *("lane", "path", "way", "crossing", "track", "bridge"),
 }
 """Words that make of such a name that of a place: a bus stop stands."""
-MOVABLE_SHARE = 0.2
-"""Share of a scan's vote for classes that may move from which on others are asked what stands."""
+MOVABLE_SHARE = 0.2  # Share of votes for movable classes from which others are asked
 SCAN_M = 500.0  # Least reach of the voxels around the farthest scan of a drive
 ROUNDING = 1e-3  # By which a probability may be above 1
 Content = TypeVar("Content")

@@ -33,8 +33,7 @@ from salsanext_cli.results.layout import ScanFile, counted_by_suffix
 
 EDITED_SUFFIXES = (*READERS, ".label", ".npy")
 MAX_UNMATCHED = 0.01  # Largest share of the points of a cloud that are none of the scan's
-ROUNDED_M = 0.05
-"""Distance up to which coordinates were probably rounded; other scans are farther away."""
+ROUNDED_M = 0.05  # Nearer coordinates were probably rounded; other scans are farther away
 
 
 def find_edited(source: Path) -> list[Path]:

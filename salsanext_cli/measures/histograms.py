@@ -25,8 +25,7 @@ MIN_PROBABILITY = 2.0**-24
 CONFIDENCES = np.arange(int(np.float16(1).view(np.uint16)) + 1).astype(np.uint16).view(np.float16)
 """Every float16 from 0 to 1, ascending: the bit patterns of numbers above 0 are in their order."""
 BINS_PER_OCTAVE = 128
-LOWEST, HIGHEST = -48, 8
-"""Exponents of two of the first and the last bin; uncertainties below are as good as 0."""
+LOWEST, HIGHEST = -48, 8  # Exponents of two of the first and the last bin
 # One bin for everything below the lowest, then 128 per octave; the last is open.
 UNCERTAINTY_BINS = 1 + (HIGHEST - LOWEST) * BINS_PER_OCTAVE
 BFLOAT16_SHIFT = 16  # Bits of a float32 that a bfloat16 does not have

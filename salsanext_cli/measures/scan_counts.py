@@ -54,16 +54,14 @@ from salsanext_cli.sensors.sensor import Sensor
 SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of its confidence
 OF_SOFTMAX = {"least_confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
 """Uncertainties that come from the probabilities, where no file has them or classes are merged."""
-EVALUATED_KINDS = (*dict.fromkeys((*OF_SOFTMAX, *UNCERTAINTY)),)
-"""Every kind of uncertainty, in the order in which they are reported."""
+EVALUATED_KINDS = (*dict.fromkeys((*OF_SOFTMAX, *UNCERTAINTY)),)  # In the order of reports
 SCORES_OF_SCAN = ("points", "accuracy", "iou_mean_present")
 CLASS, DISTANCE = "class", "distance"
 OF_ERROR = ("error", "calibration")  # Key of the histogram of the error as a probability
 MIN_ACCURACY, MIN_JUDGED = 0.2, 10_000
 """Least accuracy, over so many points or more, of labels that mean the same as the predictions;
 that of other ids was 0.02, that of the default weights in streets 0.75 or more."""
-BAND_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)
-"""Inner radius of each distance band, in metres; the last band has no end."""
+BAND_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # The last band has no end
 BAND_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
 
 

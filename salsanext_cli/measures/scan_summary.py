@@ -33,8 +33,7 @@ FEW_CLASSES, MAX_SHARE_OF_FEW = 10, 0.85
 """The same of so many classes or fewer, as `coarse` has; 0.67 or less with right settings."""
 MIN_CLASSES = 5
 """Of fewer, one may take nearly all of a scan. Both numbers include the class "unlabelled"."""
-MIN_CONFIDENCE = 0.575
-"""Least usual mean of the largest probabilities of a scan; that of streets was 0.58 or more."""
+MIN_CONFIDENCE = 0.575  # Least usual mean of a scan; that of streets was 0.58 or more
 USUAL = (
     "of the default weights, 0.58 or more is usual in streets: the place, the sensor or its "
     "settings may be others"

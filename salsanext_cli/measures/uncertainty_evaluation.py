@@ -39,8 +39,7 @@ from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
 log = logging.getLogger(__name__)
 
-KINDS_OF_THRESHOLD = ("error", "entropy")
-"""Kinds of uncertainty that a threshold is suggested for, the better one first."""
+KINDS_OF_THRESHOLD = ("error", "entropy")  # A threshold is suggested for the first known
 
 Scores = TypeVar("Scores", CalibrationScores, RankingScores)
 

@@ -47,11 +47,9 @@ LINES = {
     **{name: (k.colour, DASHED if k.is_dashed else "-") for name, k in UNCERTAINTY.items()},
 }
 """Colour and dashes of each kind of uncertainty."""
-PLOT_PX = 720, 560
-"""Width and height of every plot here, so that their text is of one size on a page."""
+PLOT_PX = 720, 560  # Size of every plot here, so that text is of one size on a page
 LEFT, TOP, WIDTH = MAIN_PX = 80, 60, 600
-HEIGHT, HEIGHT_ABOVE = 430, 330
-"""Height of the main axes, and of those that have a legend or other axes below them."""
+HEIGHT, HEIGHT_ABOVE = 430, 330  # Of the main axes, alone and above a legend or other axes
 NAME_PX, LINE_PX = 90, 13  # Room for the name of a class
 BELOW_PX = 90  # Height of the axes below them, which show the distribution of the points
 

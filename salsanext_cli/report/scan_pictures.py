@@ -235,5 +235,4 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     strips = ("range", "truth", "label", "wrong")
     png = picture_of_results(file.name, results, space, sensor, scales, (), strips)
     out.write(png)
-    picture: Colours = (255 * imread(BytesIO(png))[..., :3]).round().astype(np.uint8)
-    return picture
+    return (255 * imread(BytesIO(png))[..., :3]).round().astype(np.uint8)

@@ -21,14 +21,11 @@ OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
 SINGLE_SCAN_STAGES = ("predict", "knn-refine", "uncertainty")
 PREDICTION_STAGES = (*SINGLE_SCAN_STAGES, "fuse")  # The stages whose results later ones read
 ERROR = "uncertainty/error"
-LEAST_CONFIDENCE = "uncertainty/least_confidence"
-"""Folder of 1 − the largest probability, which `predict` always writes."""
-DISAGREEMENT = "uncertainty/disagreement"
-"""Folder of the share of a place's views that is against the label, which `fuse` writes."""
+LEAST_CONFIDENCE = "uncertainty/least_confidence"  # 1 − the largest probability
+DISAGREEMENT = "uncertainty/disagreement"  # Share of the views against the label
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values that point clouds may be coloured by."""
-COLOURS = (*COLOURINGS, "uncertainty")
-"""Words for them: the last is what `ResultFolder.meant_uncertainty` says."""
+COLOURS = (*COLOURINGS, "uncertainty")  # The last: see `ResultFolder.meant_uncertainty`
 SUFFIX_OF_FOLDER = {
     "range": ".npy",
     "pixels": ".npy",

@@ -37,8 +37,7 @@ PLACES = (
 RECORDS_LOCK_TIMEOUT_S = 1800.0
 """There may be a hundred others, which hold the lock for seconds each if it is a million scans."""
 LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")
-States = dict[Path, set[tuple[int, int]]]
-"""Sizes and times of modification that files were written with."""
+States = dict[Path, set[tuple[int, int]]]  # Size and time of modification at each writing
 Texts = tuple[str, str, str]  # Code, message and remedy of a finding
 
 log = logging.getLogger(__name__)

@@ -27,8 +27,7 @@ from salsanext_cli.results.layout import (
 
 LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
 """Names, in the root of a data set, of the file that describes its label space."""
-COMPANIONS = (".label", ".toml", ".yaml", ".md")
-"""Suffixes of files that are known to lie beside scans."""
+COMPANIONS = (".label", ".toml", ".yaml", ".md")  # Suffixes of files beside scans
 
 log = logging.getLogger(__name__)
 Item = TypeVar("Item")

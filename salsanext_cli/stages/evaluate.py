@@ -35,8 +35,7 @@ from salsanext_cli.results.selection import MissingResults, space_of_labels
 from salsanext_cli.results.stage_records import as_json
 from salsanext_cli.version import __version__
 
-FILES = ("scores.txt", *PICTURES, "eval.json")
-"""Files that an evaluation may write into the output folder."""
+FILES = ("scores.txt", *PICTURES, "eval.json")  # An evaluation may write these
 MAX_PART_BYTES = 100  # Longest list of sequences that names a folder
 ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
 

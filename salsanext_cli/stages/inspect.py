@@ -25,10 +25,8 @@ from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import select_scans, space_of
 from salsanext_cli.sensors.sensor import Sensor
 
-MIN_POINTS_OF_FIT = 1000
-"""Least number of points of a fit, which leaves out one in a thousand at either edge."""
-MIN_FIELD_OF_VIEW_DEG = 1.0
-"""Least field of view of a fit; that of a scanner of one plane is smaller."""
+MIN_POINTS_OF_FIT = 1000  # A fit leaves out one in a thousand at either edge
+MIN_FIELD_OF_VIEW_DEG = 1.0  # That of a scanner of one plane is smaller
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from threading import Lock
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
@@ -35,14 +34,13 @@ from salsanext_cli.results.layout import PREDICTION_STAGES, ScanFile, drive_orde
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.selection import MissingResults, evenly_spaced
+from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.export_ply import map_of_drive
 
 PAGE = "report.html"
 MAP_SCANS = 400  # Scans of a drive on its map, evenly spaced
-SAMPLED = 5
-"""Evenly spaced scans that `view` takes the scales from, besides those worth looking at."""
+SAMPLED = 5  # Evenly spaced scans that `view` takes the scales from, among others
 
 
 class RunChoice(TypedDict, total=False):
@@ -148,12 +146,6 @@ def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[
 
 class RunServer(PageServer):
     """Server of a run's page; `scans` can be looked at, others are `missing` or `failures`."""
-
-    def __init__(self, port: int) -> None:
-        super().__init__(port)
-        self.scans, self.missing = 0, MissingResults()
-        self.failures: tuple[Failure, ...] = ()
-        self._lock = Lock()
 
     def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
         """Take the results that are served; raises `NoInputError` if no scan can be shown."""

@@ -49,8 +49,7 @@ from salsanext_cli.training.run_folder import (
 )
 from salsanext_cli.training.setup import Setup, initial_network
 
-SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0
-"""Scans of a simulated street, and the distance between two."""
+SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0  # Of a simulated street
 
 log = logging.getLogger(__name__)
 

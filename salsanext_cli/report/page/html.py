@@ -51,8 +51,7 @@ LIVE_WORDS = {
 """Parts of a page that holds its scans, and of one that asks a server for them."""
 OUTCOME_COLOURS = {"not judged": (62, 76, 150), "right": (125, 133, 145), "wrong": WRONG}
 """Farther apart than in other pictures, where what is not judged has the colour of nothing."""
-DARKEST_STEP = 48
-"""Step of the colour map, of 255, where its scale begins: those below are lost on a dark view."""
+DARKEST_STEP = 48  # Of the 255 of the colour map: lower ones are lost on a dark view
 MAX_CONFUSIONS = 10
 
 

@@ -60,8 +60,7 @@ DEFAULT_LIMITS = (
 )
 """Failures of the default weights, as docs/model-card.md has them; it does not come with a page."""
 SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 that are shown
-CHECKED_STAGES = ("project", *PREDICTION_STAGES)
-"""Stages that keep reasons to doubt scans, or sequences."""
+CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # They keep reasons to doubt scans
 
 
 @dataclass(frozen=True, slots=True)
