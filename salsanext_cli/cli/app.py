@@ -94,10 +94,9 @@ class Sections(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands of each section with the first sentence of their help."""
         for title, names in COMMANDS.items():
+            helps = [(name, self.commands[name].get_short_help_str(limit=200)) for name in names]
             with formatter.section(title):
-                formatter.write_dl(
-                    [(name, self.commands[name].get_short_help_str(limit=200)) for name in names]
-                )
+                formatter.write_dl(helps)
 
 
 app = typer.Typer(

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 DONE, FAILED, WRONG_USE = 0, 1, 2
 """Exit status: all done, something failed, the command line was wrong; 128 + n after signal n."""
 
-SCHEMA = 1
-"""Version of what `--json` prints; it grows when a key changes its meaning or goes."""
+SCHEMA = 1  # Version of what `--json` prints; it grows when a key changes or goes
 USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__base__)
 """Errors of the command line, of which typer names only one kind."""
 FILE_WIDTH_COLUMNS = 120
@@ -128,8 +127,7 @@ def _print_json(data: Mapping[str, Any]) -> None:
     typer.echo(json.dumps({"schema": SCHEMA} | escaped(data), allow_nan=False))
 
 
-LINE_INTERVAL_S = 30.0
-"""Time between two lines in a log file."""
+LINE_INTERVAL_S = 30.0  # Time between two lines in a log file
 
 
 def tell(text: str) -> None:
@@ -169,8 +167,7 @@ class Lines:
         """Take note of how many units of how many are done."""
         now = time.monotonic()
         if self.before is None:
-            # A training that goes on does not begin at 1.
-            self.before = max(done - 1, 0)
+            self.before = max(done - 1, 0)  # A training that goes on does not begin at 1.
         if now - self.last < LINE_INTERVAL_S or done == total:
             return
         self.last = now

@@ -23,10 +23,8 @@ INTACT = "everything finished so far is intact"
 ARRIVED: list[int] = []  # The signal that has arrived during the work, if one has
 WAIT_S = 3.0  # Time that a signal waits for an import, or for a context to be entered or left
 RETRY_S = 0.02
-REPEATED_S = 1.0
-"""Time in which a second signal is the first: `timeout` sends it to a process and to its group."""
-TIMER = getattr(signal, "SIGALRM", None)
-"""Signal of the timer that brings a waiting signal again; without it, none waits."""
+REPEATED_S = 1.0  # `timeout` sends one signal twice: to a process and to its group
+TIMER = getattr(signal, "SIGALRM", None)  # It brings a waiting signal again; without it, none waits
 
 
 def end_on_signals() -> None:
@@ -43,8 +41,7 @@ def _show_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
     if not ARRIVED:
         sys.__unraisablehook__(unraisable)
     elif unraisable.exc_type is KeyboardInterrupt:
-        # Lost in a destructor, say.
-        _come_again()
+        _come_again()  # It was lost in a destructor, say.
 
 
 def _left_to_python(number: int) -> bool:
@@ -87,8 +84,7 @@ def interruptible() -> Iterator[None]:
             ARRIVED.append(number)
             since = now
             if sys.unraisablehook is _show_unraisable:
-                # What libraries say about work that is cut off is noise.
-                logging.disable()
+                logging.disable()  # What libraries say about work that is cut off is noise.
         if TIMER and now - since < WAIT_S and _must_wait(frame):
             _come_again()
         else:

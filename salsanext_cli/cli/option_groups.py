@@ -15,10 +15,6 @@ class Without(frozenset[str]):
     """Fields that a command does not offer: ``Annotated[RunOptions, Without({"shard"})]``."""
 
 
-class Only(frozenset[str]):
-    """The only fields that a command offers."""
-
-
 class Default(dict[str, Any]):
     """Fields with another default: ``Annotated[ScanSelection, Default(limit=20)]``."""
 
@@ -110,8 +106,6 @@ def _group(kind: type, marks: list[Any]) -> Group:
             changed |= mark
         elif isinstance(mark, Without):
             left_out |= mark
-        elif isinstance(mark, Only):
-            left_out |= fields.keys() - mark
     offered: dict[str, inspect.Parameter] = {}
     nested: dict[str, Group] = {}
     for name, field in fields.items():
@@ -131,10 +125,6 @@ def _group(kind: type, marks: list[Any]) -> Group:
             shown = typer.Option(*names, **declared["option"] | changed.get(name, {}))
         if declared.get("parse"):
             default, typed = None, str | None
-        offered[name] = inspect.Parameter(
-            name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=default,
-            annotation=Annotated[typed, shown],
-        )
+        kind_of, annotation = inspect.Parameter.KEYWORD_ONLY, Annotated[typed, shown]
+        offered[name] = inspect.Parameter(name, kind_of, default=default, annotation=annotation)
     return Group(kind, defaults, offered, nested)

@@ -29,9 +29,9 @@ network_option = partial(typer.Option, rich_help_panel="Network")
 running_option = partial(typer.Option, rich_help_panel="Running")
 
 
-def _shared(name: str) -> Any:
-    """Return an option of `ResultQuery` for commands that take no more of it."""
-    (field,) = (field for field in fields(ResultQuery) if field.name == name)
+def _shared(name: str, group: type[Any] = ResultQuery) -> Any:
+    """Return an option of a group for commands that take no more of it."""
+    (field,) = (field for field in fields(group) if field.name == name)
     return typer.Option(**field.metadata["option"])
 
 
@@ -90,6 +90,7 @@ LabelledSelection = Annotated[
 ]
 
 Network = Annotated[NetworkSettings, Default(precision="auto")]
+Device = Annotated[str, _shared("device", NetworkSettings)]
 SensorWithoutWeights = Annotated[str | None, network_option(help=SENSOR_HELP, show_default="hdl64")]
 Columns = Annotated[str | None, network_option(help=COLUMNS_HELP, show_default=COLUMNS_DEFAULT)]
 

@@ -162,9 +162,8 @@ def pick(
     output.say(f"pick: {chosen}{already}{failed} → {out}")
     if found.picked:
         started = ["--weights", str(settings.weights)] if settings.weights else []
-        following = shlex.join(
-            ["salsanext", "train", str(out), "RUN", "--recipe", "finetune", *started]
-        )
+        training = ["train", str(out), "RUN", "--recipe", "finetune", *started]
+        following = shlex.join(["salsanext", *training])
         edited = shlex.join(["salsanext", "import-labels", "EDITED", str(out)])
         output.say(f"next: correct the labels, take them back with `{edited}`, then `{following}`")
     run_end.leave(outcome.failures, failed=strict and bool(doubted))
@@ -262,9 +261,8 @@ def synth(
             out, **asdict(streets), jobs=jobs, overwrite=overwrite, progress=on_progress
         )
     output.result(made)
-    output.say(
-        f"synth: {counted(made['scans'], 'scan')}, {sum(made['points'].values()):,} points → {out}"
-    )
+    points = sum(made["points"].values())
+    output.say(f"synth: {counted(made['scans'], 'scan')}, {points:,} points → {out}")
 
 
 def submit(

@@ -21,8 +21,7 @@ from salsanext_cli.results.query import ResultQuery, named_label_space
 if TYPE_CHECKING:
     from salsanext_cli.parallel.run import Outcome
 
-WAIT_S = 1.0
-"""Time between two looks at whether another run has ended."""
+WAIT_S = 1.0  # Time between two looks at whether another run has ended
 
 
 def project(

@@ -129,8 +129,7 @@ def next_command(
     elif stage == "uncertainty":
         words = ["export-ply", out, "--colour", "uncertainty"]
     elif summary.space is None:
-        # The labels are those of pixels.
-        words = ["knn-refine", out]
+        words = ["knn-refine", out]  # The labels are those of pixels.
     else:
         words = ["eval" if summary.labelled else "export-ply", out]
         if split == SUBMITTED_SPLIT and not summary.labelled:

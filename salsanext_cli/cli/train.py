@@ -10,7 +10,6 @@ import typer
 
 from salsanext_cli.cli import console, options
 from salsanext_cli.cli.console import progress
-from salsanext_cli.cli.option_groups import Only
 from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, weights_file, with_columns
 from salsanext_cli.errors import counted
 from salsanext_cli.options import network_option, option_group
@@ -77,7 +76,7 @@ def train(
     *,
     start: Start,
     label_space: options.LabelSpaceName = None,
-    settings: Annotated[options.Network, Only({"device"})],
+    device: options.Device = "auto",
     jobs: options.Jobs = 1,
     overwrite: options.Overwrite = False,
     strict: Annotated[
@@ -101,7 +100,7 @@ def train(
             recipe=start.plan(),
             sensor=start.seen(),
             space=named_label_space(label_space),
-            device=settings.device,
+            device=device,
             jobs=jobs,
             weights=start.weights and weights_file(start.weights),
             overwrite=overwrite,

@@ -99,11 +99,8 @@ def tune_risk(
 
     from salsanext_cli.report.tables import kept_table
 
-    given = {"at_most": at_most, "confidence": confidence}
-    numbers: dict[str, float | None] = {
-        name: options.share(f"--{name.replace('_', '-')}", text) for name, text in given.items()
-    }
-    numbers["per_class"] = per_class
+    level, sure = options.share("--at-most", at_most), options.share("--confidence", confidence)
+    numbers = {"at_most": level, "confidence": sure, "per_class": per_class}
     tuned = _tuned("risk", dataset, target, settings, selection, overwrite, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
     output.result(

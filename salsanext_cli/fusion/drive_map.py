@@ -23,8 +23,7 @@ from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
-MERGED_POINTS = 1 << 20
-"""Points that wait at least until they are merged into a map."""
+MERGED_POINTS = 1 << 20  # Points that wait at least until they are merged into a map
 
 Columns = dict[str, npt.NDArray[Any]]
 """Values by name, each (N,): x, y, z float64 metres in the world, range, scan, part, and others."""
@@ -127,8 +126,7 @@ class MapTask:
         labels = self.space.to_train(columns["label"], strict=False)
         movable = movable_classes(self.space)[labels]
         most = np.where(movable, there, 2 * there + 1)
-        stays: npt.NDArray[np.bool_] = (through == 0) | (through < most)
-        return stays
+        return (through == 0) | (through < most)
 
     def _seen(self, index: int, sensor: Sensor) -> MapScan:
         file, pose = self.files[index], self.drive.poses[index]

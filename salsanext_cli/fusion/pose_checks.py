@@ -11,36 +11,24 @@ import numpy.typing as npt
 from salsanext_cli.errors import FormatError
 from salsanext_cli.fusion.poses import CALIBRATION, Points, Poses, with_w_first
 
-Parts = npt.NDArray[np.int64]
-"""(N,): number of the part of a drive that each scan is of, whose poses fit each other."""
-ReadPoints = Callable[[int], Points]
-"""Function from the number of a scan to its measured points (M, 3), metres."""
+Parts = npt.NDArray[np.int64]  # (N,): number of the part of a drive that each scan is of
+ReadPoints = Callable[[int], Points]  # From the number of a scan to its measured points (M, 3)
 
 NEAR_M, FAR_M, ABOVE_GROUND_M, GROUND_PERCENTILE = 3.0, 30.0, 0.5, 40
 """Points that tell whether two scans lie on each other: near, and not of the ground."""
-THINNED = 2
-"""Of such points of one of the scans every so many are looked up in the other."""
-MIN_UPRIGHT = 100
-"""Fewer such points tell nothing."""
-COLUMN_M, COLUMN_HEIGHT_M = 0.5, 2.0
-"""Edges of the voxels that both scans must have points in."""
-GRID = (160, 160, 16)
-"""Voxels around a scan."""
+THINNED = 2  # Every so many of these points of one scan are looked up in the other
+MIN_UPRIGHT = 100  # Fewer such points tell nothing
+COLUMN_M, COLUMN_HEIGHT_M = 0.5, 2.0  # Edges of the voxels that both scans must have points in
+GRID = (160, 160, 16)  # Voxels around a scan
 MIN_OVERLAP = 0.4
 """Least share of points on each other: 0.59 or more of consecutive scans of real drives, 0.46 with
 half of the lasers; half of such pairs have less than 0.31 at the same place, 0.2 when turned."""
-OVERLAP_REACH_M = 8.0
-"""Distance of two scans from which on they share the less, the farther apart they are."""
-SURE_OVERLAP = 0.75
-"""Share from which on no other pose is looked at."""
-MARGIN = 0.1
-"""Least gain in overlap by another pose, which is then said to be the right one."""
-COMPARED_M, COMPARED_SCANS = 5.0, 10
-"""Farthest scan before that one is compared with: slow drives move little from scan to scan."""
-OUT_OF_SIGHT_M = 50.0
-"""Distance from which on two scans are not compared."""
-MAX_MISFIT = 1 / 3
-"""Share of the scans between pairs that do not fit, above which poses are refused."""
+OVERLAP_REACH_M = 8.0  # Scans farther apart share the less, the farther they are
+SURE_OVERLAP = 0.75  # Share from which on no other pose is looked at
+MARGIN = 0.1  # Least gain in overlap by another pose, which is then the right one
+COMPARED_M, COMPARED_SCANS = 5.0, 10  # Farthest earlier scan to compare with: drives may be slow
+OUT_OF_SIGHT_M = 50.0  # Distance from which on two scans are not compared
+MAX_MISFIT = 1 / 3  # Poses are refused above this share of scans between pairs that do not fit
 SAMPLED_PAIRS = 8
 CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 """From x forward, y left, z up to the camera's x right, y down, z forward."""
@@ -53,15 +41,13 @@ def upright_points(points: Points) -> Points:
     if not is_near.any():
         return points[:0]
     ground = np.percentile(points[is_near, 2], GROUND_PERCENTILE)
-    upright: Points = points[(distance > NEAR_M) & (points[:, 2] > ground + ABOVE_GROUND_M)]
-    return upright
+    return points[(distance > NEAR_M) & (points[:, 2] > ground + ABOVE_GROUND_M)]
 
 
 def overlap(points: Points, others: Points, pose: Poses) -> float:
-    """Return which share of a scan's upright points lies on those of another.
+    """Return which share of a scan's upright points (U, 3) lies on those of another (V, 3).
 
-    `points`, `others`: (U, 3), (V, 3) metres, each in its own frame; `pose`: (4, 4) from the first
-    to the second.
+    `pose`: (4, 4) from the first to the second.
     """
     grid = np.zeros(GRID, bool)
     # The outermost voxels are of points beyond the grid.
@@ -74,10 +60,8 @@ def overlap(points: Points, others: Points, pose: Poses) -> float:
 
 
 def _voxels(points: Points) -> tuple[Parts, ...]:
-    scaled = (
-        np.floor(points / np.array([COLUMN_M, COLUMN_M, COLUMN_HEIGHT_M])) + np.array(GRID) // 2
-    )
-    return tuple(np.clip(scaled, 0, np.array(GRID) - 1).astype(np.int64).T)
+    size, grid = np.array([COLUMN_M, COLUMN_M, COLUMN_HEIGHT_M]), np.array(GRID)
+    return tuple(np.clip(np.floor(points / size) + grid // 2, 0, grid - 1).astype(np.int64).T)
 
 
 @dataclass(slots=True)
@@ -155,10 +139,7 @@ def min_overlap(step: Poses) -> float:
 
 
 def require_fitting(path: Path, poses: Poses, read: ReadPoints) -> Parts:
-    """Return the parts of a drive by given poses; refuse them where too many do not fit the scans.
-
-    `path`: of the poses.
-    """
+    """Return the parts of a drive by given poses; refuse poses that do not fit too many scans."""
     parts, misfit = fitting_parts(poses, read)
     if misfit <= MAX_MISFIT and 2 * len(np.unique(parts)) <= len(poses) + 1:
         return parts
@@ -174,13 +155,12 @@ def require_fitting(path: Path, poses: Poses, read: ReadPoints) -> Parts:
 
 def _better_reading(poses: Poses, read: ReadPoints) -> str | None:
     """Return what the poses are if read otherwise they bring scans to lie on each other."""
+    to_scan = np.linalg.inv(CAMERA)
     readings = {
         "": poses,
         "are from the world to the scans": np.linalg.inv(poses),
-        "are of the camera": np.linalg.inv(CAMERA) @ poses @ CAMERA,
-        f"are of the scans, not of the camera of {CALIBRATION}": CAMERA
-        @ poses
-        @ np.linalg.inv(CAMERA),
+        "are of the camera": to_scan @ poses @ CAMERA,
+        f"are of the scans, not of the camera of {CALIBRATION}": CAMERA @ poses @ to_scan,
         "have w first in their quaternions, not last": with_w_first(poses),
         # The last 1 is scaled too, which cancels in the step from one pose to another.
         "are in centimetres": poses * [1, 1, 1, 0.01],
@@ -193,10 +173,7 @@ def _better_reading(poses: Poses, read: ReadPoints) -> str | None:
 
 
 def best_reading(readings: Sequence[Poses], read: ReadPoints) -> int:
-    """Return which of several readings brings neighbouring scans to lie on each other best.
-
-    The first one of equals, such as those of a drive at constant speed, which any of them serves.
-    """
+    """Return which reading, the first of equals, brings scans to lie on each other best."""
     if len(readings) == 1 or len(readings[0]) < 2:
         return 0
     return int(np.argmax(_mean_overlaps(readings, read)))

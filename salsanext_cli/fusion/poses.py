@@ -11,18 +11,14 @@ from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.records import Float
 
-Points = npt.NDArray[np.float64] | Float
-"""(N, 3), metres."""
+Points = npt.NDArray[np.float64] | Float  # (N, 3), metres
 Poses = npt.NDArray[np.float64]
 """(N, 4, 4), or (4, 4) of one: from the frame of each scan to that of the drive, metres."""
 POSES, CALIBRATION = "poses.txt", "calib.txt"
 KITTI_NUMBERS, TUM_NUMBERS = 12, 8
-MAX_SHEAR = 1e-2
-"""Largest difference of a rotation in a file times its transpose from 1."""
-MAX_PLACE_M = 1e12
-"""Coordinate from which on float64 has no digits left for millimetres."""
-ROUNDED = 1e-12
-"""Difference of its lengths from 1 of one with all its digits."""
+MAX_SHEAR = 1e-2  # Largest difference from 1 of a rotation times its transpose
+MAX_PLACE_M = 1e12  # Coordinate from which on float64 has no digits left for millimetres
+ROUNDED = 1e-12  # Largest difference from 1 of the lengths of a rotation with all digits
 
 
 def line_numbers(
@@ -63,12 +59,12 @@ def _poses_of_lines(path: Path, rows: Sequence[str], numbers: Sequence[int]) -> 
     values = [_numbers(path, number, rows[number]) for number in numbers]
     poses = np.tile(np.eye(4), (len(values), 1, 1))
     for number, row, pose in zip(numbers, values, poses, strict=True):
-        is_kitti = len(row) == KITTI_NUMBERS
-        name = f"line {number + 1}"
+        is_kitti, name = len(row) == KITTI_NUMBERS, f"line {number + 1}"
         if not is_kitti and abs((length := np.linalg.norm(row[4:])) - 1) > MAX_SHEAR:
             found = f"{name} has a quaternion of length {length:.3g}"
             raise FormatError(path, found, "time, place, and a quaternion x, y, z, w of length 1")
-        pose[:3] = _rigid(path, name, row if is_kitti else _of_tum(row))
+        matrix = row if is_kitti else np.column_stack([rotation(*row[4:]), row[1:4]])
+        pose[:3] = _rigid(path, name, matrix)
     calibration = path.with_name(CALIBRATION)
     if present(calibration) and values and len(values[0]) == KITTI_NUMBERS:
         to_camera = _calibration(calibration)
@@ -98,11 +94,6 @@ def _numbers(path: Path, number: int, line: str) -> Poses:
         expected = "12 finite numbers (KITTI) or 8 (TUM)"
         raise FormatError(path, f"line {number + 1}: {line[:60]!r}", expected)
     return row
-
-
-def _of_tum(row: Poses) -> Poses:
-    """Return 3 × 4 numbers of time, place and quaternion x, y, z, w."""
-    return np.column_stack([rotation(*row[4:]), row[1:4]])
 
 
 def rotation(x: float, y: float, z: float, w: float) -> list[list[float]]:

@@ -20,11 +20,9 @@ from salsanext_cli.fusion.pose_checks import (
 from salsanext_cli.fusion.poses import Points, Poses
 from salsanext_cli.records import Float
 
-MIN_RANGE_M = 2.0
-"""Nearer points are of the vehicle."""
+MIN_RANGE_M = 2.0  # Nearer points are of the vehicle
 DOWNSAMPLED_M, MAP_VOXEL_M, MAX_CORRESPONDENCE_M = 0.3, 1.0, 2.0
-MAP_SCANS = 100
-"""Scans after which a place that was not seen again leaves the map."""
+MAP_SCANS = 100  # Scans after which a place that was not seen again leaves the map
 OTHER_STEPS = tuple(
     np.block([[np.eye(3), np.array(place)[:, None]], [0, 0, 0, 1]])
     for size in (2.0, -2.0, 4.0, 6.0, 8.0, 11.0, 14.0)
@@ -32,10 +30,8 @@ OTHER_STEPS = tuple(
 )
 """Steps that are compared where going on as before is not as good as before, as at the start."""
 MAX_DROP = 0.2
-"""By which less of a scan may lie on the one before than of that on its own: along a row of houses,
-wrong places have some overlap, too."""
-PART_M = 1000.0
-"""Distance to the origin of the next part of a drive."""
+"""Largest loss of overlap from scan to scan: along houses, wrong places have some overlap, too."""
+PART_M = 1000.0  # Distance to the origin of the next part of a drive
 
 
 @dataclass(slots=True)
@@ -54,8 +50,7 @@ class RegisteredPart:
 def register(scans: Iterable[Float]) -> Drive:
     """Return the poses of scans, each (M, 3) metres in its own frame, and the parts they are of.
 
-    The first is the frame of the drive. A scan that comes to lie on none of the two last parts
-    begins one whose place is not known: it starts `PART_M` farther along x.
+    A scan that lies on none of the two last parts begins another, `PART_M` farther along x.
     """
     small_gicp = import_extra("small_gicp", "fuse")
     poses: list[Poses] = []

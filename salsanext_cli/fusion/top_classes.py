@@ -6,10 +6,8 @@ import numpy.typing as npt
 
 from salsanext_cli.records import Float
 
-KEPT = 3
-"""Classes that are kept of each point."""
-LEVELS = 255
-"""Steps of a kept probability."""
+KEPT = 3  # Classes that are kept of each point
+LEVELS = 255  # Steps of a kept probability
 
 
 def top_classes(softmax: Float) -> npt.NDArray[np.uint16]:

@@ -11,8 +11,7 @@ from salsanext_cli.compiled import argument, compiled
 from salsanext_cli.geometry.projection import arctan2
 from salsanext_cli.records import MAX_RANGE_M, Float, Int
 
-COLUMNS, ROWS = 1024, 256
-"""Directions of a scan that are told apart, of 0.35°, up to 45° up and down."""
+COLUMNS, ROWS = 1024, 256  # Directions of a scan, 0.35° apart, up to 45° up and down
 SAME_PLACE_M, GRAZING = 0.3, 0.1
 """Difference of ranges up to which two scans see the same thing, and the share of the range that
 must come to it until one sees through: that much it differs within a pixel on flat ground."""

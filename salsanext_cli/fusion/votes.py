@@ -15,14 +15,10 @@ import numpy.typing as npt
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.records import Float
 
-VOXEL_SIZES_M = (0.3, 0.6)
-"""Edges of the voxels, whose shares of the votes are averaged."""
-KEY_BITS = 21
-"""Bits of a voxel's place along each axis: 2²¹ voxels of 0.3 m are 629 km."""
-MAX_CELLS = 1 << (KEY_BITS - 1)
-"""Voxels from the origin, along each axis, from which on there are no keys."""
-SCALE = 65535
-"""Of a probability in a vote, which is kept as uint16."""
+VOXEL_SIZES_M = (0.3, 0.6)  # Edges of the voxels, whose shares of the votes are averaged
+KEY_BITS = 21  # Bits of a voxel's place along each axis: 2²¹ voxels of 0.3 m are 629 km
+MAX_CELLS = 1 << (KEY_BITS - 1)  # Voxels farther from the origin, along any axis, have no keys
+SCALE = 65535  # Of a probability in a vote, which is kept as uint16
 
 Keys = npt.NDArray[np.int64]
 Votes = npt.NDArray[np.uint16]
@@ -102,11 +98,9 @@ def tally(
 ) -> Tally:
     """Add up the votes of a scan and of others for the places of its points.
 
-    Of each class it is the mean over the scans whose votes for it count, so that scans that have no
-    say about it are not against it; then the classes are scaled to add up to 1.
-
-    `others`: views of the same voxels, and (C,) whether the votes of each for a class count;
-    `stands`: (V,) in which voxels all of them count.
+    Of each class it is the mean over the scans whose votes for it count; then the classes are
+    scaled to add up to 1. `others`: views of the same voxels, and (C,) whether the votes of each
+    for a class count; `stands`: (V,) in which voxels all of them count.
     """
     total = own.votes.astype(np.uint32)
     counts = np.ones(total.shape, np.uint16)

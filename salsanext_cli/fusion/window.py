@@ -37,12 +37,9 @@ STATIC_WORDS = {
     *("lane", "path", "way", "crossing", "track", "bridge"),
 }
 """Words that make of such a name that of a place: a bus stop stands."""
-MOVABLE_SHARE = 0.2
-"""Share of a scan's vote for classes that may move from which on others are asked what stands."""
-SCAN_M = 500.0
-"""Distance to which voxels reach at least around the farthest scan of a drive."""
-ROUNDING = 1e-3
-"""By which a probability may be above 1."""
+MOVABLE_SHARE = 0.2  # Share of votes for movable classes from which others are asked
+SCAN_M = 500.0  # Least reach of the voxels around the farthest scan of a drive
+ROUNDING = 1e-3  # By which a probability may be above 1
 Content = TypeVar("Content")
 ReadScan = Callable[[int], tuple[Float, Float, npt.NDArray[np.bool_]]]
 """Function from the number of a scan in its drive to its points (N, 3), their softmax (N, C)
@@ -79,20 +76,14 @@ def require_near(
 
 
 class DriveWindow(Generic[Content]):
-    """Content of the scans around one of a drive, each read once while the window moves on.
-
-    `parts`: (S,) number of the part of the drive that each scan is of.
-    """
+    """Content of the scans around one of a drive, each read once while the window moves on."""
 
     def __init__(self, parts: Parts, reach: int, read: Callable[[int], Content]) -> None:
         self.parts, self.reach, self.read = parts, reach, read
         self.contents: dict[int, Content | SalsanextError] = {}
 
     def around(self, index: int) -> tuple[Content, dict[int, Content]]:
-        """Return the content of a scan, and of the others in reach in its part of the drive.
-
-        One of the others that cannot be read is left out: its own turn says why.
-        """
+        """Return the content of a scan, and of the readable others in reach in its part."""
         near = range(max(0, index - self.reach), min(len(self.parts), index + self.reach + 1))
         members = [each for each in near if self.parts[each] == self.parts[index]]
         before = self.contents
@@ -119,10 +110,7 @@ class PlacedScan(NamedTuple):
 
 
 class FusionWindow:
-    """Votes of the scans around one of a drive.
-
-    `movable`: (C,) which classes may move.
-    """
+    """Votes of the scans around one of a drive; `movable` (C,): which classes may move."""
 
     def __init__(
         self, drive: Drive, read: ReadScan, reach: FusionReach, movable: npt.NDArray[np.bool_]
@@ -168,10 +156,7 @@ class FusionWindow:
 
 
 def fused_labels(tally: Tally, labels: TrainIds) -> TrainIds:
-    """Return the labels of a scan's points (N,) by all scans that see their places.
-
-    A label changes only where at least one other scan sees the place; unlabelled points stay so.
-    """
+    """Return the labels of points (N,) by all scans that see them; unlabelled ones stay so."""
     fused = (tally.probabilities[:, 1:].argmax(axis=1) + 1).astype(np.uint8)
     return np.where((tally.views > 1) & (labels > 0), fused, labels)
 
@@ -218,9 +203,8 @@ def fuse(
     known = space or label_space("semantic-kitti")
     placed, of_all = np.asarray(poses, np.float64), f"for {counted(len(scans), 'scan')}"
     if len(probabilities) != len(scans):
-        raise UsageError(
-            "probabilities", counted(len(probabilities), "array"), f"one each {of_all}"
-        )
+        found = counted(len(probabilities), "array")
+        raise UsageError("probabilities", found, f"one each {of_all}")
     if placed.shape != (len(scans), 4, 4):
         raise UsageError("poses", f"an array {placed.shape}", f"({len(scans)}, 4, 4) {of_all}")
     for index, pose in enumerate(placed):

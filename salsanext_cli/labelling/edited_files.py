@@ -32,10 +32,8 @@ from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, counted_by_suffix
 
 EDITED_SUFFIXES = (*READERS, ".label", ".npy")
-MAX_UNMATCHED = 0.01
-"""Largest share of the points of a cloud that may be none of the scan's."""
-ROUNDED_M = 0.05
-"""Distance up to which coordinates were probably rounded; other scans are farther away."""
+MAX_UNMATCHED = 0.01  # Largest share of the points of a cloud that are none of the scan's
+ROUNDED_M = 0.05  # Nearer coordinates were probably rounded; other scans are farther away
 
 
 def find_edited(source: Path) -> list[Path]:
@@ -80,13 +78,12 @@ def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanF
     if len(fitting) == 1:
         return fitting[0]
     where = "" if sequence is None else f" in sequence {sequence}"
-    several = first_few([scan.name for scan in fitting])
-    raise LabelError(
-        path,
-        f"may belong to {several}" if fitting else f"belongs to no scan{where}",
-        "the name of one scan, alone or as a word, as in `000010 - Cloud.ply`",
-        "put it into a folder with the name of its sequence" if fitting else "rename it",
-    )
+    found, remedy = f"belongs to no scan{where}", "rename it"
+    if fitting:
+        found = f"may belong to {first_few([scan.name for scan in fitting])}"
+        remedy = "put it into a folder with the name of its sequence"
+    expected = "the name of one scan, alone or as a word, as in `000010 - Cloud.ply`"
+    raise LabelError(path, found, expected, remedy)
 
 
 def _sequence_of(path: Path, source: Path, sequences: set[str]) -> str | None:
@@ -132,9 +129,8 @@ def edited_labels(
 ) -> tuple[RawIds, dict[str, Any]]:
     """Return the raw ids (N,) uint32 that files hold of a scan, with instances, and numbers of it.
 
-    Points without a label get the unlabelled raw id. Those `labelled`, with a class that counts,
-    `unlabelled`, `ambiguous` and `missing` are N; `unmatched` ones of the files are none of the
-    scan's, and each file has one label of `contradicted` ones.
+    Those `labelled`, with a class that counts, `unlabelled`, `ambiguous` and `missing` are N;
+    `unmatched` are none of the scan's points, and each file has one label of `contradicted` ones.
     """
     transfers = [transfer for transfer, _ in parts.values()]
     merged = merged_transfers(transfers, unlabelled)
@@ -178,10 +174,6 @@ def _require_same_scan(path: Path, transfer: LabelTransfer) -> None:
     cause = "it is of another scan, or its coordinates were shifted, turned or scaled"
     if distance < ROUNDED_M:
         cause = "its coordinates were rounded or moved: save it with more digits"
-    raise LabelError(
-        path,
-        f"{count:,} of its {transfer.cloud_points:,} points are none of the scan's, but "
-        f"{distance:.3g} m from the nearest (median)",
-        f"all within {1000 * TOLERANCE_M:g} mm of one",
-        cause,
-    )
+    found = f"{count:,} of its {transfer.cloud_points:,} points are none of the scan's"
+    found += f", but {distance:.3g} m from the nearest (median)"
+    raise LabelError(path, found, f"all within {1000 * TOLERANCE_M:g} mm of one", cause)

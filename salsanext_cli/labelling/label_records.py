@@ -28,8 +28,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder, States
 from salsanext_cli.results.selection import data_set_of
 from salsanext_cli.version import __version__
 
-PICKED, GUESSES = "pick.json", "guesses"
-"""Record of `pick`, and its key for the digests."""
+PICKED, GUESSES = "pick.json", "guesses"  # Record of `pick`, and its key for the digests
 STAGE = "import-labels"
 IMPORTED = f"{STAGE}.json"
 
@@ -104,10 +103,7 @@ class LabelRecords:
         return self.is_guess(scan, digest) and not confirmed
 
     def is_replaceable(self, scan: ScanFile, edited: Iterable[Path], contradicted: int = 0) -> bool:
-        """Say whether the label file of a scan, if there is one, may give way to edited files.
-
-        It may if it is as salsanext wrote it, from no other file and with as many contradictions.
-        """
+        """Say whether the label file of a scan, if there is one, may give way to edited files."""
         path, earlier = scan.label_path, self._imported.get(scan.name, {"files": []})
         # Files that are not recorded may be any.
         imported = Counter(Path(file).name for file in earlier.get("files", ["?"]))

@@ -138,9 +138,7 @@ class PickedDataSet(OwnedFolder):
             try:
                 if present(poses):
                     with reading(poses) as file:
-                        lines = [
-                            line for line in map(bytes.strip, file.read().splitlines()) if line
-                        ]
+                        lines = [*filter(None, map(bytes.strip, file.read().splitlines()))]
                     stems, wanted = (
                         [s.stem for s in each] for each in (find_scans(source), picked)
                     )

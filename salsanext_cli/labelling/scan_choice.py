@@ -59,13 +59,11 @@ def choose_scans(
         order = _greedy(points, weights, total, strategy, before)
     ranks = np.empty(len(weights), np.intp)
     ranks[np.argsort(-weights, kind="stable")] = np.arange(1, len(weights) + 1)
-    return [
-        Choice(
-            scan, float(weights[scan]), int(ranks[scan]), *_nearest(points, scan, order[:number])
-        )
-        for number, scan in enumerate(order)
-        if number >= len(before)
-    ]
+    chosen = []
+    for number, scan in enumerate(order[len(before) :], start=len(before)):
+        nearest = _nearest(points, scan, order[:number])
+        chosen.append(Choice(scan, float(weights[scan]), int(ranks[scan]), *nearest))
+    return chosen
 
 
 def require_choice(count: int, strategy: str, seed: int) -> None:
@@ -91,8 +89,7 @@ def standardised(features: npt.ArrayLike) -> Double:
 
 def distances(points: Double, scan: int) -> Double:
     """Return the distance of every scan from one, (S,)."""
-    lengths: Double = np.linalg.norm(points - points[scan], axis=1)
-    return lengths
+    return np.linalg.norm(points - points[scan], axis=1)
 
 
 def spread(points: Double, count: int) -> float:

@@ -75,7 +75,7 @@ def reliability(counts: Counts, bin_count: int = POOLED_BINS) -> Reliability:
     return Reliability(points, ratio(confidence, points), ratio(hits, points))
 
 
-def adaptive_error(counts: Counts, bin_count: int = POOLED_BINS) -> float:
+def adaptive_error(counts: Counts) -> float:
     """Return Σ_b |accuracy_b − confidence_b| / B over bins of equally many points, ties divided."""
     points = counts.sum(axis=0)
     held = points > 0
@@ -83,6 +83,6 @@ def adaptive_error(counts: Counts, bin_count: int = POOLED_BINS) -> float:
         return math.nan
     gaps = counts[0, held] - points[held] * CONFIDENCES[held].astype(np.float64)
     reached = np.concatenate([[0], points[held].cumsum()])
-    borders = np.linspace(0, reached[-1], bin_count + 1)
+    borders = np.linspace(0, reached[-1], POOLED_BINS + 1)
     gap = np.diff(np.interp(borders, reached, np.concatenate([[0], gaps.cumsum()])))
     return float(np.abs(gap).sum() / reached[-1])

@@ -5,15 +5,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from salsanext_cli.errors import counted
 
 DEVIATIONS = 2.0
-"""Half the width of the interval, in root mean squares of the differences between expected and
-measured accuracy. Of the ten labelled drives in docs/safety.md, each judged by the root mean square
-of the nine others, nine lie in it."""
+"""Half the width of the interval, in root mean squares of expected minus measured accuracy: nine of
+the ten labelled drives in docs/safety.md lie in it, each judged by those of the others."""
 OF_RUN = ("mixed-sensors",)
 """Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
 WITHHELD_FOR = (
@@ -50,13 +49,7 @@ class ExpectedAccuracy:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
-        interval = None if self.interval is None else list(self.interval)
-        return {
-            "accuracy": self.accuracy,
-            "interval": interval,
-            "scans": self.scans,
-            "withheld": dict(self.withheld),
-        }
+        return asdict(self)
 
 
 def expected_accuracy(
@@ -66,19 +59,8 @@ def expected_accuracy(
 ) -> ExpectedAccuracy | None:
     """Estimate the accuracy of a run by a line through logits of confidence and accuracy.
 
-    Parameters
-    ----------
-    line : mapping
-        `slope`, `offset` and `deviation` as in `WeightsCard.accuracy`; empty if unknown.
-    confidences : mapping
-        Mean of the largest probabilities of the points of each scan, 0…1, by name.
-    warnings : mapping
-        Names of the scans that have a warning, by its code.
-
-    Returns
-    -------
-    ExpectedAccuracy or None
-        None without a line or without scans.
+    `line`: as `WeightsCard.accuracy`; `confidences`: mean of the largest probabilities of each
+    scan's points, 0…1, by name; `warnings`: names of scans by code. None without line or scans.
     """
     if not line or not confidences:
         return None

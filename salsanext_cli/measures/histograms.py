@@ -21,17 +21,13 @@ from salsanext_cli.measures.scores import Counts, Mask, Ratios
 from salsanext_cli.records import Float, Indices
 
 MIN_PROBABILITY = 2.0**-24
-"""Least probability of the true class: the smallest float16 above 0.
-
-One point with a probability of 0 would make the mean infinite; so it costs 24 ln 2 = 16.6 nats.
-"""
+"""Least probability of the true class, the smallest float16 above 0, which costs 16.6 nats."""
 CONFIDENCES = np.arange(int(np.float16(1).view(np.uint16)) + 1).astype(np.uint16).view(np.float16)
 """Every float16 from 0 to 1, ascending: the bit patterns of numbers above 0 are in their order."""
 BINS_PER_OCTAVE = 128
-LOWEST, HIGHEST = -48, 8
-"""Exponents of two of the first and the last bin; uncertainties below are as good as 0."""
+LOWEST, HIGHEST = -48, 8  # Exponents of two of the first and the last bin
+# One bin for everything below the lowest, then 128 per octave; the last is open.
 UNCERTAINTY_BINS = 1 + (HIGHEST - LOWEST) * BINS_PER_OCTAVE
-"""Number of bins: one for everything below the lowest, then 128 per octave; the last is open."""
 BFLOAT16_SHIFT = 16  # Bits of a float32 that a bfloat16 does not have
 FIRST_KEY = int(np.float32(2.0**LOWEST).view(np.int32)) >> BFLOAT16_SHIFT
 

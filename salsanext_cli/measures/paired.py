@@ -150,33 +150,28 @@ class RunComparison:
 
     def most_changed(self) -> list[ScanPair]:
         """Return the scans that changed most, those first."""
-        pairs_that_differ = (pair for pair in self.pairs if changed(pair.turned))
-        return sorted(pairs_that_differ, key=lambda pair: (-changed(pair.turned), pair.file))[
-            :NAMED
-        ]
+        differing = (pair for pair in self.pairs if changed(pair.turned))
+        return sorted(differing, key=lambda pair: (-changed(pair.turned), pair.file))[:NAMED]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; null stands for NaN."""
         in_bands = ("coverage", "risk") if self.rejecting else ("accuracy", "iou_mean_same")
-        return dict(
-            plain(
-                {
-                    "label_space": self.space.name,
-                    "scans": len(self.pairs),
-                    "scored": len(self.sums),
-                    "trained_on": [pair.file.name for pair in self.pairs if pair.trained_on],
-                    "agreement": 1 - changed(self.turned),
-                    "turned": self.turns(),
-                    "scores": {name: each._asdict() for name, each in self.scores.items()},
-                    "by_distance": {
-                        name: {each: d._asdict() for each, d in zip(in_bands, two, strict=True)}
-                        for name, two in self.bands.items()
-                    },
-                    "changed_most": [
-                        {"scan": p.file.name, "changed": changed(p.turned)}
-                        | {"risk" if self.rejecting else "gain": self.difference(p)}
-                        for p in self.most_changed()
-                    ],
-                }
-            )
-        )
+        gain = "risk" if self.rejecting else "gain"
+        data = {
+            "label_space": self.space.name,
+            "scans": len(self.pairs),
+            "scored": len(self.sums),
+            "trained_on": [pair.file.name for pair in self.pairs if pair.trained_on],
+            "agreement": 1 - changed(self.turned),
+            "turned": self.turns(),
+            "scores": {name: each._asdict() for name, each in self.scores.items()},
+            "by_distance": {
+                name: {each: d._asdict() for each, d in zip(in_bands, two, strict=True)}
+                for name, two in self.bands.items()
+            },
+            "changed_most": [
+                {"scan": p.file.name, "changed": changed(p.turned), gain: self.difference(p)}
+                for p in self.most_changed()
+            ],
+        }
+        return dict(plain(data))

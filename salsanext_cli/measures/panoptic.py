@@ -59,11 +59,9 @@ def panoptic_quality(counts: Ratios, space: LabelSpace, things: Mask) -> dict[st
     groups = {"all": space.scored, "things": space.scored & things, "stuff": space.scored & ~things}
     groups["things_present"] = groups["things"] & (counted > 0)
     means = {name: quality[of].mean(axis=0) for name, of in groups.items() if of.any()}
-    numbers = {
-        space.names[i]: [*quality[i].tolist(), *counts[i, 1:4].astype(int).tolist()]
-        for i in np.flatnonzero(space.scored)
-    }
-    return {
-        **{name: dict(zip(COLUMNS, mean.tolist(), strict=False)) for name, mean in means.items()},
-        "classes": {name: dict(zip(COLUMNS, each, strict=True)) for name, each in numbers.items()},
-    }
+    classes = {}
+    for i in np.flatnonzero(space.scored):
+        numbers = [*quality[i].tolist(), *counts[i, 1:4].astype(int).tolist()]
+        classes[space.names[i]] = dict(zip(COLUMNS, numbers, strict=True))
+    of_groups = {n: dict(zip(COLUMNS, mean.tolist(), strict=False)) for n, mean in means.items()}
+    return of_groups | {"classes": classes}

@@ -21,14 +21,12 @@ from salsanext_cli.measures.scores import Counts, Ratios, scored_rows
 
 PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
 """Classes whose points are of people."""
-KEEPS_NONE = -1.0
-"""Threshold of a class of which no label is kept."""
+KEEPS_NONE = -1.0  # Threshold of a class of which no label is kept
 RISK_BOUND_EXCEEDED = (
     "more is kept and wrong than was promised: by chance, if these scans are few, else because "
     "their place, sensor or weather is another than that of the scans that the threshold was "
     "chosen on; choose it with `salsanext tune risk` on labelled scans like these"
 )
-"""Meaning of a promise that does not hold."""
 
 
 def means_of_units(losses: Ratios, units: npt.NDArray[Any]) -> Ratios:
@@ -48,7 +46,7 @@ def held_thresholds(
     (Σ losses + 1) / (n + 1) ≤ level: conformal risk control (Angelopoulos et al. 2022, arXiv
     2208.02814, eq. 4) of a loss of at most 1. With one they hold the loss of most scans: with this
     confidence, over the choice of the n, at most a share 1 − confidence of all scans loses more.
-    `scans`: the number n, if another; the mean loss, or the number of bad scans, is then that of n.
+    `scans`: the number n, if another than that of the losses.
     """
     n = scans or len(losses)
     if confidence is None:

@@ -16,13 +16,10 @@ from salsanext_cli.measures.histograms import Histogram, highest_of_bins
 from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
-COVERAGE = np.arange(1, 101) / 100
-"""Shares of the points, the least uncertain ones first, at which the risk is given."""
+COVERAGE = np.arange(1, 101) / 100  # Shares of the least uncertain points
 PERCENT_KEPT = 80  # Share of the points, in percent, that a threshold keeps as nearly as it can
-FEW_DIGITS = (1, 2, 3, 4)
-"""Significant digits of a threshold that is rounded, where that keeps the same points."""
-SERIES_FROM = 16
-"""Number from which the asymptotic series of the harmonic numbers is exact to the last digit."""
+FEW_DIGITS = (1, 2, 3, 4)  # Significant digits of a rounded threshold
+SERIES_FROM = 16  # Harmonic numbers from here on: their series is exact to the last digit
 
 
 @dataclass(frozen=True, slots=True)

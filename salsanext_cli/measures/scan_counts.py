@@ -54,16 +54,14 @@ from salsanext_cli.sensors.sensor import Sensor
 SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of its confidence
 OF_SOFTMAX = {"least_confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
 """Uncertainties that come from the probabilities, where no file has them or classes are merged."""
-EVALUATED_KINDS = (*dict.fromkeys((*OF_SOFTMAX, *UNCERTAINTY)),)
-"""Every kind of uncertainty, in the order in which they are reported."""
+EVALUATED_KINDS = (*dict.fromkeys((*OF_SOFTMAX, *UNCERTAINTY)),)  # In the order of reports
 SCORES_OF_SCAN = ("points", "accuracy", "iou_mean_present")
 CLASS, DISTANCE = "class", "distance"
 OF_ERROR = ("error", "calibration")  # Key of the histogram of the error as a probability
 MIN_ACCURACY, MIN_JUDGED = 0.2, 10_000
 """Least accuracy, over so many points or more, of labels that mean the same as the predictions;
 that of other ids was 0.02, that of the default weights in streets 0.75 or more."""
-BAND_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)
-"""Inner radius of each distance band, in metres; the last band has no end."""
+BAND_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # The last band has no end
 BAND_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
 
 
@@ -177,15 +175,13 @@ def count_scan(
 ) -> ScanCounts:
     """Count one scan; one without predictions counts as missing.
 
-    Points whose truth is scored are counted by probability and by uncertainty too, if the output
-    folder holds `probabilities/` and `uncertainty/` of the scan. Points that `predict --reject`
-    left unlabelled are missed ones in the confusion, and have no uncertainty.
+    Points whose truth is scored are counted by probability and uncertainty too, where there are
+    any. Points that `predict --reject` left unlabelled are missed ones, and have no uncertainty.
 
-    `space`: classes that are compared, and meaning of the raw ids; `by_distance`: count distance
-    bands too, for which the scan is read; `labels`: meaning of the raw ids of the labels, if
-    they have their own for these classes; `merging`: of the classes of the probabilities into those
-    compared; `trained_on`: digests of scans that the weights were trained on; `objects`: whether
-    the predictions have instances; `rejection`: that of the run.
+    `space`: classes that are compared, and meaning of the raw ids; `by_distance`: whether to count
+    distance bands too; `labels`: meaning of the raw ids of the truth, if another; `merging`: of
+    the classes of the probabilities into those compared; `trained_on`: digests of scans;
+    `objects`: whether the predictions have instances.
     """
     counts = ScanCounts.none(space, by_distance)
     predictions = output_path(out, scan.sequence, "predictions", scan.stem)

@@ -28,15 +28,12 @@ from salsanext_cli.results.owned_folder import Texts
 from salsanext_cli.sensors.sensor import Sensor
 
 CLASSES_SHOWN = 5  # Classes that a summary names
-MAX_SHARE = 0.75
-"""Largest share of a class in a scan that is believed; an empty crossroads had 0.6 of road."""
-FEW_CLASSES = 10
-MAX_SHARE_OF_FEW = 0.85
+MAX_SHARE = 0.75  # Largest credible share of a class in a scan; an empty crossroads had 0.6
+FEW_CLASSES, MAX_SHARE_OF_FEW = 10, 0.85
 """The same of so many classes or fewer, as `coarse` has; 0.67 or less with right settings."""
 MIN_CLASSES = 5
 """Of fewer, one may take nearly all of a scan. Both numbers include the class "unlabelled"."""
-MIN_CONFIDENCE = 0.575
-"""Least usual mean of the largest probabilities of a scan; that of streets was 0.58 or more."""
+MIN_CONFIDENCE = 0.575  # Least usual mean of a scan; that of streets was 0.58 or more
 USUAL = (
     "of the default weights, 0.58 or more is usual in streets: the place, the sensor or its "
     "settings may be others"

@@ -30,8 +30,7 @@ Mask = npt.NDArray[np.bool_]
 Ratios = npt.NDArray[np.float64]
 
 EPSILON = 1e-15  # Added to every denominator by the official evaluator
-FREQUENT_POINTS = 500
-"""Points of a class from which on it is frequent; the IoU of fewer is mostly chance."""
+FREQUENT_POINTS = 500  # Of a class; the IoU of fewer is mostly chance
 
 
 def confusion_matrix(

@@ -39,8 +39,7 @@ from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
 log = logging.getLogger(__name__)
 
-KINDS_OF_THRESHOLD = ("error", "entropy")
-"""Kinds of uncertainty that a threshold is suggested for, the better one first."""
+KINDS_OF_THRESHOLD = ("error", "entropy")  # A threshold is suggested for the first known
 
 Scores = TypeVar("Scores", CalibrationScores, RankingScores)
 
@@ -116,11 +115,8 @@ def evaluate_uncertainty(counts: ScanCounts, space: LabelSpace) -> UncertaintyEv
     for folder in (SOFTMAX, *(f"uncertainty/{kind}" for kind in UNCERTAINTY)):
         if 0 < counts.files[folder] < counts.scans:
             log.warning("%s of %d of %d scans only", folder, counts.files[folder], counts.scans)
-    kinds = {
-        kind: _ranking_result(counts, kind, space)
-        for kind in EVALUATED_KINDS
-        if (kind, CLASS) in counts.histograms
-    }
+    known = (kind for kind in EVALUATED_KINDS if (kind, CLASS) in counts.histograms)
+    kinds = {kind: _ranking_result(counts, kind, space) for kind in known}
     has_softmax = (SOFTMAX, CLASS) in counts.histograms
     softmax = _calibration_result(counts, space) if has_softmax else None
     error, confidence = kinds.get("error"), kinds.get("least_confidence")

@@ -22,8 +22,7 @@ from salsanext_cli.results.output_run import OutputRun
 if TYPE_CHECKING:
     from PIL.Image import Image
 MAX_PX = (1280, 1080)
-PALETTE, MAX_KEPT = 256, 192
-"""Colours of a GIF, and how many of them may be chosen beforehand."""
+PALETTE, MAX_KEPT = 256, 192  # Colours of a GIF, and how many are chosen beforehand
 
 log = logging.getLogger(__name__)
 

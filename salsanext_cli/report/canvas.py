@@ -6,7 +6,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Container
 from io import BytesIO
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from salsanext_cli.report.colours import EMPTY, Colours, Legend
 
@@ -77,25 +77,16 @@ def show_pixels(
 
 def axes_at(figure: Figure, left: int, top: int, width: int, height: int) -> Axes:
     """Add axes at a place in pixels, measured from the upper left corner."""
-    full_width, full_height = figure.get_size_inches() * DPI
-    bottom = full_height - top - height
-    return figure.add_axes(
-        (left / full_width, bottom / full_height, width / full_width, height / full_height)
-    )
+    across, down = figure.get_size_inches() * DPI
+    bottom = down - top - height
+    return figure.add_axes((left / across, bottom / down, width / across, height / down))
 
 
 def text_at(figure: Figure, left: int, top: int, text: str, size: int, colour: str = INK) -> None:
     """Write text, a dollar sign too, with its middle at `top`, in pixels from the upper left."""
     width, height = figure.get_size_inches() * DPI
-    figure.text(
-        left / width,
-        1 - top / height,
-        text,
-        fontsize=size * 72 / DPI,
-        color=colour,
-        va="center_baseline",
-        parse_math=False,
-    )
+    style: dict[str, Any] = {"fontsize": size * 72 / DPI, "color": colour, "parse_math": False}
+    figure.text(left / width, 1 - top / height, text, va="center_baseline", **style)
 
 
 def new_plot(

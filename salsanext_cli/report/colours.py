@@ -20,23 +20,16 @@ from salsanext_cli.sensors.sensor import Sensor
 
 Colours = npt.NDArray[np.uint8]
 Values = npt.NDArray[np.float64]
-Legend = Sequence[tuple[str, tuple[int, int, int]]]
-"""Names with their red, green, blue."""
-Scale = tuple[float, ...]
-"""Values at equal steps along the colour map, rising: its two ends at least."""
-Scales = dict[str, Scale]
-"""Scales by colour."""
+Legend = Sequence[tuple[str, tuple[int, int, int]]]  # Names with their red, green, blue
+Scale = tuple[float, ...]  # Rising values at equal steps along the colour map, both ends at least
+Scales = dict[str, Scale]  # Scales by colour
 FIXED_SCALES: Scales = {"error": (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)}
 """Those that are the same for every run: most errors are below 0.1, as those of kept points."""
 
-EMPTY = (36, 38, 45)
-"""Colour of a place without a measurement."""
-COLOUR_MAP = "viridis"
-"""Name of matplotlib's colour map for values; it is perceptually uniform."""
-MIN_CONTRAST = 2.5
-"""Least ratio of luminances of a colour and `EMPTY` in pictures, as WCAG 2 defines it."""
-MIN_DIFFERENCE = 18.5
-"""Least difference of two classes in pictures, by `colour_difference`."""
+EMPTY = (36, 38, 45)  # Colour of a place without a measurement
+COLOUR_MAP = "viridis"  # matplotlib's map for values; it is perceptually uniform
+MIN_CONTRAST = 2.5  # Least ratio of luminances of a colour and `EMPTY`, as WCAG 2 defines it
+MIN_DIFFERENCE = 18.5  # Least difference of two classes in pictures, by `colour_difference`
 APART = np.frombuffer(
     bytes.fromhex(
         "636363 5392ff 17c7fa 4361a5 9589b5 7b20ff ff1e1e ff5992 "
@@ -58,12 +51,10 @@ XYZ = np.array(
 RIGHT = (92, 100, 112)
 WRONG = (255, 72, 48)
 """Colours of points with a right and with a wrong label."""
-SCALE_PERCENTILES = (1.0, 99.0)
-"""Ends of a colour scale by default, which leave out a few outliers."""
+SCALE_PERCENTILES = (1.0, 99.0)  # Ends of a colour scale, which leave out outliers
 SCANS_FOR_SCALE = 20
 OUTCOME_LEGEND = (("right", RIGHT), ("wrong", WRONG))
-OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)
-"""Colours of points that are not judged, right and wrong, (3, 3)."""
+OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)  # Not judged, right and wrong
 CLASS_COLOURS = ("label", "truth", "wrong")
 
 
@@ -79,10 +70,7 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
 def common_scales(
     out: Path, scans: Sequence[ScanFile], colours: Iterable[str], space: LabelSpace, sensor: Sensor
 ) -> Scales:
-    """Find what most points of some evenly spaced scans span, unless it is fixed.
-
-    Classes have no scale.
-    """
+    """Find what most points of some evenly spaced scans span, for values without a fixed scale."""
     folder, scales = ResultFolder(out), dict[str, Scale]()
     values: dict[str, list[npt.NDArray[Any]]] = {}
     sampled: dict[ScanFile, list[str]] = {}
@@ -117,14 +105,12 @@ def on_dark(colours: npt.ArrayLike) -> Colours:
     white = np.linspace(0, 1, 256)[:, None, None]
     mixed = np.rint((1 - white) * np.asarray(colours) + white * 255)
     enough = _luminance(mixed) >= MIN_CONTRAST * _luminance(np.array(EMPTY))
-    lightened: Colours = mixed[enough.argmax(axis=0), np.arange(mixed.shape[1])].astype(np.uint8)
-    return lightened
+    return mixed[enough.argmax(axis=0), np.arange(mixed.shape[1])].astype(np.uint8)
 
 
 def _luminance(colours: npt.NDArray[Any]) -> Values:
     """Return the relative luminance of sRGB, to which WCAG 2 adds the light of a room."""
-    luminance: Values = _linear(colours) @ (0.2126, 0.7152, 0.0722) + 0.05
-    return luminance
+    return _linear(colours) @ (0.2126, 0.7152, 0.0722) + 0.05
 
 
 def screen_colours(space: LabelSpace) -> Colours:
@@ -166,14 +152,12 @@ def _spread(count: int) -> Colours:
 def _linear(colours: npt.NDArray[Any]) -> Values:
     """Return the light of sRGB values of 0 to 255, from 0 to 1."""
     share = colours / 255
-    light: Values = np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
-    return light
+    return np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
 
 
 def colour_difference(first: Colours, second: Colours) -> Values:
     """Return how far sRGB colours, (…, 3) each, lie apart in CIELAB of compressed chroma."""
-    difference: Values = np.linalg.norm(_lab_of(first) - _lab_of(second), axis=-1)
-    return difference
+    return np.linalg.norm(_lab_of(first) - _lab_of(second), axis=-1)
 
 
 def _lab_of(colours: Colours) -> Values:
@@ -196,10 +180,7 @@ def map_on_dark() -> Colours:
 def value_colours(
     values: npt.NDArray[Any], *scale: float, colour_map: Colours | None = None
 ) -> Colours:
-    """Colour values, (…) to (…, 3), by a `Scale` along a map (256, 3); NaN is `EMPTY`.
-
-    The map is otherwise that of pictures, `map_on_dark`.
-    """
+    """Colour values, (…) to (…, 3), along a map (256, 3), else `map_on_dark`; NaN is `EMPTY`."""
     marks = scale if scale[-1] > scale[0] else (scale[0], scale[0] + 1)
     share = np.interp(values, marks, np.linspace(0, 1, len(marks)))
     position = np.rint(np.nan_to_num(share) * 255).astype(np.intp)
@@ -211,8 +192,7 @@ def map_colours(name: str) -> Colours:
     """Return the 256 colours of a matplotlib map, (256, 3) uint8."""
     import matplotlib
 
-    colours: Colours = matplotlib.colormaps[name](np.arange(256), bytes=True)[:, :3]
-    return colours
+    return matplotlib.colormaps[name](np.arange(256), bytes=True)[:, :3]
 
 
 def legend_of(space: LabelSpace, *labels: npt.NDArray[Any]) -> Legend:
@@ -240,13 +220,10 @@ class PointColours:
 
     def of_points(self, columns: Mapping[str, npt.NDArray[Any]]) -> Colours:
         """Return red, green and blue of every point, (N, 3), from its `scalar_columns`."""
-        colours: Colours
         if self.colour not in CLASS_COLOURS:
             of_files = None if self.dark else map_colours(COLOUR_MAP)
             return value_colours(columns[self.colour], *self.scale, colour_map=of_files)
         if self.colour == "wrong":
-            colours = OUTCOMES[np.nan_to_num(columns["wrong"] + 1).astype(np.intp)]
-            return colours
+            return OUTCOMES[np.nan_to_num(columns["wrong"] + 1).astype(np.intp)]
         of_classes = screen_colours(self.space) if self.dark else self.space.colours
-        colours = of_classes[self.space.to_train(columns[self.colour], strict=False)]
-        return colours
+        return of_classes[self.space.to_train(columns[self.colour], strict=False)]

@@ -57,16 +57,11 @@ def comparison_tables(compared: RunComparison) -> Group:
         rows = [(name, *_cells(mean)) for name, (_, mean) in compared.bands.items()]
         title = "Risk" if compared.rejecting else "Mean IoU of the same classes"
         tables.append(table_of(("distance", *DIFFERENCE), rows, title=title))
-    scans = [
-        (p.file.name, percent(changed(p.turned)), _signed(compared.difference(p)), p.trained_on)
-        for p in compared.most_changed()
-    ]
-    seen = sum(pair.trained_on for pair in compared.pairs)
-    if seen:
+    if seen := sum(pair.trained_on for pair in compared.pairs):
         which = "all scans" if seen == len(compared.pairs) else counted(seen, "scan")
         tables.append(f"{which} not scored: the weights of a run were trained on them")
     of_scans = f"Labels of {counted(len(compared.pairs), 'scan')}"
-    if not scans:
+    if not (most_changed := compared.most_changed()):
         return Group(*tables, f"{of_scans}: all are the same")
     turns = (
         (before, after, f"{points:,}", percent(share))
@@ -75,9 +70,12 @@ def comparison_tables(compared: RunComparison) -> Group:
     title = f"{of_scans}: {percent(1 - changed(compared.turned))} % are the same"
     headings = ("before", "after", "points", "share %")
     tables.append(table_of(headings, turns, texts=["after"], title=title))
-    of_rows = ((*cells, "trained on" * of_training) for *cells, of_training in scans)
+    scans = []
+    for pair in most_changed:
+        numbers = percent(changed(pair.turned)), _signed(compared.difference(pair))
+        scans.append((pair.file.name, *numbers, "trained on" * pair.trained_on))
     headings = ("scan", "changed %", "risk" if compared.rejecting else "accuracy", "note")
-    return Group(*tables, table_of(headings, of_rows, title="Scans that changed most"))
+    return Group(*tables, table_of(headings, scans, title="Scans that changed most"))
 
 
 def change_picture(

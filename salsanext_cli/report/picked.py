@@ -35,8 +35,7 @@ from salsanext_cli.results.layout import ScanFile
 
 STRIP_WIDTH_PX, STRIP_HEIGHT_PX = 1024, 96
 TITLE_PX, HEAD_PX, BAR_PX = 34, 44, 200
-MAX_ON_SHEET = 200
-"""Scans of a sheet; the picture would be too high for its format with many more."""
+MAX_ON_SHEET = 200  # Scans of a sheet; PNG cannot be high enough for many more
 NO_CLASS = 255
 
 

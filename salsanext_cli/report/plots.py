@@ -40,33 +40,27 @@ PICTURES = {
 """All plots, by the name of the file, in words."""
 ROW_PX, CELL_PX = 28, 46
 NAMES_PX = 150
-MIN_SHARE = 0.005
-"""Shares below this round to 0 % and are not written into their cell."""
+MIN_SHARE = 0.005  # Shares below this round to 0 % and are not written into their cell
 DASHED = (0, (5, 2))
 LINES = {
     "softmax_entropy": (DARK, DASHED),
     **{name: (k.colour, DASHED if k.is_dashed else "-") for name, k in UNCERTAINTY.items()},
 }
 """Colour and dashes of each kind of uncertainty."""
-PLOT_PX = 720, 560
-"""Width and height of every plot here, so that their text is of one size on a page."""
-LEFT, TOP, WIDTH = 80, 60, 600
-HEIGHT, HEIGHT_ABOVE = 430, 330
-"""Height of the main axes, and of those that have a legend or other axes below them."""
+PLOT_PX = 720, 560  # Size of every plot here, so that text is of one size on a page
+LEFT, TOP, WIDTH = MAIN_PX = 80, 60, 600
+HEIGHT, HEIGHT_ABOVE = 430, 330  # Of the main axes, alone and above a legend or other axes
 NAME_PX, LINE_PX = 90, 13  # Room for the name of a class
-BELOW_PX = 90
-"""Height in pixels of the axes below them, which show the distribution of the points."""
+BELOW_PX = 90  # Height of the axes below them, which show the distribution of the points
 
 
 def evaluation_pictures(
     scores: Scores, confusion: Counts, uncertainty: UncertaintyEvaluation, space: LabelSpace
 ) -> dict[str, bytes]:
     """Draw what there is to an evaluation, PNG by name, in the order of `PICTURES`."""
-    return {
-        "eval_iou.png": iou_bars(scores, space),
-        "eval_confusion.png": confusion_picture(confusion, space),
-        **uncertainty_pictures(uncertainty, space),
-    }
+    pictures = {"eval_iou.png": iou_bars(scores, space)}
+    pictures["eval_confusion.png"] = confusion_picture(confusion, space)
+    return pictures | uncertainty_pictures(uncertainty, space)
 
 
 def uncertainty_pictures(uncertainty: UncertaintyEvaluation, space: LabelSpace) -> dict[str, bytes]:
@@ -93,18 +87,12 @@ def iou_bars(result: Scores, space: LabelSpace) -> bytes:
     shares = [100 * c.iou if c.points else math.nan for c in result.classes]
     colours = screen_colours(space)[[c.train_id for c in result.classes]] / 255
     axes.barh(places, np.nan_to_num(shares), 0.72, color=colours, edgecolor=DARK, linewidth=0.6)
+    box = {"facecolor": canvas.PAPER, "edgecolor": "none", "pad": 1.5}
     for place, share in zip(places, shares, strict=True):
         absent = math.isnan(share)
         text, colour = ("absent", canvas.FAINT) if absent else (f"{share:.1f}", DARK)
-        axes.text(
-            1 if absent else share + 1,
-            place,
-            text,
-            color=colour,
-            fontsize=9,
-            va="center_baseline",
-            bbox={"facecolor": canvas.PAPER, "edgecolor": "none", "pad": 1.5},
-        )
+        left = 1 if absent else share + 1
+        axes.text(left, place, text, color=colour, fontsize=9, va="center_baseline", bbox=box)
     mean = 100 * result.iou_mean_present
     if not math.isnan(mean):
         axes.axvline(mean, color=DARK, linewidth=1, linestyle=(0, (4, 3)))
@@ -185,7 +173,7 @@ def _diagram(
     diagram = diagram or Reliability(np.zeros(1, int), np.zeros(1), np.zeros(1))
     points = int(diagram.points.sum())
     title += f" · ECE {percent(diagram.error, 2, ' %')}" if points else ""
-    figure, axes = _main_plot(title, HEIGHT_ABOVE)
+    figure, axes = canvas.new_plot(*PLOT_PX, (*MAIN_PX, HEIGHT_ABOVE), title)
     bins = len(diagram.points)
     edges, width = 100 * np.arange(bins) / bins, 100 / bins
     shares = np.nan_to_num(100 * diagram.accuracy)
@@ -252,7 +240,7 @@ def _curves(
     **axis_labels: str,
 ) -> bytes:
     """Draw a score and a curve per kind, and the curves of the best orders, as a PNG."""
-    figure, axes = _main_plot(title, HEIGHT_ABOVE)
+    figure, axes = canvas.new_plot(*PLOT_PX, (*MAIN_PX, HEIGHT_ABOVE), title)
     for kind, (score, y) in curves.items():
         colour, dashes = LINES[kind]
         axes.plot(x, y, color=colour, linestyle=dashes, label=f"{kind} · {score}")
@@ -276,11 +264,6 @@ def _best_orders(kinds: Mapping[str, RankingResult]) -> list[Ratios]:
     return [np.maximum(0, 1 - (1 - rate) / COVERAGE) for rate in rates]
 
 
-def _main_plot(title: str, height: int = HEIGHT) -> tuple[Figure, Axes]:
-    """Return a figure and its main axes, of a height in pixels."""
-    return canvas.new_plot(*PLOT_PX, (LEFT, TOP, WIDTH, height), title)
-
-
 def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     """Draw the mean epistemic uncertainty of each class against its number of points, as a PNG."""
     present = {i: scores for i, scores in result.classes.items() if scores.points}
@@ -289,7 +272,7 @@ def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
     title = "Epistemic uncertainty of the classes"
     if not math.isnan(result.class_size_correlation):
         title += f" · rank correlation {result.class_size_correlation:+.2f}"
-    figure, axes = _main_plot(title)
+    figure, axes = canvas.new_plot(*PLOT_PX, (*MAIN_PX, HEIGHT), title)
     colours = screen_colours(space)[[*present]] / 255
     axes.scatter(points, means, 60, colours, edgecolors=DARK, linewidths=0.8, zorder=3)
     axes.set_xscale("log")

@@ -42,12 +42,9 @@ if TYPE_CHECKING:
 
 WIDTH_PX, NARROW_PX = 2048, 1024
 HEAD_PX = 56
-VIEW_TITLE_PX, STRIP_TITLE_PX = 40, 34
-"""Pixels above each view and each strip for its title."""
-BAR_PX = 160
-"""Pixels beside the strips for colour bars and their numbers."""
-STRIP_HEIGHT_PX = 128
-"""Height of a strip: 64 rows are drawn twice as high as they are."""
+VIEW_TITLE_PX, STRIP_TITLE_PX = 40, 34  # Pixels above each view and each strip for its title
+BAR_PX = 160  # Pixels beside the strips for colour bars and their numbers
+STRIP_HEIGHT_PX = 128  # Height of a strip: 64 rows are drawn twice as high as they are
 MAX_IN_A_ROW = 4
 OVERSAMPLING = 2
 GRIDS_M = {5.0: 1.0, 10.0: 2.0, 20.0: 5.0, 45.0: 10.0}
@@ -132,9 +129,8 @@ def scan_picture(
     """Draw a scan from above and its strips below that, as a PNG.
 
     `points` (N, 3) float32, metres, sensor frame; `views`: colours of the points (N, 3) by title;
-    `absent`: entries of the legend that are not shown; `reach`: metres from the middle to an edge,
-    by default as far as the scan needs, `REACH_M` at most; `way` (S, 3): of a drive, instead of the
-    sensor's place.
+    `absent`: faint entries of the legend; `reach`: metres from the middle to an edge, by default
+    as far as the scan needs, `REACH_M` at most; `way` (S, 3): of a drive, else the sensor's place.
     """
     if reach is None:
         far = np.abs(points[:, :2]).max(axis=1)
@@ -214,18 +210,12 @@ def _draw_from_above(
     picture = blocks.mean(axis=(1, 3)).round().astype(np.uint8)
     axes.set_axis_off()
     axes.imshow(picture, extent=(reach, -reach, -reach, reach), interpolation="nearest")
+    outline = [withStroke(linewidth=2.5, foreground=canvas.NIGHT)]
     for radius in np.arange(step, reach * 2**0.5, step):
         axes.add_patch(Circle((0, 0), radius, fill=False, ec=canvas.FAINT, lw=0.6, alpha=0.55))
         if radius < reach:
-            diagonal = radius * 0.5**0.5
-            axes.text(
-                -diagonal,
-                diagonal,
-                f"{radius:g} m",
-                color=canvas.INK,
-                fontsize=8,
-                path_effects=[withStroke(linewidth=2.5, foreground=canvas.NIGHT)],
-            )
+            diagonal, text = radius * 0.5**0.5, f"{radius:g} m"
+            axes.text(-diagonal, diagonal, text, color=canvas.INK, fontsize=8, path_effects=outline)
     axes.plot(way[:, 1], way[:, 0], color=canvas.INK, marker="^", markevery=[0], markersize=8)
     axes.set_xlim(reach, -reach)
     axes.set_ylim(-reach, reach)
@@ -245,5 +235,4 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     strips = ("range", "truth", "label", "wrong")
     png = picture_of_results(file.name, results, space, sensor, scales, (), strips)
     out.write(png)
-    picture: Colours = (255 * imread(BytesIO(png))[..., :3]).round().astype(np.uint8)
-    return picture
+    return (255 * imread(BytesIO(png))[..., :3]).round().astype(np.uint8)

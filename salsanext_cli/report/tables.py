@@ -159,10 +159,7 @@ def error_table(tuned: Mapping[str, Any]) -> Table:
 def kept_table(
     classes: Mapping[str, tuple[int, int]], thresholds: Mapping[str, float] = MappingProxyType({})
 ) -> Table:
-    """Return a table of the kept points of each predicted class and of the wrong ones of them.
-
-    `thresholds`: those of classes that have their own.
-    """
+    """Return a table of kept and wrong points by predicted class, with thresholds of their own."""
     rows = []
     for name in dict.fromkeys([*classes, *thresholds]):
         kept, wrong = classes.get(name, (0, 0))
@@ -191,15 +188,10 @@ def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
         height, width = network["receptive_field"]
         flops = f"({paper['flops']} G)" if paper["flops"] else "(–)"
         ious = (f"{paper[key] or ABSENT:>4}" for key in ("miou_pixels", "miou", "miou_test"))
-        rows.append(
-            (
-                network["name"] + marks,
-                f"{network['parameters']:,} ({paper['parameters']} M)",
-                f"{network['multiply_accumulates'] / 1e9:.2f} G {flops:>10}",
-                f"{height}×{width}",
-                " ".join(ious),
-            )
-        )
+        parameters = f"{network['parameters']:,} ({paper['parameters']} M)"
+        macs = f"{network['multiply_accumulates'] / 1e9:.2f} G {flops:>10}"
+        name, field = network["name"] + marks, f"{height}×{width}"
+        rows.append((name, parameters, macs, field, " ".join(ious)))
     costs = ("parameters", "MACs at\n64×2048\n(FLOPs)", "receptive\nfield")
     headings = ("name", *costs, "mIoU\nwithout kNN,\nwith, on test")
     title = "Networks, with the papers' figures in brackets"

@@ -19,17 +19,13 @@ from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
 """Tables that `eval`, `train` and `pick` write, which are no scans unless they are named."""
 SINGLE_SCAN_STAGES = ("predict", "knn-refine", "uncertainty")
-PREDICTION_STAGES = (*SINGLE_SCAN_STAGES, "fuse")
-"""The stages whose results later ones read."""
+PREDICTION_STAGES = (*SINGLE_SCAN_STAGES, "fuse")  # The stages whose results later ones read
 ERROR = "uncertainty/error"
-LEAST_CONFIDENCE = "uncertainty/least_confidence"
-"""Folder of 1 − the largest probability, which `predict` always writes."""
-DISAGREEMENT = "uncertainty/disagreement"
-"""Folder of the share of a place's views that is against the label, which `fuse` writes."""
+LEAST_CONFIDENCE = "uncertainty/least_confidence"  # 1 − the largest probability
+DISAGREEMENT = "uncertainty/disagreement"  # Share of the views against the label
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
 """Values that point clouds may be coloured by."""
-COLOURS = (*COLOURINGS, "uncertainty")
-"""Words for them: the last is what `ResultFolder.meant_uncertainty` says."""
+COLOURS = (*COLOURINGS, "uncertainty")  # The last: see `ResultFolder.meant_uncertainty`
 SUFFIX_OF_FOLDER = {
     "range": ".npy",
     "pixels": ".npy",
@@ -111,12 +107,11 @@ def find_scans(
     try:
         is_file = present(source) and not source.is_dir()
         if is_file and not scan_suffix(source.name) and not recording_of(_absolute(source)):
-            raise NoInputError(
-                source,
-                f"a {source.suffix} file, which is not read" if source.suffix else "has no suffix",
-                f"one of {', '.join(SCAN_SUFFIXES)}",
-                "convert it to .ply or .las, with CloudCompare or PDAL for example",
+            kind = (
+                f"a {source.suffix} file, which is not read" if source.suffix else "has no suffix"
             )
+            remedy = "convert it to .ply or .las, with CloudCompare or PDAL for example"
+            raise NoInputError(source, kind, f"one of {', '.join(SCAN_SUFFIXES)}", remedy)
         scans = sorted(_scans_of(_absolute(source)))
         others = names_in(source) if not scans and source.is_dir() else []
     except OSError as error:
@@ -146,11 +141,8 @@ def _scans_of(path: Path) -> Iterator[ScanFile]:
             yield ScanFile(_sequence_of(path.parent), path.name[: -len(suffix)], path)
     else:
         # What holds no scans hides none: `sequences` may be of results beside them.
-        yield from (
-            [*_scans_of_sequences(path / "sequences")]
-            or [*_scans_in(path / SCAN_FOLDER)]
-            or _scans_at(path)
-        )
+        of_data_set = [*_scans_of_sequences(path / "sequences")]
+        yield from of_data_set or [*_scans_in(path / SCAN_FOLDER)] or _scans_at(path)
 
 
 def require_none_hidden(root: Path) -> None:
@@ -207,9 +199,8 @@ def of_sequences(
     existing = {scan.sequence for scan in scans}
     chosen: set[str] = set()
     for name in sequences:
-        matches = {name} & existing or {
-            e for e in existing if _number(e) == _number(name) is not None
-        }
+        same = (e for e in existing if name.isdecimal() and e.isdecimal() and int(e) == int(name))
+        matches = {name} & existing or {*same}
         if not matches:
             expected = f"one of {', '.join(sorted(existing))}"
             raise NoInputError(source, f"no scans of sequence {name}", expected)
@@ -217,21 +208,14 @@ def of_sequences(
     return [scan for scan in scans if scan.sequence in chosen]
 
 
-def _number(sequence: str) -> int | None:
-    return int(sequence) if sequence.isdecimal() else None
-
-
 def require_unique_stems(scans: list[ScanFile]) -> None:
     """Refuse scans of the same name, which lie beside each other in the order of `ScanFile`."""
     for name, group in groupby(scans, lambda scan: scan.name):
         paths = [scan.path for scan in group]
         if len(paths) > 1:
-            raise OutputError(
-                name,
-                f"{len(paths)} scans of that name: {', '.join(map(str, paths))}",
-                "one, so that results do not overwrite each other",
-                "move or rename the others",
-            )
+            found = f"{len(paths)} scans of that name: {', '.join(map(str, paths))}"
+            expected = "one, so that results do not overwrite each other"
+            raise OutputError(name, found, expected, "move or rename the others")
 
 
 def output_path(out: Path, sequence: str, folder: str, stem: str) -> Path:

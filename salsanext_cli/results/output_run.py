@@ -82,11 +82,9 @@ class OutputRun(OwnedFolder):
             require_same_settings(self.record_path, before.settings, wanted.settings)
             for other in others:
                 folder = next(name for name in wanted.folders if name in other.folders)
-                raise OutputError(
-                    self.root / f"{other.stage}.json",
-                    f"{folder}/ holds the results of `{other.stage}`",
-                    remedy="use another output folder, or --overwrite to replace them",
-                )
+                found = f"{folder}/ holds the results of `{other.stage}`"
+                remedy = "use another output folder, or --overwrite to replace them"
+                raise OutputError(self.root / f"{other.stage}.json", found, remedy=remedy)
         # Nothing is removed before it is certain that the run may begin, but locks of killed runs.
         for each in (before, *others):
             of_stage = OwnedFolder(self.root, each.stage)
@@ -118,11 +116,8 @@ class OutputRun(OwnedFolder):
         """Refuse results that no stage recorded, or remove them: their settings are not known."""
         results = self._results_in(folders)
         if results and not self.overwrite:
-            raise OutputError(
-                results[0],
-                "is a result that no stage recorded",
-                remedy="use another output folder, or --overwrite to work beside it",
-            )
+            remedy = "use another output folder, or --overwrite to work beside it"
+            raise OutputError(results[0], "is a result that no stage recorded", remedy=remedy)
         return self.remove_own(results)
 
     def _results_in(self, folders: Iterable[str]) -> list[Path]:

@@ -37,10 +37,8 @@ PLACES = (
 RECORDS_LOCK_TIMEOUT_S = 1800.0
 """There may be a hundred others, which hold the lock for seconds each if it is a million scans."""
 LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")
-States = dict[Path, set[tuple[int, int]]]
-"""Sizes and times of modification that files were written with."""
-Texts = tuple[str, str, str]
-"""Code, message and remedy of a finding."""
+States = dict[Path, set[tuple[int, int]]]  # Size and time of modification at each writing
+Texts = tuple[str, str, str]  # Code, message and remedy of a finding
 
 log = logging.getLogger(__name__)
 
@@ -150,16 +148,13 @@ class OwnedFolder:
         self._list(path, path.lstat())
 
     def foreign_files(self, paths: Iterable[Path], states: States | None = None) -> list[Path]:
-        """Return those of some files that are there and changed, not listed, or behind a link.
-
-        An empty file, as a power cut leaves it, is one of ours. `states`: for a caller who asks
-        often.
-        """
+        """Return those of some files that are there and changed, not listed, or behind a link."""
         there = {path: path.lstat() for path in paths if os.path.lexists(path)}
         if states is None:
             states = self.states() if there else {}
 
         def is_own(path: Path, status: os.stat_result) -> bool:
+            # An empty file, as a power cut leaves it, is one of ours.
             listed = (status.st_size, status.st_mtime_ns) in states.get(path, ())
             return (listed or status.st_size == 0) and not self._behind_link(path)
 

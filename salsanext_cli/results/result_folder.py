@@ -54,8 +54,8 @@ FOLDER_OF_COLUMN = {
     **{kind: f"uncertainty/{kind}" for kind in UNCERTAINTY},
 }
 """Folders of what is known about the points of scans, by column; others are in no folder."""
+# Folders of which one makes a scan one with results; `predict` writes the confidence too.
 FOLDERS = ("predictions", *(f"uncertainty/{k}" for k in UNCERTAINTY if k != "least_confidence"))
-"""Folders of which one makes a scan one with results; `predict` writes the confidence too."""
 UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
 """Settings of `uncertainty` that an evaluation records."""
 
@@ -67,17 +67,12 @@ class ScanResults:
     """A scan and what is known about it."""
 
     scan: Scan  # N points
-    # (N,) uint32 or None: raw ids, predicted and given, without instances
-    label: RawIds | None = None
+    label: RawIds | None = None  # (N,) uint32: raw ids, predicted and given, without instances
     truth: RawIds | None = None
-    # By kind; only kinds that were computed
-    uncertainty: dict[str, Float] = field(default_factory=dict)
-    # That the distances are measured from; otherwise it is the origin of the points
-    sensor: Sensor | None = None
-    # (N,) bool or None: points without a label in a run that rejects labels
-    rejected: npt.NDArray[np.bool_] | None = None
-    # (N,) uint16 or None: numbers of the predicted objects, 0 for none
-    instance: npt.NDArray[np.uint16] | None = None
+    uncertainty: dict[str, Float] = field(default_factory=dict)  # Kinds that were computed
+    sensor: Sensor | None = None  # Distances are measured from it, else from the origin
+    rejected: npt.NDArray[np.bool_] | None = None  # (N,): unlabelled by a run that rejects labels
+    instance: npt.NDArray[np.uint16] | None = None  # (N,): numbers of objects, 0 for none
 
     @property
     def range(self) -> Float:
@@ -123,8 +118,7 @@ class ChosenResults:
 
     scans: list[ScanFile]  # With labels or an uncertainty, at least one
     space: LabelSpace  # Classes of their labels
-    # Meaning of the raw ids of the truth, which may have its own for these classes
-    labels: LabelSpace
+    labels: LabelSpace  # Meaning of the raw ids of the truth
     missing: MissingResults  # The other scans of the selection
 
 
@@ -169,9 +163,8 @@ class ResultFolder(StageRecords):
             out = os.path.normpath(single.root)
             found = f"fused of labels in {out} that were made anew since"
             softmax = single.owner("votes") or single.owner("probabilities")
-            words = (
-                ["fuse", out, str(self.root)] if softmax else ["predict", "SCANS", out, "--fuse"]
-            )
+            words = ["fuse", out, str(self.root)]
+            words = words if softmax else ["predict", "SCANS", out, "--fuse"]
             remedy = f"run `salsanext {shlex.join(words)} --overwrite`"
             raise OutputError(self.root, found, remedy=remedy)
 
@@ -187,12 +180,9 @@ class ResultFolder(StageRecords):
             named = None if is_folder(own) else [sequence]
             return find_scans(root if named else own, named, unique=False)
         looked_in = shortened(str(self.dataset or folder or root.absolute()), MAX_PATH_CHARACTERS)
-        raise NoInputError(
-            self.root / "sequences" / sequence,
-            f"its scans are not in {looked_in}",
-            "the folder that they came from",
-            "give with --dataset the folder that holds sequences/",
-        )
+        found, expected = f"its scans are not in {looked_in}", "the folder that they came from"
+        remedy = "give with --dataset the folder that holds sequences/"
+        raise NoInputError(self.root / "sequences" / sequence, found, expected, remedy)
 
     def missing_predictions(self, scans: Iterable[ScanFile]) -> MissingResults:
         """Divide scans without predictions by whether the stage was asked for them."""

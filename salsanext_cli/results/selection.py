@@ -27,8 +27,7 @@ from salsanext_cli.results.layout import (
 
 LABEL_SPACE_FILES = ("labels.yaml", "semantic-kitti.yaml")
 """Names, in the root of a data set, of the file that describes its label space."""
-COMPANIONS = (".label", ".toml", ".yaml", ".md")
-"""Suffixes of files that are known to lie beside scans."""
+COMPANIONS = (".label", ".toml", ".yaml", ".md")  # Suffixes of files beside scans
 
 log = logging.getLogger(__name__)
 Item = TypeVar("Item")
@@ -84,10 +83,9 @@ def _log_passed_over(source: Path, folders: Iterable[Path], scans: Collection[st
 def select_scans(
     source: Path, selection: ScanSelection, space: LabelSpace | None = None, *, evenly: bool = False
 ) -> list[ScanFile]:
-    """Find the scans of a source and choose among them.
+    """Find the scans of a source and choose among them, those of a limit `evenly` or the first.
 
-    `space`: of a source that has none of its own; `evenly`: whether a limit takes evenly spaced
-    scans.
+    `space`: of a source that has none of its own.
     """
     scans = scans_of(source)
     unlimited = replace(selection, limit=None) if evenly else selection
@@ -111,12 +109,10 @@ def choose(
                 log_unused(scans, chosen, space, "--sequences chooses others")
             scans = chosen
         elif any(map(space.split_of, sequences)):
-            raise NoInputError(
-                source,
-                f"no scans of split {selection.split} ({', '.join(members) or 'no sequences'})",
-                f"some besides {', '.join(sequences)}",
-                "choose with --split or --sequences",
-            )
+            named = ", ".join(members) or "no sequences"
+            found, expected = f"no scans of split {selection.split} ({named})", ", ".join(sequences)
+            remedy = "choose with --split or --sequences"
+            raise NoInputError(source, found, f"some besides {expected}", remedy)
         else:
             log.warning("no split names %s: taking all", ", ".join(sequences))
     return scans[: selection.limit]

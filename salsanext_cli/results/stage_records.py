@@ -176,9 +176,8 @@ class StageRecords:
         """Return the classes in which predictions and labels are compared, with the labels' splits.
 
         They are those of both, or those of the predictions if these are merged ones of the labels',
-        or `classes`, into which both are merged. `space`: of the labels, else the data set's, else
-        the recorded one; `own_ids`: whether labels may have other raw ids for classes of the same
-        names.
+        or `classes`, into which both are merged. `space`: of the labels, if not the data set's;
+        `own_ids`: whether labels may have other raw ids for classes of the same names.
         """
         recorded = self.label_space()
         space = space or space_of(scans, recorded)
@@ -191,12 +190,9 @@ class StageRecords:
             return space
         elif not named_alike and contradiction(space, target):
             named = first_few(target.differences(space))
-            raise LabelError(
-                self.root,
-                f"predictions in the classes of {target.name} ({named})",
-                f"those of {space.name}, as the labels",
-                "predict with weights for these classes, or merge both with --classes",
-            )
+            found = f"predictions in the classes of {target.name} ({named})"
+            remedy = "predict with weights for these classes, or merge both with --classes"
+            raise LabelError(self.root, found, f"those of {space.name}, as the labels", remedy)
         return replace(target, splits=space.splits or (classes or space).splits)
 
     def merging_into(self, space: LabelSpace) -> ClassMerging | None:

@@ -6,10 +6,9 @@ from typing import NamedTuple
 BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
 PURPLE = "#cc79a7"
 """Colours that colour-blind people can tell apart."""
-PREDICT, UNCERTAINTY_STAGE, FUSE = (
-    f"run `salsanext {command}` first"
-    for command in ("predict SCANS {out}", "uncertainty SCANS {out}", "fuse {out}")
-)
+PREDICT = "run `salsanext predict SCANS {out}` first"
+UNCERTAINTY_STAGE = "run `salsanext uncertainty SCANS {out}` first"
+FUSE = "run `salsanext fuse {out}` first"
 PREDICT_ERROR = (
     "run `salsanext predict SCANS {out} --error`, with weights that know it: "
     "the default ones, or what `salsanext tune error` writes"
@@ -47,11 +46,9 @@ UNCERTAINTY = {
         "disagreement: share of the views against the label", FUSE, PURPLE, is_dashed=True, most=1.0
     ),
 }
-"""The kinds of uncertainty that stages may have written; "error" is a probability."""
 MEANT_BY_UNCERTAINTY = ("entropy", "disagreement", "least_confidence")
 """Kinds of which "uncertainty" is the first that is known, without the error."""
 COLOUR_HELP = (
     "label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
     f"{', '.join(UNCERTAINTY)}"
 )
-"""Help of the options for the values that scans are coloured by."""

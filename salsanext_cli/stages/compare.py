@@ -59,15 +59,11 @@ def compare_scan(
     pair = ScanPair(file, confusion_matrix(before, after, space.class_count))
     if not present(file.label_path):
         return pair, []
-    counts = [
-        count_scan(
-            *(file, run.root, space, by_distance, sensor, labels),
-            *(run.merging_into(space), trained_on),
-        )
-        for run in runs
-    ]
-    for each in counts:
-        each.histograms.clear()
+    counts = []
+    for run in runs:
+        compared_in = (space, by_distance, sensor, labels, run.merging_into(space), trained_on)
+        counts.append(count_scan(file, run.root, *compared_in))
+        counts[-1].histograms.clear()
     parts = zip(*((each.confusion, *each.bands) for each in counts), strict=True)
     sums = [[class_sums(scored_rows(each, space)) for each in part] for part in parts]
     return pair._replace(sums=np.array(sums), trained_on=bool(counts[0].trained_on)), counts
@@ -101,12 +97,11 @@ def compare(
     if not compared.fits(own):
         found = f"{first_few(compared.differences(own))}"
         raise UsageError(after, found, f"the classes of {before}", "merge both, --classes coarse")
-    scans = [
-        with_outputs(each, run.root, "predictions")
+    of_before, of_after = (
+        {scan.name: scan for scan in with_outputs(each, run.root, "predictions")}
         for each, run in zip((chosen, others), runs, strict=True)
-    ]
-    of_before, of_after = ({scan.name: scan for scan in each} for each in scans)
-    both = [scan for scan in scans[0] if scan.name in of_after]
+    )
+    both = [scan for name, scan in of_before.items() if name in of_after]
     if not both:
         raise NoInputError(after, f"no scan that {before} has labels of", "the same scans")
     sensor = runs[0].sensor()

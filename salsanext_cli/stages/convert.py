@@ -62,9 +62,8 @@ def convert(
         lines = [f"{(time - times[0]) / 1e9:.9f}\n" for time in times]
         owned.write(folder / sequence / TIMES, "".join(lines).encode())
     if empty:
-        log.warning(
-            "%s left out, without points: %s", counted(len(empty), "scan"), first_few(sorted(empty))
-        )
+        which = first_few(sorted(empty))
+        log.warning("%s left out, without points: %s", counted(len(empty), "scan"), which)
     return replace(outcome, done=outcome.done - len(empty))
 
 
@@ -88,9 +87,8 @@ def _source_of(first: ScanFile, owned: OwnedFolder) -> dict[str, str]:
     wanted = {"stage": "convert", "recording": recording.name, "topic": topic, "first": first.stem}
     recorded = owned.recorded()
     if recorded is not None and recorded != wanted:
-        found = (
-            f"scans of {shortened(recorded.get('recording'))}, {shortened(recorded.get('topic'))}"
-        )
+        of_topic = (shortened(recorded.get(key)) for key in ("recording", "topic"))
+        found = f"scans of {', '.join(of_topic)}"
         expected = f"those of {recording.name}, {topic}"
         raise OutputError(owned.record_path.parent, found, expected, "choose another folder")
     return wanted

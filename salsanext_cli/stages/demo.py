@@ -22,8 +22,7 @@ from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.error_features import knows_error
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
-SEED = 2020
-"""Seed of the drive: another than that of the default weights, which do not know this street."""
+SEED = 2020  # Not that of the default weights, which do not know this street
 SPACING_M = 12.0
 
 StepProgress = Callable[[str], AbstractContextManager[Progress | None]]

@@ -19,12 +19,7 @@ from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.panoptic import panoptic_quality
 from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED, KeptLabels, RiskBoundCheck
-from salsanext_cli.measures.scan_counts import (
-    BAND_NAMES,
-    CountsApart,
-    ScanCounts,
-    count_scan,
-)
+from salsanext_cli.measures.scan_counts import BAND_NAMES, CountsApart, ScanCounts, count_scan
 from salsanext_cli.measures.scores import Scores, band_rows, plain, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
@@ -40,10 +35,8 @@ from salsanext_cli.results.selection import MissingResults, space_of_labels
 from salsanext_cli.results.stage_records import as_json
 from salsanext_cli.version import __version__
 
-FILES = ("scores.txt", *PICTURES, "eval.json")
-"""Files that an evaluation may write into the output folder."""
-MAX_PART_BYTES = 100
-"""Longest list of sequences that names a folder."""
+FILES = ("scores.txt", *PICTURES, "eval.json")  # An evaluation may write these
+MAX_PART_BYTES = 100  # Longest list of sequences that names a folder
 ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
 
 log = logging.getLogger(__name__)
@@ -121,9 +114,8 @@ def evaluate(
     """Compare the predictions in an output folder with the labels of the scans.
 
     Writes `FILES`, in the place of earlier ones, into the folder or, of a part of the scans, into
-    ``eval/PART``; probabilities and uncertainties are evaluated too. Scans that the weights were
-    trained on are left out, unless all were. `space`: classes to compare; `by_distance`: also in
-    distance bands; `settings`: for the record; `labels`: as `space_of_labels` takes it.
+    ``eval/PART``. Scans that the weights were trained on are left out, unless all were.
+    `space`: classes to compare; `settings`: for the record; `labels`: as of `space_of_labels`.
     """
     folder = out / "eval" / part if part else out
     results = ResultFolder(out)
@@ -136,14 +128,12 @@ def evaluate(
     OwnedFolder(out).require_own(own_files)
     _require_labels(scans)
     apart = CountsApart(space, by_distance)
-    count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
-    count = partial(count, by_distance=by_distance, sensor=results.sensor())
-    recorded = results.settings_of("predictions")
-    promised = results.promised(space)
+    recorded, promised = results.settings_of("predictions"), results.promised(space)
     # Those of other programs may have instances.
     objects = recorded is None or bool(recorded.get("objects"))
-    count = partial(count, trained_on=results.trained_on(), objects=objects)
-    count = partial(count, rejection=results.rejection())
+    count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
+    count = partial(count, by_distance=by_distance, sensor=results.sensor(), objects=objects)
+    count = partial(count, trained_on=results.trained_on(), rejection=results.rejection())
     outcome = run_over_scans(count, scans, options, on_result=apart.add)
     counts = apart.scored()
     if not counts.scans:
@@ -208,9 +198,6 @@ def _require_labels(scans: Sequence[ScanFile]) -> None:
     for sequence, members in groupby(scans, lambda scan: scan.sequence):
         paths = [scan.label_path for scan in members]
         if not any(present(path) for path in paths):
-            raise LabelError(
-                paths[0].parent,
-                f"no labels of sequence {sequence}",
-                f"files like {paths[0].name}",
-                "label them, or leave them out with --split or --sequences",
-            )
+            found, expected = f"no labels of sequence {sequence}", f"files like {paths[0].name}"
+            remedy = "label them, or leave them out with --split or --sequences"
+            raise LabelError(paths[0].parent, found, expected, remedy)

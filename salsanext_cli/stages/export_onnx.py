@@ -25,8 +25,7 @@ from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.selection import select_scans
 from salsanext_cli.sensors.sensor import Sensor
 
-MIN_SCANS = 2
-"""Fewest for calibration: the ranges of a single scan are those of a single place."""
+MIN_SCANS = 2  # Fewest for calibration: a single scan has the ranges of one place
 
 log = logging.getLogger(__name__)
 

@@ -46,9 +46,8 @@ def export_rrd(
     sweep_stale(out / FOLDER)
     known = [name for name in VIEWS if results.with_column(name, scans)]
     scales = common_scales(out, scans, known, space, sensor)
-    colourings = {
-        name: PointColours(name, scales.get(name, (0, 1)), space, dark=True) for name in known
-    }
+    colouring = partial(PointColours, space=space, dark=True)
+    colourings = {name: colouring(name, scales.get(name, (0, 1))) for name in known}
     sequences = groupby(results.scans(), lambda scan: scan.sequence)
     numbers = {file: number for _, files in sequences for number, file in enumerate(files)}
     log_scan: dict[str, LogScan] = {}
@@ -103,8 +102,7 @@ def _read(
 
 def _text(file: ScanFile, columns: Columns, colourings: Mapping[str, PointColours]) -> str:
     """Return the name of a scan and the meaning of its colours, as Markdown."""
-    lines = [
-        f"- {colouring.legend}" if name in columns else f"- no {name}"
-        for name, colouring in colourings.items()
-    ]
-    return "\n".join([printable(f"# {file.name}"), "", *lines])
+    shown = (
+        (each.legend if name in columns else f"no {name}") for name, each in colourings.items()
+    )
+    return "\n".join([printable(f"# {file.name}"), "", *(f"- {text}" for text in shown)])

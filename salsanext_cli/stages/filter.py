@@ -42,8 +42,7 @@ from salsanext_cli.results.result_folder import ResultFolder, read_kind
 from salsanext_cli.results.stage_records import as_json, require_same_settings
 from salsanext_cli.sensors.sensor import Sensor
 
-MASKS = "masks"
-"""Folder of a sequence with masks of its scans' points."""
+MASKS = "masks"  # Folder of a sequence with masks of its scans' points
 MOVING = "moving"
 """Name of all classes that may move, and where they are dropped, of all that is not the scene."""
 Count = tuple[str, int, int]  # Name of a scan, number of its points, and of those that stay
@@ -155,8 +154,7 @@ def filter_scans(
 ) -> Outcome:
     """Write `FOLDER/sequences/<seq>/velodyne/`: the scans as they are, without some points.
 
-    `drop`, `keep`: names as `named_classes` takes them; `indices`: masks (N,) bool, as `.npy`, of
-    the points that stay, in the place of scans.
+    `drop`, `keep`: as of `named_classes`; `indices`: masks (N,) bool of them in the place of scans.
     """
     if not (drop or keep or split or max_error is not None):
         raise UsageError("--drop, --keep, --max-error, --split", "none given", "one of them")

@@ -64,8 +64,7 @@ from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of
 from salsanext_cli.sensors.sensor import Sensor
 
-FUSED = "fused"
-"""Folder of the fused labels in that of the labels of single scans."""
+FUSED = "fused"  # Folder of the fused labels in that of the labels of single scans
 SOFTMAX_FOLDERS = ("probabilities", "votes")
 ABOUT_THE_NETWORK = ("weights", "trained_on", "temperature")
 """Settings of `predict` that the record of fused labels repeats."""
@@ -155,9 +154,8 @@ def fuse_results(
 ) -> Outcome:
     """Fuse what `predict` said of the scans of drives into `TARGET/sequences/<seq>/predictions`.
 
-    What other views say against the labels of single scans goes to `uncertainty/disagreement` of
-    both folders. `target`: by default `OUT/fused`; `poses`: of the one sequence; by default those
-    in its folder, else they are computed and written there.
+    What other views say against the labels goes to `uncertainty/disagreement` of both folders.
+    `poses`: of the one sequence; by default those in its folder, else they are computed.
     """
     target = target or out / FUSED
     if target.resolve() == out.resolve():
@@ -240,10 +238,7 @@ def fuse_results(
 def _of_each(
     sequences: Iterable[str], function: Callable[[str], Found], options: RunOptions
 ) -> dict[str, Found | SalsanextError]:
-    """Return what a function finds of each sequence, or why it fails.
-
-    An error is raised if the run is to stop at the first, or if there is no sequence without.
-    """
+    """Return what a function finds of each sequence, or why it fails; raise if all of them do."""
     found: dict[str, Found | SalsanextError] = {}
     for name in sequences:
         try:
@@ -311,8 +306,7 @@ def _points(file: ScanFile, sensor: Sensor) -> Float:
     try:
         points = read_scan(file.path, sensor).points
     except SalsanextError:
-        # Its own turn says why.
-        return np.zeros((0, 3), np.float32)
+        return np.zeros((0, 3), np.float32)  # Its own turn says why.
     return points[np.isfinite(points).all(axis=1)]
 
 

@@ -58,8 +58,7 @@ def import_labels(
 ) -> LabelImport:
     """Write label files of the scans of a data set from files that a labelling tool wrote.
 
-    `ids`: YAML file that maps the tool's ids to names or raw ids; `overwrite`: whether label files
-    that were changed, or not written by salsanext, may be replaced.
+    `ids`: YAML file that maps the tool's ids to names or raw ids.
     """
     scans = find_scans(dataset)
     if recording_of(scans[0].path) is not None:
@@ -156,10 +155,8 @@ def _import_scan(
         log.warning(text, scan.name, counted(contradicted, "point"), first_few([*edited]))
     in_place = [*paths] == [scan.label_path]
     if not (overwrite or in_place or records.is_replaceable(scan, paths, contradicted)):
-        text = (
-            "kept: changed, not written by salsanext, imported from another file, or the files "
-            "contradict each other"
-        )
+        text = "kept: changed, not written by salsanext, imported from another file, "
+        text += "or the files contradict each other"
         remedy = "leave out older files, move the labels, or replace them with --overwrite"
         raise OutputError(scan.label_path, text, remedy=remedy)
     about = {"files": [*map(str, edited)], "points": len(points), **numbers}

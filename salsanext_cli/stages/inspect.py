@@ -27,10 +27,8 @@ from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import select_scans, space_of
 from salsanext_cli.sensors.sensor import Sensor
 
-MIN_POINTS_OF_FIT = 1000
-"""Least number of points of a fit, which leaves out one in a thousand at either edge."""
-MIN_FIELD_OF_VIEW_DEG = 1.0
-"""Least field of view of a fit; that of a scanner of one plane is smaller."""
+MIN_POINTS_OF_FIT = 1000  # A fit leaves out one in a thousand at either edge
+MIN_FIELD_OF_VIEW_DEG = 1.0  # That of a scanner of one plane is smaller
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,12 +136,10 @@ def _require_fit(name: str, found: Survey) -> None:
     up, down = found.field_of_view()
     if measured < MIN_POINTS_OF_FIT or up - down < MIN_FIELD_OF_VIEW_DEG:
         view = f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°"
-        raise NoInputError(
-            name,
-            f"{counted(measured, 'point')} with a measurement, {view}",
-            f"{MIN_POINTS_OF_FIT} or more, {MIN_FIELD_OF_VIEW_DEG:g}° or more",
-            "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor",
-        )
+        seen_points = f"{counted(measured, 'point')} with a measurement, {view}"
+        expected = f"{MIN_POINTS_OF_FIT} or more, {MIN_FIELD_OF_VIEW_DEG:g}° or more"
+        remedy = "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor"
+        raise NoInputError(name, seen_points, expected, remedy)
 
 
 def _with_field_of_view(sensor: Sensor, found: Survey) -> Sensor:

@@ -65,11 +65,8 @@ def _require_some(folder: Path, scans: list[ScanFile]) -> None:
         raise NoInputError(folder, found, "the folder of the labels to refine")
     if not any(present(given_labels(folder, scan)) for scan in scans):
         nested = output_path(Path(), scans[0].sequence, "predictions", scans[0].stem)
-        raise NoInputError(
-            folder,
-            f"no labels of any of {counted(len(scans), 'scan')}",
-            f"files like {nested} or {nested.name}",
-        )
+        found = f"no labels of any of {counted(len(scans), 'scan')}"
+        raise NoInputError(folder, found, f"files like {nested} or {nested.name}")
 
 
 def _require_all_labels(out: Path, labels: Path | None) -> None:
@@ -114,21 +111,14 @@ def knn_refine_scans(
     if labels is not None:
         _require_some(labels, scans)
     sensor = sensor or results.sensor()
-    settings = {
-        "labels": str(labels.absolute()) if labels else None,
-        "label_space": space.to_dict(),
-        "sensor": sensor.to_dict(),
-        "knn": asdict(knn),
-    }
+    used = {"label_space": space.to_dict(), "sensor": sensor.to_dict(), "knn": asdict(knn)}
+    settings = {"labels": str(labels.absolute()) if labels else None, **used}
     if labels is None:
         # Labels of other weights must not be kept as those of these.
         settings |= {"origins": results.origins(["predict"])}
     summary = RunSummary.of_scans(scans, sensor, space)
-    run = output_run(
-        *(out, "knn-refine", settings, ("predictions",), scans),
-        overwrite=options.overwrite,
-        record_scans=dataset is not None,
-    )
+    wanted, overwrite = (out, "knn-refine", settings, ("predictions",), scans), options.overwrite
+    run = output_run(*wanted, overwrite=overwrite, record_scans=dataset is not None)
     with run as output, summary.kept_in(output, scans):
         task = partial(
             refine_scan, labels=labels, space=space, sensor=sensor, knn=knn, output=output

@@ -43,8 +43,7 @@ from salsanext_cli.results.stage_records import StageRecords, as_json
 from salsanext_cli.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.uncertainty.scan_description import ScanDescription, describe_scan, label_sampled
 
-SAMPLES = 8
-"""Passes of Monte-Carlo dropout, whose masks are the same for all scans."""
+SAMPLES = 8  # Passes of Monte-Carlo dropout, whose masks are the same for all scans
 
 log = logging.getLogger(__name__)
 
@@ -97,9 +96,8 @@ def pick(
     """Pick the scans most worth labelling; write a data set of them in SemanticKITTI's layout.
 
     Files that are there stay, since they may be edited; a pick that nobody changed may be
-    overwritten. `strategy`: one of `STRATEGIES`; `labelled`: data sets of scans that are labelled
-    already: others are picked, unlike them; `disagreement`: output folder of `fuse`, whose
-    disagreement, mean over the points of a scan, counts as its uncertainty.
+    overwritten. `labelled`: data sets of scans that others are picked unlike; `disagreement`:
+    output folder of `fuse`, whose mean disagreement over a scan counts as its uncertainty.
     """
     require_choice(count, strategy, seed)
     network = settings.load()
@@ -204,9 +202,8 @@ def _written(
 
     picked = [files[each.name] for each in record.picked if each.name in files]
     outcome = run_over_scans(task, picked, options, on_result=keep)
-    data_set.write_guesses(
-        record, {each.file: encode_labels(each.raw) for each in guesses.values()}
-    )
+    labels_of = {each.file: encode_labels(each.raw) for each in guesses.values()}
+    data_set.write_guesses(record, labels_of)
     written = [each for each in record.picked if each.name in guesses]
     data_set.write_label_space(space, record.picked)
     data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))

@@ -43,8 +43,7 @@ def project_scans(
     recorded = None if options.overwrite else StageRecords(out).settings("project")
     sensor = fitted_view(listed, sensor, recorded_sensor(recorded), view=fit)
     settings, summary = {"sensor": sensor.to_dict()}, RunSummary.of_scans(scans, sensor)
-    overwrite = options.overwrite
-    run = output_run(out, "project", settings, FOLDERS, scans, overwrite=overwrite)
+    run = output_run(out, "project", settings, FOLDERS, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
         task = partial(write_projected, sensor=sensor, output=output)
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from threading import Lock
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
@@ -35,15 +34,13 @@ from salsanext_cli.results.layout import PREDICTION_STAGES, ScanFile, drive_orde
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.selection import MissingResults, evenly_spaced
+from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.export_ply import map_of_drive
 
 PAGE = "report.html"
-MAP_SCANS = 400
-"""Scans of a drive on its map, evenly spaced."""
-SAMPLED = 5
-"""Evenly spaced scans that `view` takes the scales from, besides those worth looking at."""
+MAP_SCANS = 400  # Scans of a drive on its map, evenly spaced
+SAMPLED = 5  # Evenly spaced scans that `view` takes the scales from, among others
 
 
 class RunChoice(TypedDict, total=False):
@@ -150,12 +147,6 @@ def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[
 class RunServer(PageServer):
     """Server of a run's page; `scans` can be looked at, others are `missing` or `failures`."""
 
-    def __init__(self, port: int) -> None:
-        super().__init__(port)
-        self.scans, self.missing = 0, MissingResults()
-        self.failures: tuple[Failure, ...] = ()
-        self._lock = Lock()
-
     def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
         """Take the results that are served; raises `NoInputError` if no scan can be shown."""
         self._run, self._state = run, _state_of(run.reader.out)
@@ -185,17 +176,15 @@ class RunServer(PageServer):
             return None
         run = self._run
         if _state_of(run.reader.out) != self._state:
-            raise OutputError(
-                run.reader.out, "results were made anew since", remedy="start view again"
-            )
+            found = "results were made anew since"
+            raise OutputError(run.reader.out, found, remedy="start view again")
         shown = run.read(run.rows[place])
         with self._lock:
             if new := shown.values().keys() - self._scales:
                 self._scales |= {name: scales_of([shown])[name] for name in new}
         cloud = encode_cloud(shown, run.reader.space, run.reader.sensor, self._scales)
         cloud["scales"] = self._scales
-        plain_cloud: dict[str, Any] = escaped(cloud)
-        return plain_cloud
+        return dict(escaped(cloud))
 
 
 def view(out: Path, *, port: int = 0, **choice: Unpack[RunChoice]) -> RunServer:
@@ -248,8 +237,7 @@ def _rows(
         raise NoInputError(reader.out, f"no results can be read, as {outcome.failures[0].reason}")
     if (scored := counts.scored()).left_out:
         rows = [replace(row, confusion=None) if row in trained_on else row for row in rows]
-    # Workers are done in any order.
-    rows.sort(key=lambda row: row.file)
+    rows.sort(key=lambda row: row.file)  # Workers are done in any order.
     return rows, scored if scored.scans else None, outcome.failures
 
 

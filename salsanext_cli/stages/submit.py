@@ -32,8 +32,7 @@ from salsanext_cli.results.layout import ScanFile, find_outputs
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import data_set_of, space_of, with_splits
 
-LEVEL = 6
-"""Of compression; given, so that it is that of every Python."""
+LEVEL = 6  # Of compression; given, so that it is that of every Python
 SPLIT = "test"
 SCANS_OF_TEST = {
     **{"11": 921, "12": 1061, "13": 3281, "14": 631, "15": 1901, "16": 1731},
@@ -48,8 +47,7 @@ PROBLEMS = {
     "classes at rest, such as 10 instead of 252",
 }
 """Kinds of problems of label files; of raw ids their description with these and a label space."""
-Predictions = dict[tuple[str, str], Path]
-"""Label files by sequence and stem."""
+Predictions = dict[tuple[str, str], Path]  # Label files by sequence and stem
 
 log = logging.getLogger(__name__)
 
@@ -122,10 +120,10 @@ def submit(
         raise LabelError(out, found_classes, f"those of {full.name}", "predict without --classes")
     expected = _expected(space, scans, files)
     if unseen := sorted(expected.keys() - {scan.sequence for scan in scans}):
-        log.warning(
-            "no scans at hand of sequence %s: numbers of labels not compared; --dataset names them",
-            first_few(unseen),
+        text = (
+            "no scans at hand of sequence %s: numbers of labels not compared; --dataset names them"
         )
+        log.warning(text, first_few(unseen))
     total = sum(map(len, expected.values()))
     steps = count(1)
 

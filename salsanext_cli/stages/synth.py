@@ -28,8 +28,7 @@ from salsanext_cli.version import __version__
 
 MANIFEST = "synth.json"
 LABEL_SPACE = "labels.yaml"
-MAX_DRIVE_M = 3000.0
-"""Longest drive of one sequence; the whole street is held in memory."""
+MAX_DRIVE_M = 3000.0  # Longest drive of a sequence, whose street is held in memory
 SEQUENCE_FILES = ("poses.txt", "times.txt", "calib.txt")
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 
@@ -50,8 +49,7 @@ def synthesise(
 ) -> dict[str, Any]:
     """Write what is missing of a data set of synthetic streets, the same bytes for a `seed`.
 
-    Returns plain data: the number of all `scans`, the names of sequences by split, `splits`, and
-    the number of points by raw id, `points`.
+    Returns the number of all `scans`, names of sequences by split, and `points` by raw id.
     """
     counts = {"train": train, "valid": valid, "test": test}
     options = RunOptions(jobs=jobs, on_error="stop", progress=progress)
@@ -100,12 +98,9 @@ def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float) -> 
     if sum(sequences.values()) == 0:
         raise UsageError(", ".join(sequences), "0 sequences", "at least one")
     if not 0 < spacing < math.inf or spacing * (scans - 1) > MAX_DRIVE_M:
-        raise UsageError(
-            "--spacing",
-            f"{spacing} m between {counted(scans, 'scan')}",
-            f"more than 0 m, and drives of up to {MAX_DRIVE_M:.0f} m",
-            "ask for more sequences with fewer scans",
-        )
+        found = f"{spacing} m between {counted(scans, 'scan')}"
+        expected = f"more than 0 m, and drives of up to {MAX_DRIVE_M:.0f} m"
+        raise UsageError("--spacing", found, expected, "ask for more sequences with fewer scans")
 
 
 def _begin(
@@ -159,17 +154,13 @@ def _scan_files(sequence: Path, index: int) -> tuple[Path, Path]:
 def _write_sequence(
     file: ScanFile, owned: OwnedFolder, scans: int, seed: int, spacing: float, sensor: str
 ) -> Counter[int]:
-    """Write what is missing of a sequence; return how many points each raw id has.
-
-    Poses are relative to the first scan.
-    """
+    """Write what is missing of a sequence; return how many points each raw id has."""
     folder, points = file.path, Counter[int]()
     if all(map(filled, _files(folder, scans))):
         for index in range(scans):
             points += _points_of(read_labels(_scan_files(folder, index)[1]))
         return points
-    poses, times = [], []
-    first = np.eye(4)
+    poses, times, first = [], [], np.eye(4)
     frames = record(seed, int(file.sequence), scans, spacing, RIGS[sensor])
     for index, frame in enumerate(frames):
         scan, labels = _scan_files(folder, index)

@@ -49,8 +49,7 @@ from salsanext_cli.training.run_folder import (
 )
 from salsanext_cli.training.setup import Setup, initial_network
 
-SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0
-"""Scans of a simulated street, and the distance between two."""
+SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0  # Of a simulated street
 
 log = logging.getLogger(__name__)
 
@@ -87,8 +86,7 @@ def train(
     """Train a network, or resume a training that was interrupted in the same folder.
 
     With a recipe of some folds, scans without a validation split are cross-validated, and then all
-    trained on. Started by torchrun, each worker learns from its share of every batch, on its own
-    GPU, and the first writes.
+    trained on. Started by torchrun, each worker learns from its share of every batch.
     """
     workers = worker_count(jobs)
     if recipe.batch < (size := group_of_environment().size):
@@ -121,12 +119,11 @@ def train(
             validated = evenly_spaced(scored.files, recipe.validation_scans)
             counts = class_counts(kept, sources, scored, validated, jobs, recipe.also)
             if strict and counts.warnings:
-                codes = [
-                    f"{warning['code']} in {counted(len(warning['scans']), 'scan')}"
-                    for warning in counts.warnings
-                ]
+                found = (
+                    f"{w['code']} in {counted(len(w['scans']), 'scan')}" for w in counts.warnings
+                )
                 remedy = "mend the scans or leave them out, or train without --strict"
-                raise TrainingError(dataset, f"doubtful scans: {', '.join(codes)}", "none", remedy)
+                raise TrainingError(dataset, f"doubtful scans: {', '.join(found)}", "none", remedy)
             begin(run, settings, overwrite=overwrite)
             random = "random weights (--weights default: those of the package)"
             if not (run / CHECKPOINT).exists():

@@ -12,7 +12,7 @@ from command_line import only_json, parsed
 from scans import SMALL, labels_below, write_weights
 
 from salsanext_cli.cli.app import app
-from salsanext_cli.cli.option_groups import Default, Only, Shown, Without, expanded
+from salsanext_cli.cli.option_groups import Default, Shown, Without, expanded
 from salsanext_cli.cli.options import FORMATS
 from salsanext_cli.engines.settings import NetworkSettings, weights_file
 from salsanext_cli.formats import SCAN_SUFFIXES
@@ -32,7 +32,7 @@ def test_a_group_is_expanded_filled_and_handed_over():
             Default(limit=4),
             Shown(limit={"help": "Some."}),
         ],
-        knn: Annotated[KnnParameters, Only({"k"})],
+        knn: Annotated[KnnParameters, Without({"window", "sigma", "cutoff"})],
     ) -> None:
         seen.update(name=name, selection=selection, knn=knn)
 

@@ -47,7 +47,7 @@ def preview(seed=0, sensor=SMALL):
     values = np.random.default_rng(seed).random(image.point_of_pixel.shape, np.float32)
     file = ScanFile("00", "000000", Path("000000.bin"))
     softmax = np.empty((0, *image.point_of_pixel.shape), np.float32)
-    labelled = LabelledScan(file, scan, image, UNCHECKED, SMALL, softmax, labels)
+    labelled = LabelledScan(file, scan, image, UNCHECKED, sensor, softmax, labels)
     return PickedLabels.of(labelled, values, SPACE)
 
 

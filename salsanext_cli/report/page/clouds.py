@@ -19,15 +19,11 @@ from salsanext_cli.report.scan_pictures import UNITS
 from salsanext_cli.results.result_folder import ScanResults
 from salsanext_cli.sensors.sensor import Sensor
 
-MAX_POINTS = 200_000
-"""Points of a scan in a page; of a larger scan evenly spaced ones are shown."""
-FARTHEST_M = 1e4
-"""Points farther away, on any axis, are left out: positions of 16 bits would be too coarse."""
+MAX_POINTS = 200_000  # Points of a scan in a page; of a larger scan evenly spaced ones are shown
+FARTHEST_M = 1e4  # Farther points are left out: 16 bits would be too coarse for them
 STEPS = 65535
-NO_VALUE = 255
-"""Byte of a point without a value; values are 0 to 254."""
-Scale = Mapping[str, Any]
-"""Values at equal steps of the 255 that are told apart, `marks`, and their `unit`."""
+NO_VALUE = 255  # Byte of a point without a value; values are 0 to 254
+Scale = Mapping[str, Any]  # `marks`, at equal steps of the 255 told apart, and their `unit`
 
 
 def scales_of(scans: Sequence[ShownScan]) -> dict[str, Scale]:

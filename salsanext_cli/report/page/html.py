@@ -51,8 +51,7 @@ LIVE_WORDS = {
 """Parts of a page that holds its scans, and of one that asks a server for them."""
 OUTCOME_COLOURS = {"not judged": (62, 76, 150), "right": (125, 133, 145), "wrong": WRONG}
 """Farther apart than in other pictures, where what is not judged has the colour of nothing."""
-DARKEST_STEP = 48
-"""Step of the colour map, of 255, where its scale begins: those below are lost on a dark view."""
+DARKEST_STEP = 48  # Of the 255 of the colour map: lower ones are lost on a dark view
 MAX_CONFUSIONS = 10
 
 
@@ -70,20 +69,17 @@ def html_of(
     """Return the page of a run; every text that comes from files or names is escaped.
 
     `shown`: scans whose points the page holds; `failures`: reasons why scans are left out;
-    `maps`: PNGs of drives by title;
-    `served`: scans whose points it asks a server for, by name, with the reason to look at them,
-    which may be empty; `token`: that of the server.
+    `maps`: PNGs of drives by title; `served`: reasons to look at the scans whose points it asks a
+    server for, by name; `token`: that of the server.
     """
     out, space, sensor = run.reader.out, run.reader.space, run.reader.sensor
     live = served is not None
     offered = {scan.name: scan.reason for scan in shown} if served is None else served
     colours, class_points = screen_colours(space), _class_points(run.rows, space)
     steps = np.linspace(DARKEST_STEP, 255, NO_VALUE)  # Of the colours of the values 0 to 254
+    named_colours = zip(space.names, colours.tolist(), strict=True)
     data = {
-        "classes": [
-            {"name": name, "rgb": rgb}
-            for name, rgb in zip(space.names, colours.tolist(), strict=True)
-        ],
+        "classes": [{"name": name, "rgb": rgb} for name, rgb in named_colours],
         "outcomes": [{"name": name, "rgb": rgb} for name, rgb in OUTCOME_COLOURS.items()],
         "scales": scales,
         "boxes": bool(find_outputs(out, "objects")),

@@ -53,17 +53,14 @@ LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
 """Kinds of uncertainty by how well they tell which scan is uncertain."""
 UNCERTAIN = (*dict.fromkeys(("error", *MEANT_BY_UNCERTAINTY, *UNCERTAINTY)),)
 """Values by which points can be hidden, in the order in which they are offered."""
-SCALARS = (*UNCERTAIN, "range", "intensity")
-"""Values that are shown on a scale; labels are not."""
+SCALARS = (*UNCERTAIN, "range", "intensity")  # Values that are shown on a scale; labels are not
 DEFAULT_LIMITS = (
     "On real scans they find fences where there are none, take trucks for fence, sidewalk, "
     "building or car, hardly tell parking from road and sidewalk, and hardly ever find cyclists."
 )
 """Failures of the default weights, as docs/model-card.md has them; it does not come with a page."""
-SHOWN_DIGITS = 12
-"""Hexadecimal digits of a SHA-256 that are shown."""
-CHECKED_STAGES = ("project", *PREDICTION_STAGES)
-"""Stages that keep reasons to doubt scans, or sequences."""
+SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 that are shown
+CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # They keep reasons to doubt scans
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,8 +130,7 @@ class ShownScan:
     name: str  # Sequence and stem
     reason: str  # Why it is shown
     results: ScanResults  # N points and what is known about them
-    # Train id and `BOX` of every object
-    boxes: Sequence[Sequence[float]] = ()
+    boxes: Sequence[Sequence[float]] = ()  # Train id and `BOX` of every object
 
     def values(self) -> dict[str, npt.NDArray[Any]]:
         """Return all values of `SCALARS` that are known, (N,) each."""
