@@ -69,11 +69,11 @@ def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
     """
     parent = parent or Path(gettempdir())
     # A folder without the file of a lock, or of a process that is about to lock it, stays.
-    for lock in parent.glob(f"{PREFIX}*/{LOCK}"):
+    for path in parent.glob(f"{PREFIX}*/{LOCK}"):
         with suppress(OSError):
-            if time.time() - lock.stat().st_mtime > STALE_AFTER_S:
-                with FileLock(lock, timeout=0, fallback_to_soft=False):
-                    rmtree(lock.parent)
+            if time.time() - path.stat().st_mtime > STALE_AFTER_S:
+                with FileLock(path, timeout=0, fallback_to_soft=False):
+                    rmtree(path.parent)
     with TemporaryDirectory(prefix=PREFIX, dir=parent) as name:
         lock = FileLock(Path(name, LOCK), fallback_to_soft=False)
         with suppress(OSError):  # A file system without locks, where nothing is removed either.

@@ -106,7 +106,7 @@ def choose(
         if not {*members}.isdisjoint(sequences):
             chosen = [scan for scan in scans if scan.sequence in members]
             if None in map(space.split_of, sequences):
-                log_unused(scans, chosen, space, "--sequences chooses others")
+                log_unused(scans, chosen, space, "choose with --sequences")
             scans = chosen
         elif any(map(space.split_of, sequences)):
             named = ", ".join(members) or "no sequences"
@@ -130,7 +130,7 @@ def log_unused(
     if by_split:
         unused = ", ".join(f"{first_few(names)} ({why})" for why, names in by_split.items())
         every = counted(len(scans), "scan")
-        log.warning("%d of %s used, not those of %s: %s", len(used), every, unused, remedy)
+        log.warning("%d of %s used; not used: %s; %s", len(used), every, unused, remedy)
 
 
 def data_set_of(scan: ScanFile) -> Path | None:

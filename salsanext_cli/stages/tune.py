@@ -60,8 +60,12 @@ def tune(
     card, found = fit(TuningScans(source, files, space, settings, network, progress), **numbers)
     report = {"stage": f"tune {part}", **found, "skipped": len(labelled) - len(files)}
     if not report.get("changed", True):
-        why = "no new fit is shown to be better on held-out scans"
-        log.log(NOTICE, "%s has the same %s: %s", target.name, part, why)
+        why = (
+            "the new fit is not better on held-out scans"
+            if len(files) > 1
+            else "one scan is no test"
+        )
+        log.log(NOTICE, "the %s is unchanged: %s", part, why)
     with ExitStack() as whole:
         if part == "risk":
             # It gets its name after the weights, so that neither is there without the other.

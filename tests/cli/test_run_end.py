@@ -101,7 +101,7 @@ def test_without_scans_nothing_is_read_and_no_folder_is_made(run, data, tmp_path
     for command in ("predict", "project", "uncertainty", "inspect"):
         result = run(command)
         assert result.exit_code == 2
-        assert result.stderr.startswith("error: SCANS · none given")
+        assert result.stderr.startswith("error: SCANS · not given")
     assert [path.name for path in Path().iterdir()] == ["0.bin"]
     monkeypatch.chdir(data)
     assert run("inspect").exit_code == 0

@@ -244,7 +244,7 @@ def test_without_named_splits_all_labelled_scans_are_trained_on(data, tmp_path, 
     # Without folds the splits are SemanticKITTI's, and what these leave out is named.
     split = go(data, tmp_path / "split", FEW.with_changes(epochs=1, folds=0))
     assert read_card(split.best).trained_on == {"0" * 24, every[0]}
-    assert "2 of 3 scans used, not those of c (no split): labels.yaml" in caplog.text
+    assert "2 of 3 scans used; not used: c (no split); labels.yaml" in caplog.text
     shutil.rmtree(data / "sequences/08")
     with pytest.raises(NoInputError, match=r"no scans of split valid .* --set folds=3$"):
         go(data, tmp_path / "none", FEW.with_changes(folds=0))
@@ -337,7 +337,7 @@ def test_scans_of_other_splits_are_not_trained_on(data, tmp_path, caplog):
     own = label_space().to_dict() | {"split": {"train": [], "valid": ["b"], "test": ["c"]}}
     (data / "labels.yaml").write_text(json.dumps(own))
     go(data, tmp_path / "run")
-    assert "1 of 3 scans used, not those of b (split valid), c (split test): labels" in caplog.text
+    assert "1 of 3 scans used; not used: b (split valid), c (split test); labels" in caplog.text
     own["split"]["test"] = ["a", "c"]
     (data / "labels.yaml").write_text(json.dumps(own))
     with pytest.raises(NoInputError, match="every labelled scan is of another split"):

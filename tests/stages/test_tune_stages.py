@@ -104,12 +104,12 @@ def test_sequences_of_no_split_are_used_and_those_of_training_named(world, targe
         write_sequence(world.data / "sequences" / name, ["000000"], seed=ord(name[1]))
     shutil.rmtree(world.data / "sequences/x2/labels")
     assert go(world, target)["scans"] == 3
-    said = "3 of 5 scans used, not those of 00 (split train), x2 (no split): --sequences chooses"
+    said = "3 of 5 scans used; not used: 00 (split train), x2 (no split); choose with"
     assert said in caplog.text
     caplog.clear()
     valid = ScanSelection(split="valid")
     assert go(world, target, selection=valid, overwrite=True)["scans"] == 2
-    assert "2 of 5 scans used, not those of 00 (split train), x1, x2 (no split)" in caplog.text
+    assert "2 of 5 scans used; not used: 00 (split train), x1, x2 (no split)" in caplog.text
     for name in ("x1", "x2", "08"):
         shutil.rmtree(world.data / "sequences" / name)
     with pytest.raises(NoInputError, match="none to tune on"):

@@ -33,6 +33,7 @@ HIDDEN = 16  # Values of each of the two hidden layers
 EPOCHS, BATCH = 8, 2048  # Passes over the points, and points per step
 MIN_STEPS = 400  # Few points are passed over more often
 LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4
+ECE_TOLERANCE = 0.005  # Larger calibration error that a better ranking is worth
 SEQUENCES_OF_START = 7
 """Sequences that an existing model counts as much as; see docs/tune.md for what was tried."""
 LEAST = 1e-6  # Least probability in a logarithm
@@ -86,6 +87,12 @@ def fit_error_model(scans: TuningScans) -> Tuned:
         remedy = "use more scans, or other weights"
         raise TrainingError(scans.source, count, "right and wrong ones", remedy)
     start = network.card.error if knows_error(network) else None
+    sequences = {file.sequence for file in files}
+    if start and (same := sequences & {*start.scores.get("sequences", ())}):
+        names = first_few(sorted(same))
+        log.warning("the existing error model was fitted to %s: its scores are not held-out", names)
+    if len(sequences) == 1 < len(files):
+        log.warning("all scans are of one sequence: the held-out scans are much like the others")
     model = cross_validated(judged, folds(files, FOLDS) if len(files) > 1 else [], start=start)
     changed = gains(model) or not (model.scores["folds"] or start)
     report = {**model.scores, "changed": changed}
@@ -166,8 +173,9 @@ def gains(model: ErrorModel) -> bool:
 
 
 def is_better(scores: Mapping[str, float], others: Mapping[str, float]) -> bool:
-    """Return whether errors rank better and are more probable than others on the same points."""
-    return all(scores[name] < others[name] for name in ("aurc", "nll"))
+    """Return whether errors rank better, are more probable and as calibrated on the same points."""
+    better = all(scores[name] < others[name] for name in ("aurc", "nll"))
+    return better and scores["ece"] <= others["ece"] + ECE_TOLERANCE
 
 
 def fit_error(

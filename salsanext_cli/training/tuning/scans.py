@@ -113,7 +113,7 @@ def labelled_scans(
         if not scans:
             expected = "labelled scans of split valid, or of no split"
             raise NoInputError(dataset, "none to tune on", expected, "choose with --sequences")
-        log_unused(found, scans, splits, "--sequences chooses others")
+        log_unused(found, scans, splits, "choose with --sequences")
     scans = evenly_spaced(scans, selection.limit or 0)
     require_labels(scans)
     return scans, space
