@@ -45,7 +45,8 @@ LAYOUTS = {
     "rows.npy": (saved(np.save, TABLE.T), "transposed"),
     "rows_f8.npy": (saved(np.save, TABLE.T.astype("<f8", "C")), "transposed"),
     "rows.npz": (saved(np.savez, TABLE.T), "transposed"),
-    "arrays.npz": (saved(np.savez, X, Y, Z, I), "without names are taken for x, y, z, intensity"),
+    "arrays.npz": (saved(np.savez, X, Y, Z, I), "without names are read as x, y, z, intensity"),
+    "beside.npz": (saved(np.savez, TABLE[:, :3], I), "is read as intensity"),
     "more.npz": (saved(np.savez, x=X, y=Y, z=Z, intensity=I, t=np.ones(9)), "skipped: t"),
     "table.npz": (saved(np.savez, points=TABLE, stamp=np.ones(1)), "skipped: stamp"),
     "kind_d.pcd": (pcd("F F F F F", "F F F F D"), "TYPE D"),
@@ -97,6 +98,22 @@ def test_named_columns_of_transposed_tables_and_of_arrays(tmp_path):
     np.savez(tmp_path / "s.npz", *rows)
     for name in ("s.npy", "s.npz"):
         np.testing.assert_array_equal(read_scan(tmp_path / name, named).points, SCAN.points)
+
+
+@pytest.mark.parametrize("points", [[X, Y, Z], [TABLE[:, :3]]], ids=["columns", "table"])
+def test_integers_without_a_name_are_no_intensity(tmp_path, said, points):
+    np.savez(tmp_path / "s.npz", *points, np.arange(300))
+    scan = read_scan(tmp_path / "s.npz")
+    np.testing.assert_array_equal(scan.points, SCAN.points)
+    assert not scan.intensity.any()
+    assert f"arr_{len(points)}" in said.text
+    assert "ignored" in said.text
+
+
+def test_integers_that_columns_name_are_the_intensity(tmp_path):
+    np.savez(tmp_path / "s.npz", X, Y, Z, np.arange(300))
+    scan = read_scan(tmp_path / "s.npz", replace(SMALL, columns=("x", "y", "z", "intensity")))
+    np.testing.assert_array_equal(scan.intensity, np.arange(300))
 
 
 def test_a_short_line_lacks_only_its_last_values(tmp_path, said):
@@ -165,6 +182,12 @@ def test_scans_of_argoverse(tmp_path, said):
         read_scan(path)
 
 
+def test_the_first_version_of_feather_is_named(tmp_path):
+    (tmp_path / "s.feather").write_bytes(b"FEA1" + bytes(99))
+    with pytest.raises(FormatError, match="Feather version 1 · expected Feather version 2"):
+        read_scan(tmp_path / "s.feather")
+
+
 def rotation(turn=0.3):
     c, s = np.cos(turn), np.sin(turn)
     return np.array([[c, -s, 0, 5.5], [s, c, 0, -2], [0, 0, 1, 0.25]])
@@ -186,7 +209,7 @@ def test_a_matrix_is_no_scan_of_three_points(tmp_path, name):
     if matrix.shape[1] == 4:
         (tmp_path / "m.bin").write_bytes(matrix.astype("<f4").tobytes())
     for path in sorted(tmp_path.iterdir()):
-        with pytest.raises(FormatError, match="a matrix"):
+        with pytest.raises(FormatError, match="a pose or camera matrix"):
             read_scan(path)
     # Three or four points are not refused for being few.
     np.savetxt(tmp_path / "p.txt", 2 * matrix)
@@ -196,6 +219,8 @@ def test_a_matrix_is_no_scan_of_three_points(tmp_path, name):
 KINDS = {
     "a message of ROS 2": b"\0\1\0\0" + struct.pack("<II", 9, 77) + b"\x0b\0\0\0lidar_link\0",
     "a TerraScan file": struct.pack("<II8sI", 56, 20020715, b"\xa1\xce\x0e\0CXYZ", 1000),
+    r"a \.feather file .* rename it to \.feather": b"ARROW1\0\0",
+    "a .feather file": b"FEA1",
     "an E57 file": b"ASTM-E57\1\0\0\0",
     r"a \.mcap file .* rename it to \.mcap": b"\x89MCAP0\r\n",
     r"a \.bag file": b"#ROSBAG V2.0\n",
