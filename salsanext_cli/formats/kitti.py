@@ -27,7 +27,7 @@ COLUMNS = 4  # x, y, z in metres, remission
 COLUMNS_WITH_RING = 5  # x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes
 GZIP_SUFFIX = ".gz"
 MAX_DECOMPRESSED_BYTES = 1 << 28  # Sixteen million points
-ANEW = "write it anew as float32 x, y, z, intensity"
+REWRITE = "write it again as float32 x, y, z, intensity"
 MAX_CLASS = 0xFFFF  # Largest label of four bytes without an instance
 
 
@@ -51,7 +51,7 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
         )
     if count or not are_coordinates(scan.points):
         found = "numbers that are no coordinates in metres, or no float32"
-        raise FormatError(path, found, f"{width} float32 per point", ANEW)
+        raise FormatError(path, found, f"{width} float32 per point", REWRITE)
     if len(scan) in (3, 4):
         require_no_matrix(scan.points, path)
     return scan
@@ -73,13 +73,13 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
         if size == 0:
             raise FormatError(path, "is empty", _expected(width), "copy it again, or remove it")
         if kind := other_kind(file.read(TEXT_BYTES)):
-            remedy = f"rename it to {kind} if it holds points" if kind[0] == "." else ANEW
+            remedy = f"rename it to {kind} if it holds points" if kind[0] == "." else REWRITE
             found = "text" if kind == TEXT_SUFFIX else f"a {kind} file" if kind[0] == "." else kind
             raise FormatError(path, f"is {found}", f"{width} float32 per point", remedy)
         file.seek(0)
         values = read_values(file, path, "<f4", size // 4)
     if are_float64(values):
-        raise FormatError(path, "holds float64", f"{width} float32 per point", ANEW)
+        raise FormatError(path, "holds float64", f"{width} float32 per point", REWRITE)
     return values, size
 
 
@@ -180,6 +180,7 @@ MAGIC = {
     b"\x1f\x8b": ".bin.gz",
     b"#ROSBAG": ".bag",
     b"\x89MCAP0": ".mcap",
+    **dict.fromkeys((b"ARROW1", b"FEA1"), ".feather"),
     b"ASTM-E57": "an E57 file",
     b"\x00\x01\x00\x00": "a message of ROS 2",  # in CDR, little endian
 }

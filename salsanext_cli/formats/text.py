@@ -101,7 +101,7 @@ def _words(line: str, delimiter: str | None) -> tuple[str, ...]:
     """Return the fields of a line, in lower case, without blanks and quotes around them."""
     words = [word.strip(' "\t').lower() for word in line.split(delimiter)]
     if not AXES.keys().isdisjoint(words):
-        notice_once("columns Points:0, Points:1, Points:2 are taken for x, y, z")
+        notice_once("columns Points:0, Points:1, Points:2 are read as x, y, z")
     return tuple(AXES.get(word, word) for word in words)
 
 
