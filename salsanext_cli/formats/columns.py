@@ -83,8 +83,8 @@ def require_no_matrix(points: Float, path: Path) -> None:
         if len(points) in (3, 4) and (
             np.allclose(rows @ rows.T, np.eye(3), atol=1e-3) or rows[2].tolist() == [0, 0, 1]
         ):
-            found, expected = "a matrix, as of a pose or a camera", "the points of a scan"
-            raise FormatError(path, found, expected, "give the scans themselves")
+            found = "this looks like a pose or camera matrix"
+            raise FormatError(path, found, "the points of a scan", "give the scans themselves")
 
 
 def _require_near_origin(points: Float, path: Path) -> None:

@@ -5,7 +5,7 @@ import io
 from pathlib import Path
 from typing import Any
 
-from salsanext_cli.errors import notice_once
+from salsanext_cli.errors import FormatError, notice_once
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats.columns import Columns
@@ -26,9 +26,13 @@ def feather_columns(path: Path) -> Columns:
 def read_table(path: Path) -> Any:
     """Read the table of a Feather file, of version 2, as pyarrow does."""
     with reading(path) as file, refusing_damage(path, "a whole .feather file"):
+        content = file.read()
+        if content.startswith(b"FEA1"):
+            remedy = "write it again with pyarrow.feather.write_feather"
+            raise FormatError(path, "Feather version 1", "Feather version 2", remedy)
         ipc = import_extra("pyarrow", "argoverse").ipc
         try:
-            table = ipc.open_file(file.read()).read_all()
+            table = ipc.open_file(content).read_all()
         except MemoryError as error:  # of a damaged length
             raise ValueError(str(error)) from error
         table.validate(full=True)

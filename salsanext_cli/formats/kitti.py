@@ -27,7 +27,7 @@ COLUMNS = 4  # x, y, z in metres, remission
 COLUMNS_WITH_RING = 5  # x, y, z, intensity, ring: the `.pcd.bin` files of nuScenes
 GZIP_SUFFIX = ".gz"
 MAX_DECOMPRESSED_BYTES = 1 << 28  # Sixteen million points
-ANEW = "write it anew as float32 x, y, z, intensity"
+REWRITE = "write it again as float32 x, y, z, intensity"
 MAX_CLASS = 0xFFFF  # Largest label of four bytes without an instance
 
 
@@ -51,7 +51,7 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
         )
     if count or not are_coordinates(scan.points):
         found = "numbers that are no coordinates in metres, or no float32"
-        raise FormatError(path, found, f"{width} float32 per point", ANEW)
+        raise FormatError(path, found, f"{width} float32 per point", REWRITE)
     if len(scan) in (3, 4):
         require_no_matrix(scan.points, path)
     return scan
@@ -73,13 +73,13 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
         if size == 0:
             raise FormatError(path, "is empty", _expected(width), "copy it again, or remove it")
         if kind := other_kind(file.read(TEXT_BYTES)):
-            remedy = f"rename it to {kind} if it holds points" if kind[0] == "." else ANEW
+            remedy = f"rename it to {kind} if it holds points" if kind[0] == "." else REWRITE
             found = "text" if kind == TEXT_SUFFIX else f"a {kind} file" if kind[0] == "." else kind
             raise FormatError(path, f"is {found}", f"{width} float32 per point", remedy)
         file.seek(0)
         values = read_values(file, path, "<f4", size // 4)
     if are_float64(values):
-        raise FormatError(path, "holds float64", f"{width} float32 per point", ANEW)
+        raise FormatError(path, "holds float64", f"{width} float32 per point", REWRITE)
     return values, size
 
 
@@ -180,6 +180,7 @@ MAGIC = {
     b"\x1f\x8b": ".bin.gz",
     b"#ROSBAG": ".bag",
     b"\x89MCAP0": ".mcap",
+    **dict.fromkeys((b"ARROW1", b"FEA1"), ".feather"),
     b"ASTM-E57": "an E57 file",
     b"\x00\x01\x00\x00": "a message of ROS 2",  # in CDR, little endian
 }
@@ -256,6 +257,10 @@ SHARE_OF_LARGEST = 0.6
 MIN_EXPLAINED, MIN_EXPLAINED_BY_CHANCE = 0.05, 40
 """Explained variance below which nothing is said; the second is by the number of values."""
 MIN_VARIANCE = 0.005  # Variance of a property below which it is not looked at
+UNIT_TOLERANCE = 0.01  # Error in length of a normal
+SAME_BEAM_RAD = 5e-4  # Angle between returns of one beam; adjacent beams are 1.5 mrad apart or more
+MOVED_TOLERANCE_M = 0.005  # Error of a copy in another frame
+MOST_ROWS = 0.9  # Share of rows that shows what the columns of all are
 RANGE_LOG10 = 3.0  # Magnitudes count up to a factor of a thousand
 
 
@@ -304,9 +309,29 @@ def _least_count(values: Float, count: int) -> int:
         points = _rows(values, count).reshape(-1, count // least, least)
         measured = points[..., :2].any(axis=2).mean(axis=0)
         in_turn = measured.min() > measured.max() / 2 and _are_in_turn(values, least)
-        if in_turn or _explained(values, least) > SHARE_OF_LARGEST * _explained(values, count):
+        alike = in_turn or _explained(values, least) > SHARE_OF_LARGEST * _explained(values, count)
+        if alike and _are_of_two_points(*points[:, :2, :3].swapaxes(0, 1)):
             return least
     return count
+
+
+def _are_of_two_points(first: Double, second: Double) -> bool:
+    """Say whether values (N, 3) and those that follow them in each row are two points of a scan.
+
+    They are not if the second ones are normals, returns of the same beams, or moved copies.
+    """
+    both = np.stack([first, second])
+    both = both[:, (np.isfinite(both).all(axis=2) & both.any(axis=2)).all(axis=0)]
+    first, second = both
+    size = np.linalg.norm(second, axis=1)
+    across = np.linalg.norm(np.cross(first, second), axis=1)
+    is_normal = np.abs(size - 1) < UNIT_TOLERANCE
+    is_same_beam = across <= SAME_BEAM_RAD * size * np.linalg.norm(first, axis=1)
+    known = np.column_stack([first, np.ones(len(first))])
+    moved = known @ np.linalg.lstsq(known, second)[0]
+    is_moved = (np.abs(second - moved) < MOVED_TOLERANCE_M).all(axis=1)
+    most = MOST_ROWS * len(second)
+    return all(each.sum() < most for each in (is_normal, is_same_beam, is_moved))
 
 
 def _padded_count(values: Float, columns: int) -> int | None:

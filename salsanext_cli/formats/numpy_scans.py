@@ -32,11 +32,23 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
     arrays = npz_arrays(path)[0]
     single = {name: values.ravel() for name, values in arrays.items() if _is_column(values)}
     if len(single) == len(arrays) > 1 and all(map(UNNAMED.fullmatch, single)):
-        names = columns_of_width(len(single), names, path)
-        single = dict(zip(names, single.values(), strict=True))
-        notice_once(f"arrays without names are taken for {', '.join(names)}")
+        columns = columns_of_width(len(single), names, path)
+        single = dict(zip(columns, single.values(), strict=True))
+        if not names and len(single) > len("xyz") and single["intensity"].dtype.kind != "f":
+            del single["intensity"]
+            notice_once("integers in arr_3 are ignored; name them with --columns if they are used")
+        notice_once(f"arrays without names are read as {', '.join(single)}")
     elif not {"x", "y", "z"} <= {name.lower() for name in single}:
-        single |= _columns(_table(arrays, path), names, path)
+        table = _columns(_table(arrays, path), names, path)
+        unnamed = [name for name in single if UNNAMED.fullmatch(name)]
+        if len(unnamed) == 1 and not names and [*table] == ["x", "y", "z"]:
+            values = single.pop(unnamed[0])
+            if values.dtype.kind == "f" and len(values) == len(table["x"]):
+                single["intensity"] = values
+                notice_once("an array without a name beside x, y, z is read as intensity")
+            else:
+                notice_once(f"an array that is no intensity is ignored: {unnamed[0]}")
+        single |= table
     counts = sorted({len(each) for name, each in single.items() if name.lower() in USED_NAMES})
     if len(counts) > 1:
         found = f"columns of {counts[0]} and of {counts[-1]} points"

@@ -17,6 +17,7 @@ from salsanext_cli.formats.columns import Columns
 
 EXPECTED = "a recording of Ouster sensors"
 REMEDY = "put the metadata of the sensor beside a .pcap, as a .json of the same name"
+REWRITE = "write it again with a newer ouster-sdk, or convert it"
 PROBE_TIMEOUT_S = 600
 PROBE = "import sys; from ouster.sdk import open_source; open_source(sys.argv[1], collate=False)"
 PCAP_BYTE_ORDER = {
@@ -84,12 +85,12 @@ class OusterRecording:
             try:
                 frame = of_sensor[places[number]][0]
             except IndexError as error:
-                found = "listed, but not readable, as by a wrong checksum"
-                raise FormatError(path, found, EXPECTED, "copy the recording again") from error
+                found = "a scan cannot be read: its checksum is wrong"
+                raise FormatError(path, found, EXPECTED, REWRITE) from error
             distances, reflectivity = frame.field("RANGE"), frame.field("REFLECTIVITY")
             if distances.any() and not reflectivity[distances > 0].any():
                 found = "reflectivities that are all 0, as of a field that cannot be decoded"
-                raise FormatError(path, found, EXPECTED, "copy the recording again")
+                raise FormatError(path, found, EXPECTED, REWRITE)
             points = XYZLut(frame.sensor_info)(distances) * (distances > 0)[..., None]
             columns = {axis: points[..., n].ravel() for n, axis in enumerate("xyz")}
             return columns | {"reflectivity": reflectivity.ravel()}
@@ -117,4 +118,4 @@ def _probe(path: Path) -> None:
     except subprocess.TimeoutExpired as error:
         raise FormatError(path, f"not opened in {PROBE_TIMEOUT_S} s", "an OSF file") from error
     if done.returncode < 0:
-        raise FormatError(path, "damaged: ouster-sdk crashes at it", "an OSF file", "copy it anew")
+        raise FormatError(path, "damaged: ouster-sdk crashes at it", "an OSF file", "copy it again")

@@ -16,18 +16,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from salsanext_cli.errors import notice_once
+from salsanext_cli.errors import notice_once, shortened
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import Columns
+from salsanext_cli.formats.text import is_number, require_decimal_points
 from salsanext_cli.records import Double
+
+log = logging.getLogger(__name__)
 
 TYPES = {
     **{kind + size: f"<{kind.lower()}{size}" for kind in "IU" for size in "1248"},
     **{"F4": "<f4", "F8": "<f8", "D8": "<f8"},
 }
 """numpy's type of each TYPE and SIZE."""
-COMMAS = "commas in .pcd files are taken for blanks"
+COMMAS = "commas in .pcd files are read as blanks"
+MAX_SHORT_SHARE = 0.01  # Largest share of lines that lack values
 PADDING = "_"
 MAX_HEADER_BYTES = 1 << 16
 MAX_RATIO = 264 / 3  # Largest compression ratio of LZF: three bytes stand for up to 264
@@ -64,7 +68,7 @@ def pcd_columns(path: Path) -> Columns:
         header = read_header(file)
         match header.kind:
             case "ascii":
-                columns = _read_ascii(file, header)
+                columns = _read_ascii(file, path, header)
             case "binary":
                 columns = _read_binary(file, path, header)
             case "binary_compressed":
@@ -74,10 +78,13 @@ def pcd_columns(path: Path) -> Columns:
     return columns
 
 
-def _read_ascii(file: BufferedReader, header: Header) -> Columns:
+def _read_ascii(file: BufferedReader, path: Path, header: Header) -> Columns:
     shapes = [header.point[name].shape for name in header.point.names or ()]
     first = np.cumsum([0, *map(math.prod, shapes)])
-    values = _numbers(file.read(), int(first[-1]), header.point_count)
+    start = file.tell()
+    file.seek(0)
+    line = file.read(start).count(b"\n") + 1
+    values = _numbers(file.read(), int(first[-1]), header.point_count, path, line)
     column_of = dict(zip(header.point.names or (), first[:-1], strict=True))
     # A NaN in an integer field that is not used is no reason to fail.
     with np.errstate(invalid="ignore", over="ignore"):
@@ -86,33 +93,50 @@ def _read_ascii(file: BufferedReader, header: Header) -> Columns:
         }
 
 
-def _numbers(text: bytes, width: int, count: int) -> Double:
-    """Return the numbers of lines of so many, (N, width) float64; N is `count`, or else logged."""
-    if b"," in text:
-        text = text.replace(b",", b" ")
-        notice_once(COMMAS)
+def _numbers(text: bytes, width: int, count: int, path: Path, first: int) -> Double:
+    """Return the numbers of the lines from `first` on, (N, width) float64; N may not be `count`."""
+    plain = text.replace(b",", b" ")
     values = np.empty((0, width))
-    if text.strip():
+    if plain.strip():
         try:
-            values = np.loadtxt(io.BytesIO(text), np.float64, comments=None, ndmin=2)
+            values = np.loadtxt(io.BytesIO(plain), np.float64, comments=None, ndmin=2)
         except ValueError:
-            values = np.loadtxt(_filled(text, width), np.float64, comments=None, ndmin=2)
-    is_whole = len(values) > 0 and text.endswith(b"\n")
-    if values.shape[1] != width or (len(values) != count and not is_whole):
-        raise ValueError(f"{len(values)} lines of {values.shape[1]} values, not {count} of {width}")
+            values = np.empty((0, 0))
+        if values.shape[1] != width:
+            values = _irregular(text, width, count, path, first)
+    if len(values) < count and not (len(values) and text.endswith(b"\n")):
+        raise ValueError(f"{len(values)} of {count} points")
     if len(values) != count:
-        found = "the header of a .pcd file gives another number of points than it has lines"
-        notice_once(f"{found}: all lines are read; points may be missing", logging.WARNING)
+        missing = "; the file may be cut off" if len(values) < count else ""
+        found = "%s: %d lines of points are read, but the header says %d%s"
+        log.warning(found, path, len(values), count, missing)
+    if plain != text:
+        notice_once(COMMAS)
     return values
 
 
-def _filled(text: bytes, width: int) -> list[bytes]:
-    """Return lines in which short ones, but not the last, which is cut off, are points of NaN."""
-    *lines, last = (line for line in text.splitlines() if line.strip())
-    filled = [line if len(line.split()) >= width else b"nan " * width for line in lines]
-    if filled != lines:
-        notice_once("short lines in .pcd files are taken for points without a measurement")
-    return [*filled, last]
+def _irregular(text: bytes, width: int, count: int, path: Path, first: int) -> Double:
+    """Return the numbers of lines of which a few lack the last ones, which are NaN."""
+    rows, faults, fault = [], [], ""
+    for number, line in enumerate(text.splitlines(), first):
+        words = line.replace(b",", b" ").decode("latin-1").split()
+        fault = f"line {number} has {len(words)} of {width} values"
+        if len(words) == 2 * width:
+            require_decimal_points(line, path)
+        if wrong := [word for word in words if not is_number(word)]:
+            raise ValueError(f"line {number} has {shortened(wrong[0])!r} in place of a number")
+        if len(words) > width:
+            raise ValueError(fault)
+        if words:
+            rows.append([*map(float, words), *[math.nan] * (width - len(words))])
+            faults += [fault] if len(words) < width else []
+    if faults and fault == faults[-1]:
+        raise ValueError(f"{len(rows) - 1} of {count} points; {fault}")
+    if len(faults) > MAX_SHORT_SHARE * len(rows):
+        raise ValueError(f"{len(faults)} of {len(rows)} lines are too short; {faults[0]}")
+    for each in faults:
+        notice_once(f"{path}: {each}; the others are read as NaN")
+    return np.array(rows)
 
 
 def _read_binary(file: BufferedReader, path: Path, header: Header) -> Columns:
@@ -154,7 +178,7 @@ def read_header(file: BufferedIOBase) -> Header:
     """Read up to the line DATA; an unusable header raises `ValueError`."""
     entries = _entries(file)
     if "D" in entries.get("TYPE", ()):
-        notice_once("TYPE D in .pcd files is taken for F")
+        notice_once("TYPE D in .pcd files is read as F")
     try:
         names = entries["FIELDS"]
         counts = [*map(int, entries.get("COUNT", ["1"] * len(names)))]

@@ -80,8 +80,7 @@ def _only_topic(folder: Path, recording: Recording, clouds: dict[str, str]) -> s
         raise UsageError(folder, found, "one of them", f"--topic {topics[0]}")
     others = ", ".join(f"{topic} ({kind})" for topic, kind in recording.topics().items())
     if isinstance(recording, OusterRecording):
-        found = "no packets of a LiDAR, only of its IMU or none"
-        raise NoInputError(folder, found, "packets with distances")
+        raise NoInputError(folder, "the file has no LiDAR packets", "packets with distances")
     found = f"no point clouds, but {shortened(others, MAX_SHOWN)}" if others else "no messages"
     raise NoInputError(folder, found, "clouds, such as sensor_msgs/PointCloud2")
 

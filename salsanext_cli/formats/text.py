@@ -57,12 +57,17 @@ def text_columns(path: Path, names: tuple[str, ...]) -> Columns:
         if layout.count not in (None, len(table)):
             raise ValueError(f"{len(table)} of the {layout.count} points that its first line says")
     except ValueError as error:
-        if found := DECIMAL_COMMA.search(content):
-            number = found[0].strip(b'; \t\r\n"').decode()
-            expected, remedy = "decimal points", "write the file anew with points"
-            raise FormatError(path, f"decimal commas: {number}", expected, remedy) from error
+        require_decimal_points(content, path)
         raise FormatError(path, shortened(str(error)), EXPECTED) from error
     return dict(zip(used, table.T, strict=True))
+
+
+def require_decimal_points(content: bytes, path: Path) -> None:
+    """Refuse text with a decimal comma, as the reason why it is no table."""
+    if found := DECIMAL_COMMA.search(content):
+        number = found[0].strip(b'; \t\r\n"').decode()
+        remedy = "write the file again with decimal points"
+        raise FormatError(path, f"decimal commas: {number}", "decimal points", remedy)
 
 
 def layout_of(content: bytes, has_names: bool) -> Layout:
@@ -78,7 +83,7 @@ def layout_of(content: bytes, has_names: bool) -> Layout:
             names = named if {"x", "y", "z"} <= set(named) else names
         elif count is None and len(words) == 1 and words[0].isdecimal():
             count = int(words[0])
-        elif (any if count is None else all)(map(_is_number, words)):
+        elif (any if count is None else all)(map(is_number, words)):
             # A comment is a header only if it fits.
             fitting = names if len(names) == len(words) else ()
             return Layout(at, delimiter, len(words), fitting, count)
@@ -96,11 +101,12 @@ def _words(line: str, delimiter: str | None) -> tuple[str, ...]:
     """Return the fields of a line, in lower case, without blanks and quotes around them."""
     words = [word.strip(' "\t').lower() for word in line.split(delimiter)]
     if not AXES.keys().isdisjoint(words):
-        notice_once("columns Points:0, Points:1, Points:2 are taken for x, y, z")
+        notice_once("columns Points:0, Points:1, Points:2 are read as x, y, z")
     return tuple(AXES.get(word, word) for word in words)
 
 
-def _is_number(word: str) -> bool:
+def is_number(word: str) -> bool:
+    """Say whether a word is a number, in decimal notation."""
     try:
         float(word)
     except ValueError:
@@ -141,7 +147,7 @@ def _first_fault(content: bytes, layout: Layout, used: tuple[int, ...]) -> str:
         words = _words(line, layout.delimiter)
         if line and len(words) != layout.width:
             return f"line {number} has {len(words)} columns, not {layout.width}"
-        wrong = [words[i] for i in used if line and not _is_number(words[i])]
+        wrong = [words[i] for i in used if line and not is_number(words[i])]
         if wrong:
             return f"line {number} has {shortened(wrong[0])!r} in place of a number"
     return "no table of numbers"

@@ -364,3 +364,55 @@ def test_the_remedy_of_columns_that_the_file_has_not(tmp_path):
     path.write_bytes(table(("fraction",), scan()).tobytes())
     with pytest.raises(FormatError, match=r"holds 4 columns · expected 8 .* leave --columns out"):
         read_bin(path, columns=("x", "y", "z", "intensity", *"____"))
+
+
+def wide_records(points, random):
+    """Return records of eight columns that hold one point each, by what lies beside it."""
+    size = np.linalg.norm(points, axis=1, keepdims=True)
+    intensity = random.random((len(points), 1)) ** 2
+    normals = random.normal(-points / size, 0.2)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    farther = points * random.choice([1, 1, 1.1, 1.5], (len(points), 1))
+    nearer = points * (random.random((len(points), 1)) < 0.3)
+    turned = points @ rotation_about_z(0.02) + (0.9, -0.1, 0.02)
+    beside = {
+        "normals": [normals, np.abs(random.normal(0, 0.01, intensity.shape))],
+        "dual returns": [farther, intensity / 2],
+        "dual returns or zeros": [nearer, intensity / 2],
+        "moved": [points + (1.5, 0.2, 1.7), intensity],
+        "turned": [turned, intensity],
+    }
+    return {name: np.hstack([points, intensity, *each]) for name, each in beside.items()}
+
+
+def rotation_about_z(angle):
+    return np.array(
+        [[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
+
+
+def require_wide_records_are_read(path, points):
+    columns = ("x", "y", "z", "intensity", *"____")
+    for name, rows in wide_records(points, np.random.default_rng(0)).items():
+        for values in in_both_orders(rows.astype("<f4")):
+            path.write_bytes(values.tobytes())
+            found = read_bin(path, columns=columns)
+            np.testing.assert_array_equal(found.points, values.reshape(-1, 8)[:, :3], name)
+    # Rows of two points each, whose second point the columns would leave out.
+    pairs = table(("fraction",), points[: len(points) // 2 * 2])
+    for values in in_both_orders(pairs):
+        path.write_bytes(values.tobytes())
+        with pytest.raises(FormatError, match="holds 4 columns"):
+            read_bin(path, columns=columns)
+
+
+def test_columns_beside_one_point_are_no_second_point(tmp_path):
+    require_wide_records_are_read(tmp_path / "s.bin", scan(beams=[*range(-25, 7)]))
+
+
+@pytest.mark.real
+def test_columns_beside_a_real_point_are_no_second_point(real_data, tmp_path):
+    for path in real_scans(real_data)[::8]:
+        points = np.fromfile(path, "<f4").reshape(-1, 5 if "five" in path.name else 4)[:, :3]
+        measured = points[points.any(axis=1)].astype(float)
+        require_wide_records_are_read(tmp_path / "s.bin", measured)

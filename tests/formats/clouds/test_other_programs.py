@@ -45,14 +45,15 @@ LAYOUTS = {
     "rows.npy": (saved(np.save, TABLE.T), "transposed"),
     "rows_f8.npy": (saved(np.save, TABLE.T.astype("<f8", "C")), "transposed"),
     "rows.npz": (saved(np.savez, TABLE.T), "transposed"),
-    "arrays.npz": (saved(np.savez, X, Y, Z, I), "without names are taken for x, y, z, intensity"),
+    "arrays.npz": (saved(np.savez, X, Y, Z, I), "without names are read as x, y, z, intensity"),
+    "beside.npz": (saved(np.savez, TABLE[:, :3], I), "is read as intensity"),
     "more.npz": (saved(np.savez, x=X, y=Y, z=Z, intensity=I, t=np.ones(9)), "skipped: t"),
     "table.npz": (saved(np.savez, points=TABLE, stamp=np.ones(1)), "skipped: stamp"),
     "kind_d.pcd": (pcd("F F F F F", "F F F F D"), "TYPE D"),
     "sizes.pcd": (pcd("4 4 4 4 8", "4, 4, 4, 4, 8"), "commas"),
     "values.pcd": (pcd(lines=[line.replace(" ", ",") for line in LINES]), "commas"),
-    "fewer.pcd": (pcd("300", "12466"), "points may be missing"),
-    "less.pcd": (pcd("300", "12"), "points may be missing"),
+    "fewer.pcd": (pcd("300", "12466"), "300 lines of points are read, but the header says 12466; "),
+    "less.pcd": (pcd("300", "12"), "300 lines of points are read, but the header says 12"),
 }
 
 
@@ -72,10 +73,12 @@ def test_layouts_are_read_with_a_notice_for_their_kind(tmp_path, said, name):
         scan = read_scan(path)
         np.testing.assert_array_equal(scan.points, SCAN.points)
         np.testing.assert_array_equal(scan.intensity, SCAN.intensity)
-    (message,) = said.messages
-    assert notice in message
-    is_warning = said.records[0].levelno == logging.WARNING
-    assert is_warning == ("missing" in notice)
+    assert notice in said.messages[0]
+    # What may be missing is said of each file.
+    warnings = [each.getMessage() for each in said.records if each.levelno == logging.WARNING]
+    paths = [str(tmp_path / name), str(tmp_path / f"other_{name}")] * ("header says" in notice)
+    assert [message.split(": ")[0] for message in warnings] == paths
+    assert len(said.messages) == max(1, len(paths))
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
@@ -97,17 +100,54 @@ def test_named_columns_of_transposed_tables_and_of_arrays(tmp_path):
         np.testing.assert_array_equal(read_scan(tmp_path / name, named).points, SCAN.points)
 
 
-def test_a_short_line_is_a_point_without_a_measurement_unless_the_file_ends_there(tmp_path, said):
+@pytest.mark.parametrize("points", [[X, Y, Z], [TABLE[:, :3]]], ids=["columns", "table"])
+def test_integers_without_a_name_are_no_intensity(tmp_path, said, points):
+    np.savez(tmp_path / "s.npz", *points, np.arange(300))
+    scan = read_scan(tmp_path / "s.npz")
+    np.testing.assert_array_equal(scan.points, SCAN.points)
+    assert not scan.intensity.any()
+    assert f"arr_{len(points)}" in said.text
+    assert "ignored" in said.text
+
+
+def test_integers_that_columns_name_are_the_intensity(tmp_path):
+    np.savez(tmp_path / "s.npz", X, Y, Z, np.arange(300))
+    scan = read_scan(tmp_path / "s.npz", replace(SMALL, columns=("x", "y", "z", "intensity")))
+    np.testing.assert_array_equal(scan.intensity, np.arange(300))
+
+
+def test_a_short_line_lacks_only_its_last_values(tmp_path, said):
     path = tmp_path / "s.pcd"
-    path.write_bytes(pcd(lines=[*LINES[:100], "1.0 2.0\n", *LINES[101:]]))
-    scan = read_scan(path)
-    assert np.flatnonzero(np.isnan(scan.points).all(axis=1)).tolist() == [100]
-    np.testing.assert_array_equal(np.delete(scan.points, 100, 0), np.delete(SCAN.points, 100, 0))
-    assert "short lines" in said.text
-    for lines in ([*LINES[:-1], "1.0 2.0\n"], [*LINES[:200], LINES[200][:-1]], [*LINES, "1 2"]):
-        path.write_bytes(pcd(lines=lines))
-        with pytest.raises(FormatError, match="damaged or cut off"):
-            read_scan(path)
+    whole, partial = LINES[100].split(" ", 3)[:3], LINES[200].split()[:2]
+    lines = [*LINES[:100], " ".join(whole) + "\n", *LINES[101:200], " ".join(partial) + "\n"]
+    path.write_bytes(pcd(lines=[*lines, *LINES[201:]]))
+    scan, expected = read_scan(path), SCAN.points.copy()
+    expected[200, 2] = np.nan
+    np.testing.assert_array_equal(scan.points, expected)
+    assert np.flatnonzero(np.isnan(scan.intensity)).tolist() == [100, 200]
+    # The header has ten lines.
+    assert f"{path}: line 111 has 3 of 5 values" in said.text
+    assert f"{path}: line 211 has 2 of 5 values" in said.text
+
+
+@pytest.mark.parametrize(
+    ("lines", "found"),
+    [
+        ([*LINES[:-1], "1.0 2.0\n"], "cut off: 299 of 300 points; line 310 has 2 of 5 values"),
+        ([*LINES[:200], LINES[200][:-1]], "cut off: 201 of 300 points"),
+        ([*LINES, "1 2"], "300 of 300 points; line 311 has 2 of 5 values"),
+        ([*LINES[:9], "1 2\n" * 4, *LINES[13:]], "4 of 300 lines .* line 20 has 2 of 5 values"),
+        ([*LINES[:9], "1 2 x\n", *LINES[10:]], "line 20 has 'x' in place of a number"),
+        ([*LINES[:9], "\n1 2 3 4 5 6\n", *LINES[10:]], "line 21 has 6 of 5 values"),
+        ([line.replace(".", ",") for line in LINES], "decimal commas: -?[0-9]+,[0-9]+ · expected"),
+    ],
+)
+def test_ascii_points_that_are_cut_off_or_no_table(tmp_path, lines, found):
+    path = tmp_path / "s.pcd"
+    path.write_bytes(pcd(lines=lines))
+    with pytest.raises(FormatError, match=found) as caught:
+        read_scan(path)
+    assert "usecols" not in str(caught.value)
 
 
 @pytest.mark.parametrize("shape", [(9, 1), (1, 9)])
@@ -142,6 +182,12 @@ def test_scans_of_argoverse(tmp_path, said):
         read_scan(path)
 
 
+def test_the_first_version_of_feather_is_named(tmp_path):
+    (tmp_path / "s.feather").write_bytes(b"FEA1" + bytes(99))
+    with pytest.raises(FormatError, match="Feather version 1 · expected Feather version 2"):
+        read_scan(tmp_path / "s.feather")
+
+
 def rotation(turn=0.3):
     c, s = np.cos(turn), np.sin(turn)
     return np.array([[c, -s, 0, 5.5], [s, c, 0, -2], [0, 0, 1, 0.25]])
@@ -163,7 +209,7 @@ def test_a_matrix_is_no_scan_of_three_points(tmp_path, name):
     if matrix.shape[1] == 4:
         (tmp_path / "m.bin").write_bytes(matrix.astype("<f4").tobytes())
     for path in sorted(tmp_path.iterdir()):
-        with pytest.raises(FormatError, match="a matrix"):
+        with pytest.raises(FormatError, match="a pose or camera matrix"):
             read_scan(path)
     # Three or four points are not refused for being few.
     np.savetxt(tmp_path / "p.txt", 2 * matrix)
@@ -173,6 +219,8 @@ def test_a_matrix_is_no_scan_of_three_points(tmp_path, name):
 KINDS = {
     "a message of ROS 2": b"\0\1\0\0" + struct.pack("<II", 9, 77) + b"\x0b\0\0\0lidar_link\0",
     "a TerraScan file": struct.pack("<II8sI", 56, 20020715, b"\xa1\xce\x0e\0CXYZ", 1000),
+    r"a \.feather file .* rename it to \.feather": b"ARROW1\0\0",
+    "a .feather file": b"FEA1",
     "an E57 file": b"ASTM-E57\1\0\0\0",
     r"a \.mcap file .* rename it to \.mcap": b"\x89MCAP0\r\n",
     r"a \.bag file": b"#ROSBAG V2.0\n",

@@ -71,14 +71,14 @@ def test_a_file_at_which_the_library_crashes_is_one_error(tmp_path, monkeypatch)
 @pytest.mark.parametrize("suffix", [".osf", ".pcap"])
 def test_reflectivities_that_were_not_decoded_are_refused(tmp_path, suffix):
     (scan,) = find_scans(write_recording(tmp_path / f"drive{suffix}", 1, brightest=0))
-    with pytest.raises(FormatError, match="reflectivities that are all 0"):
+    with pytest.raises(FormatError, match=r"reflectivities that are all 0.*newer ouster-sdk"):
         read_scan(scan.path)
 
 
 def test_packets_of_no_lidar_are_named(tmp_path):
     path = write_recording(tmp_path / "drive.pcap", 1)
     path.write_bytes(path.read_bytes()[:24])
-    with pytest.raises(NoInputError, match="no packets of a LiDAR") as caught:
+    with pytest.raises(NoInputError, match="no LiDAR packets") as caught:
         find_scans(path)
     assert "PointCloud2" not in str(caught.value)
 
@@ -87,8 +87,8 @@ def test_packets_of_no_lidar_are_named(tmp_path):
 def test_reported_recordings_are_refused_by_what_they_are(real_data):
     for name, found in {
         "bad_encoding.osf": "reflectivities that are all 0",
-        "bad_crc32.osf": "a wrong checksum",
-        "imu_zm_no_lidar.pcap": "no packets of a LiDAR, only of its IMU",
+        "bad_crc32.osf": "its checksum is wrong · .* newer ouster-sdk",
+        "imu_zm_no_lidar.pcap": "no LiDAR packets",
         "same_ports.pcap": "several sensors send to one port",
     }.items():
         with pytest.raises(SalsanextError, match=found):
