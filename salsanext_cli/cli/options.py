@@ -12,6 +12,7 @@ import typer
 from salsanext_cli.cli.option_groups import Default, Shown, Without
 from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, NetworkSettings
 from salsanext_cli.errors import UsageError
+from salsanext_cli.files.suffixes import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.options import ScanSelection, argument, option, option_group
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery
@@ -38,10 +39,8 @@ def _shared(name: str, group: type[Any] = ResultQuery) -> Any:
 Scans = Annotated[
     Path | None, typer.Argument(metavar="SCANS", help=SCANS_HELP, show_default="the data set")
 ]
-FORMATS = ".bin .pcd.bin .pcd .ply .las .laz .xyz .npy .npz .feather .csv .txt .asc .pts"
-SEVERAL_HELP = (
-    f"{SCANS_HELP} Several may be given, before OUT. Formats of scans: {FORMATS}; .bin.gz."
-)
+FORMATS = f"{' '.join(SCAN_SUFFIXES)}; of recordings: {' '.join(RECORDING_SUFFIXES)}"
+SEVERAL_HELP = f"{SCANS_HELP} Several may be given, before OUT. Formats of scans: {FORMATS}."
 SeveralScans = Annotated[
     Path | None, typer.Argument(metavar="SCANS...", help=SEVERAL_HELP, show_default="the data set")
 ]

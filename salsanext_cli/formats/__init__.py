@@ -4,6 +4,7 @@
 from pathlib import Path
 
 from salsanext_cli.errors import FormatError
+from salsanext_cli.files.suffixes import SCAN_SUFFIXES
 from salsanext_cli.formats.columns import scan_of
 from salsanext_cli.formats.feather import feather_columns
 from salsanext_cli.formats.kitti import read_bin
@@ -16,15 +17,8 @@ from salsanext_cli.formats.text import text_columns
 from salsanext_cli.records import Scan
 from salsanext_cli.sensors.sensor import Sensor
 
-CLOUD_SUFFIXES = (
-    *(".pcd.bin.gz", ".bin.gz", ".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".xyz"),
-)
-"""Suffixes of files that are scans wherever they lie; longer ones first: they decide the stem."""
-TABLE_SUFFIXES = (".npy", ".npz", ".feather", ".csv", ".txt", ".asc", ".pts")
-"""Suffixes of files that often are something else, in the order in which a folder is searched."""
 NAMING_SUFFIXES = ("", ".pcd", ".ply", ".las", ".laz", ".feather")
 """Suffixes of formats with names of fields, which --columns does not change; of recordings none."""
-SCAN_SUFFIXES = (*CLOUD_SUFFIXES, *TABLE_SUFFIXES)  # Suffixes of scans, upper or lower case
 
 
 def scan_suffix(name: str) -> str:

@@ -40,14 +40,8 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
         notice_once(f"arrays without names are read as {', '.join(single)}")
     elif not {"x", "y", "z"} <= {name.lower() for name in single}:
         table = _columns(_table(arrays, path), names, path)
-        unnamed = [name for name in single if UNNAMED.fullmatch(name)]
-        if len(unnamed) == 1 and not names and [*table] == ["x", "y", "z"]:
-            values = single.pop(unnamed[0])
-            if values.dtype.kind == "f" and len(values) == len(table["x"]):
-                single["intensity"] = values
-                notice_once("an array without a name beside x, y, z is read as intensity")
-            else:
-                notice_once(f"an array that is no intensity is ignored: {unnamed[0]}")
+        if not names and [*table] == ["x", "y", "z"]:
+            single = _beside_points(single, len(table["x"]))
         single |= table
     counts = sorted({len(each) for name, each in single.items() if name.lower() in USED_NAMES})
     if len(counts) > 1:
@@ -57,6 +51,17 @@ def npz_columns(path: Path, names: tuple[str, ...]) -> Columns:
     if others:
         notice_once(f"arrays of another length than the points are skipped: {first_few(others)}")
     return {name: values for name, values in single.items() if name not in others}
+
+
+def _beside_points(single: dict[str, npt.NDArray[Any]], count: int) -> dict[str, npt.NDArray[Any]]:
+    """Return the columns beside x, y, z; a lone one without a name is the intensity."""
+    unnamed = [n for n, each in single.items() if UNNAMED.fullmatch(n) and len(each) == count]
+    if unnamed == [*single] and len(unnamed) == 1 and single[unnamed[0]].dtype.kind == "f":
+        notice_once("an array without a name beside x, y, z is read as intensity")
+        return {"intensity": single[unnamed[0]]}
+    if unnamed:
+        notice_once(f"arrays without names beside x, y, z are ignored: {first_few(unnamed)}")
+    return single
 
 
 def npz_arrays(path: Path) -> tuple[dict[str, npt.NDArray[Any]], bool]:

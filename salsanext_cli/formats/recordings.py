@@ -12,13 +12,11 @@ from pathlib import Path
 
 from salsanext_cli.errors import FormatError, NoInputError, UsageError, shortened
 from salsanext_cli.files.reading import is_folder, present
+from salsanext_cli.files.suffixes import BAG_SUFFIXES, RECORDING_SUFFIXES
 from salsanext_cli.formats.bags import Bag
 from salsanext_cli.formats.columns import Columns
 from salsanext_cli.formats.ouster import OusterRecording
 
-BAG_SUFFIXES = (".bag", ".mcap", ".db3")
-RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf")
-"""Suffixes of recordings that are files, upper or lower case."""
 METADATA = "metadata.yaml"  # File that makes a folder with `.db3` or `.mcap` files a ROS 2 bag
 NAME = re.compile(r"(-?\d{1,20})(?:_(\d{1,9}))?", re.ASCII)
 MAX_SHOWN = 500  # Characters of a list of topics in an error

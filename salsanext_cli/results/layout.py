@@ -12,7 +12,8 @@ from typing import Any
 
 from salsanext_cli.errors import NoInputError, OutputError, first_few
 from salsanext_cli.files.reading import is_folder, present, reason
-from salsanext_cli.formats import CLOUD_SUFFIXES, SCAN_SUFFIXES, TABLE_SUFFIXES, scan_suffix
+from salsanext_cli.files.suffixes import CLOUD_SUFFIXES, SCAN_SUFFIXES, TABLE_SUFFIXES
+from salsanext_cli.formats import scan_suffix
 from salsanext_cli.formats.recordings import is_recording, recorded_paths, recording_of, sequence_of
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 

@@ -3,6 +3,7 @@
 
 import inspect
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -13,9 +14,8 @@ from scans import SMALL, labels_below, write_weights
 
 from salsanext_cli.cli.app import app
 from salsanext_cli.cli.option_groups import Default, Shown, Without, expanded
-from salsanext_cli.cli.options import FORMATS
 from salsanext_cli.engines.settings import NetworkSettings, weights_file
-from salsanext_cli.formats import SCAN_SUFFIXES
+from salsanext_cli.files.suffixes import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.options import KnnParameters, ScanSelection
 
@@ -46,9 +46,10 @@ def test_a_group_is_expanded_filled_and_handed_over():
 
 
 def test_help_lists_the_formats_of_scans():
-    assert {*FORMATS.split()} == {each for each in SCAN_SUFFIXES if not each.endswith(".gz")}
     (scans,) = (each for each in parsed("predict").params if each.name == "scans")
-    assert FORMATS in scans.help
+    listed = re.findall(r" (\.[a-z0-9.]*[a-z0-9])\b", scans.help)
+    assert sorted(listed) == sorted((*SCAN_SUFFIXES, *RECORDING_SUFFIXES))
+    assert {".bin.gz", ".bag", ".osf"} <= {*listed}
 
 
 def test_the_default_weights_have_a_name():
