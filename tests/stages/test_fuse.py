@@ -262,7 +262,7 @@ def test_names_that_count_from_1_find_their_lines(world, caplog):
         assert fuse_results(world.out).done == 3
     used = read_fused_poses(fused_folder(world) / "poses.txt", stems, stems)
     np.testing.assert_array_equal(used, way(3))
-    assert "names count its lines from 1" in caplog.text
+    assert "line numbers counted from 1" in caplog.text
 
 
 def test_what_cannot_be_fused_is_said(world, drive):
