@@ -78,4 +78,7 @@ def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
         lock = FileLock(Path(name, LOCK), fallback_to_soft=False)
         with suppress(OSError):  # A file system without locks, where nothing is removed either.
             lock.acquire()
-        yield Path(name)
+        try:
+            yield Path(name)
+        finally:
+            lock.release()

@@ -93,7 +93,8 @@ AUTO = "--sensor auto"
 WRONG = "expect wrong labels"
 ALONE = f"{WRONG}; if the other scans are of another sensor or mounting, {APART}"
 FIT_CODES = frozenset({"out-of-view", "tilted", "upside-down"})  # Findings that a fit may remove
-UNITS = "convert them to metres, or name the columns: --columns x,y,z,intensity"
+METRES = "convert them to metres"
+COLUMNS = "name the columns: --columns x,y,z,intensity"  # For formats that do not name them
 TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
 TRAIN_HERE = "expect worse labels, or `salsanext train` weights on scans of such places"
 ORIGIN = "expect worse labels, or write the sensor's place as `origin` into a file for --sensor"
@@ -105,7 +106,8 @@ def training_findings(
     """Compare images and their upper intensity with those of training; `reason`: why it is none."""
     if any(getattr(sensor, key) != getattr(trained, key) for key in OF_IMAGES):
         found = "the sensor file changes the size or normalisation of the images"
-        yield Finding("other-images", found, "accuracy drops")
+        remedy = "accuracy drops: leave height, width, means and stds out of the file"
+        yield Finding("other-images", found, remedy)
     matched = sensor.intensity_quantiles
     can_match = trained.intensity_quantiles and not matched
     if reason:
@@ -176,17 +178,18 @@ def check_scan(
     some = Scan(some.points[measured], some.intensity[measured])
     sines = sines_of(some.points)
     reason = why_no_intensity(some.points, some.intensity)
+    is_named = scan_suffix(path.name) in NAMING_SUFFIXES
     fit = fit or (FIT if sensor is trained else ALONE)
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         fit = AUTO
     findings = [
-        *_of_units(ranges, share, sensor),
+        *_of_units(ranges, share, sensor, is_named=is_named),
         *_of_view(some, sines, sensor, fit),
         *_of_ground(some, fit),
     ]
     bright = 0.0 if reason else upper_intensity(some.intensity)
     if trained is not None:
-        name_it = RENAME_IT if scan_suffix(path.name) in NAMING_SUFFIXES else NAME_IT
+        name_it = RENAME_IT if is_named else NAME_IT
         findings += training_findings(bright, reason, sensor, trained, name_it)
     per_point = len(scan) * (1 - ego_share) * share / count
     traits = ScanTraits.of(sines, bright, per_point, sensor)
@@ -206,11 +209,13 @@ def _require_metres(path: Path, count: int, ranges: Double) -> None:
         raise FormatError(path, f"a median range of {median:.3g} m", expected, remedy)
 
 
-def _of_units(ranges: Double, measured: float, sensor: Sensor) -> Iterator[Finding]:
+def _of_units(
+    ranges: Double, measured: float, sensor: Sensor, *, is_named: bool
+) -> Iterator[Finding]:
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
         found = f"a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
-        yield Finding("units", found, UNITS)
+        yield Finding("units", found, METRES if is_named else f"{METRES}, or {COLUMNS}")
     if far < MIN_FAR_M:
         found = f"99% of the points lie within {far:.0f} m, as in a room"
         yield Finding("indoor", found, TRAIN_HERE)
@@ -219,7 +224,8 @@ def _of_units(ranges: Double, measured: float, sensor: Sensor) -> Iterator[Findi
         yield Finding("wide-view", found, "correct fov_up and fov_down, or --sensor auto")
     if measured < MIN_MEASURED:
         found = f"{1 - measured:.0%} of the points are no measurements"
-        yield Finding("not-measured", found, "if they should be, name the columns: --columns")
+        remedy = "they stay unlabelled" if is_named else f"if they should be, {COLUMNS}"
+        yield Finding("not-measured", found, remedy)
 
 
 def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:

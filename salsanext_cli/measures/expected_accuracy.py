@@ -11,8 +11,8 @@ from typing import Any
 from salsanext_cli.errors import counted
 
 DEVIATIONS = 2.0
-"""Half the width of the interval, in root mean squares of expected minus measured accuracy: nine of
-the ten labelled drives in docs/safety.md lie in it, each judged by those of the others."""
+"""Half the width of the interval, in root mean squares of expected minus measured accuracy. Of the
+ten labelled drives in docs/safety.md, each judged by the nine others, nine lie in it."""
 OF_RUN = ("mixed-sensors",)
 """Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
 WITHHELD_FOR = (
@@ -20,7 +20,7 @@ WITHHELD_FOR = (
     *("not-measured", "one-class", "other-images", "out-of-view", "sparse", "tilted", "units"),
     *("upside-down", "wide-view"),
 )
-"""Warnings about scans that are unlike those of the ten drives. Solid-state sensors, which only get
+"""Warnings that a scan is unlike the ten drives. Solid-state sensors, which only get
 `part-of-circle`, had the expected accuracy within 3 points."""
 EDGE = 1e-6  # Mean confidences closer to 0 or 1 have no useful logit
 

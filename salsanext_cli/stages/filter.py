@@ -25,6 +25,7 @@ from salsanext_cli.formats.recordings import files_of, recorded_paths, recording
 from salsanext_cli.formats.subsets import subsets_of, write_bag_subset
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.geometry.projection import measured_ranges, without_ego
+from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Mask
 from salsanext_cli.results.layout import (
@@ -105,7 +106,7 @@ class PointFilter:
         train = self.space.to_train(labels, source=path)
         stay = self.stays[train]
         if scan is not None and self.measured_only:
-            stay &= measured_ranges(without_ego(scan, self.sensor).points)[1]
+            stay &= measured_ranges(without_ego(scan, sensor_of(scan, self.sensor)).points)[1]
         if self.max_error is not None:
             errors = output_path(self.results.root, file.sequence, ERROR, file.stem)
             if not present(errors):

@@ -177,7 +177,9 @@ def predict_scans(
         log.warning("--reject risk: %s", OTHER_VIEW)
     temperature = network.card.temperature
     recorded = settings.record(network) | {"temperature": temperature, "knn": asdict(knn)}
-    recorded |= {"accuracy": network.card.accuracy} if reject is None else {"reject": reject}
+    recorded |= {} if reject is None else {"reject": reject}
+    if reject is None and network.card.accuracy:
+        recorded["accuracy"] = network.card.accuracy
     recorded |= {"promised": risk} if risk else {}
     recorded |= {} if reject_by == "error" else {"reject_by": reject_by}
     recorded |= {"objects": True} if "objects" in extras else {}

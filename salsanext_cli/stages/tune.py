@@ -21,7 +21,10 @@ from salsanext_cli.training.tuning.risk import fit_risk
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans, labelled_scans, unseen
 from salsanext_cli.training.tuning.temperature import fit_temperature
 
+NAMES = {"error": "error model", "dropout": "dropout rate"}  # Names of parts in sentences
+
 log = logging.getLogger(__name__)
+
 FITS: dict[str, Callable[..., Tuned]] = {
     "temperature": fit_temperature,
     "error": fit_error_model,
@@ -60,12 +63,10 @@ def tune(
     card, found = fit(TuningScans(source, files, space, settings, network, progress), **numbers)
     report = {"stage": f"tune {part}", **found, "skipped": len(labelled) - len(files)}
     if not report.get("changed", True):
-        why = (
-            "the new fit is not better on held-out scans"
-            if len(files) > 1
-            else "one scan is no test"
-        )
-        log.log(NOTICE, "the %s is unchanged: %s", part, why)
+        why = "the new fit is not better on held-out scans"
+        if len(files) == 1:
+            why = "a single scan cannot show that a new fit is better"
+        log.log(NOTICE, "the %s is unchanged: %s", NAMES.get(part, part), why)
     with ExitStack() as whole:
         if part == "risk":
             # It gets its name after the weights, so that neither is there without the other.

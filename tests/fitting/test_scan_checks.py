@@ -86,6 +86,14 @@ def test_what_is_doubtful():
         assert code in codes(scan)
 
 
+def test_columns_are_advised_only_for_formats_that_do_not_name_them():
+    for scan in (moved(scale=30), mostly_missing()):
+        for suffix, advised in ((".bin", True), (".npy", True), (".pcd", False), (".las", False)):
+            found = check_scan(Path(f"s{suffix}"), scan, SMALL, TRAINED).findings
+            remedies = [each.remedy for each in found if each.code in ("units", "not-measured")]
+            assert [("--columns" in remedy) for remedy in remedies] == [advised]
+
+
 def test_views_that_are_doubtful():
     assert codes(STREET, replace(SMALL, fov_up=-8.0)) == ["out-of-view"]
     assert "wide-view" in codes(STREET, replace(SMALL, fov_up=75.0, fov_down=-75.0))

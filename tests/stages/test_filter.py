@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from bags import KINDS, START, STEP, TOPIC, cloud, structured, text, write_bag
 from evaluated import World
-from scans import files_below, write_array
+from scans import files_below, make_scan, write_array, write_bin
 
-from salsanext_cli import label_space, read_scan, sensor, write_labels
+from salsanext_cli import Scan, label_space, read_scan, sensor, write_labels
 from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError
+from salsanext_cli.geometry.scan_traits import traits_of
 from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
@@ -79,6 +80,22 @@ def test_moving_points_go_with_vehicle_housing_and_no_measurements(apply, world,
     assert left(tmp_path) == [0, 6]
     apply(drop=["person", "vehicle"], options=RunOptions(overwrite=True))
     assert left(tmp_path) == [*range(7)]
+
+
+def test_moving_points_go_by_the_sensor_that_was_fitted_to_the_scan(apply, world, tmp_path):
+    points = make_scan(3000).points
+    scan = Scan(points, np.arange(3000, dtype=np.float32))
+    write_bin(world.dataset / "sequences/08/velodyne/000000.bin", scan)
+    write_labels(
+        output_path(world.out, "08", "predictions", "000000"), np.full(3000, TREE, np.uint32)
+    )
+    traits = traits_of(scan).compared
+    own = replace(sensor("hdl64"), min_range=6.0, ego_box=(), traits=traits)
+    usual = replace(own, min_range=0.0, traits=tuple(10 * each for each in traits), others=(own,))
+    settings = {"label_space": SPACE.to_dict(), "sensor": usual.to_dict()}
+    StageRecord("predict", settings, ("predictions",)).write(world.out)
+    apply(drop=["moving"])
+    assert left(tmp_path) == np.flatnonzero(np.linalg.norm(points, axis=1) >= 6).tolist()
 
 
 def test_points_above_an_error_go(apply, world, tmp_path):

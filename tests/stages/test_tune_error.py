@@ -219,7 +219,7 @@ def test_a_fit_that_is_no_better_leaves_the_weights_as_they_are(
     assert not tuned["changed"]
     assert tuned["existing"]["aurc"] < tuned["error"]["aurc"]
     assert again.read_bytes() == target.read_bytes()
-    assert "the error is unchanged" in caplog.text
+    assert "the error model is unchanged" in caplog.text
     # Without a model, and no better than the confidence, there is none.
     tuned = tune(
         "error", world.data, again, settings=world.network, selection=EVERY, overwrite=True

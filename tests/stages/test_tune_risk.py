@@ -18,6 +18,7 @@ from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.report.page.run_results import expected_of_run
 from salsanext_cli.results.layout import LEAST_CONFIDENCE, find_scans, output_path
 from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
@@ -309,3 +310,5 @@ def test_a_run_says_how_many_labels_it_expects_to_be_right(world: World, tmp_pat
     plain = predict_scans(world.data, tmp_path / "plain", settings=world.network).summary
     assert plain is not None
     assert plain.expected_accuracy() is None
+    # A key that older folders lack would refuse them.
+    assert "accuracy" not in StageRecords(tmp_path / "plain").settings("predict")
