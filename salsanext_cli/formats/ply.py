@@ -44,7 +44,7 @@ def read_ply(path: Path, content: bytes) -> Any:
 
 
 def _header(content: bytes) -> tuple[bytes, bytes]:
-    """Divide a PLY file; refuse a header that states more than there is, which plyfile allocates."""
+    """Divide a PLY file; refuse a header that states more than it has: plyfile allocates it."""
     end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
     if end < 0:
         raise ValueError("no PLY header")
