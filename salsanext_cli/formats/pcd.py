@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from salsanext_cli.errors import notice_once, shortened
+from salsanext_cli.errors import notice_once, shortened, warn_once
 from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
 from salsanext_cli.formats.columns import Columns
@@ -108,8 +108,8 @@ def _numbers(text: bytes, width: int, count: int, path: Path, first: int) -> Dou
         raise ValueError(f"{len(values)} of {count} points")
     if len(values) != count:
         missing = "; the file may be cut off" if len(values) < count else ""
-        found = "%s: %d lines of points are read, but the header says %d%s"
-        log.warning(found, path, len(values), count, missing)
+        found = f"{len(values)} lines of points are read, but the header says {count}{missing}"
+        warn_once(log, f"{path}: {found}")
     if plain != text:
         notice_once(COMMAS)
     return values
