@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from salsanext_cli.fusion.window import fuse
     from salsanext_cli.geometry.knn import knn_refine
     from salsanext_cli.geometry.projection import project
+    from salsanext_cli.in_memory import label, label_drive
     from salsanext_cli.options import KnnParameters
     from salsanext_cli.records import RangeImage, Scan
     from salsanext_cli.sensors.sensor import Sensor, sensor
-    from salsanext_cli.stages.predict import label, label_drive
     from salsanext_cli.uncertainty.monte_carlo import sample
 
 __all__ = [
@@ -67,10 +67,10 @@ _HOMES = {
     "engines.loading": ("load_network",),
     "engines.network": ("Network",),
     "fitting.scan_fit": ("fit_network",),
+    "in_memory": ("label", "label_drive"),
     "options": ("KnnParameters",),
     "records": ("RangeImage", "Scan"),
     "sensors.sensor": ("Sensor", "sensor"),
-    "stages.predict": ("label", "label_drive"),
     "uncertainty.monte_carlo": ("sample",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

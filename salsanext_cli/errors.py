@@ -22,8 +22,10 @@ ESCAPES = UNDECODED | CONTROL | {code: f"\\u{code:04x}" for code in DIRECTION}
 NO_MEMORY = (
     *("allocate memory", "bad_alloc", "bad allocation", "can't alloc"),
     *("failed to map segment", "can't start new thread"),
+    *("cuda out of memory", "cuda error: out of memory"),
+    *("cublas_status_alloc_failed", "cudnn_status_alloc_failed", "cublas_status_not_initialized"),
 )
-"""Words of the system, of Python, torch and OpenVINO where memory runs out."""
+"""Words of the system, of Python, torch, CUDA and OpenVINO where memory runs out."""
 
 
 def printable(text: str) -> str:

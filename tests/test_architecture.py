@@ -25,9 +25,10 @@ LEVELS = (
     ("engines", "results"),
     ("fitting",),
     ("uncertainty", "measures", "fusion"),
-    ("labelling",),
-    ("training", "synthesis", "parallel", "report"),
+    ("labelling", "parallel"),
+    ("training", "synthesis", "report"),
     ("stages",),
+    ("in_memory",),
     ("cli",),
     ("__main__",),
 )

@@ -257,7 +257,7 @@ def test_every_name_in_the_tables_exists(page):
 def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monkeypatch):
     """In the middle of a run they are all files of the package, whatever the thread."""
     network, package = replace(world.network, engine="openvino"), f"{ROOT / 'salsanext_cli'}/"
-    original, scans = stage.predict_scan, []
+    prepare, scans = stage.PredictJob.prepare, []
     visited: dict[int, dict[str, None]] = {number: {} for number in range(9)}
 
     def note(frame, event: str, _: object) -> None:
@@ -265,9 +265,9 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
         if event == "call" and path.startswith(package):
             visited[len(scans)][path.removeprefix(package)] = None
 
-    def followed(file, *arguments, **options):
+    def followed(job, file):
         scans.append(file)
-        yield from original(file, *arguments, **options)
+        return prepare(job, file)
 
     def files_visited(source, out):
         scans.clear()
@@ -281,7 +281,7 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
 
     # A graph that is compiled for the first time is written to the cache.
     network.load().probabilities(project(make_scan(), SMALL))
-    monkeypatch.setattr(stage, "predict_scan", followed)
+    monkeypatch.setattr(stage.PredictJob, "prepare", followed)
     files_visited(world.scan(), world.out)
     in_order = visited[1]
     write_sequence(world.data / "sequences/09", ["0", "1", "2", "3", "4"])
@@ -295,7 +295,8 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
     if seen != {*visited[3], *visited[4]}:
         # Messages go through the console, which escapes names, after a command in this process.
         seen.discard("errors.py")
-    assert seen == {*steps, *others, "stages/predict.py", "parallel/run.py"}
+    loop = {"parallel/run.py", "parallel/pipeline.py", "parallel/job.py", "engines/batches.py"}
+    assert seen == {*steps, *others, "stages/predict.py", *loop}
     assert len(seen) == 21
 
 

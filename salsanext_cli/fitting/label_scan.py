@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: MIT
 """The way of a scan: read, checked, projected, through the network, refined on the points."""
 
-from collections.abc import Generator
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import starmap
 from pathlib import Path
+from typing import NamedTuple, Protocol
 
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
@@ -33,6 +34,14 @@ class ProjectedScan:
     sensor: Sensor  # Sensor that was fitted to the scan, and to others of its kind
 
 
+class PreparedScan(NamedTuple):
+    """Scan that is ready for a network."""
+
+    projected: ProjectedScan
+    network: Network  # For the sensor of the scan
+    input: Float  # (1, 5, H, W) float32, normalised
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledScan(ProjectedScan):
     """Scan with the labels that a network gives it."""
@@ -41,28 +50,28 @@ class LabelledScan(ProjectedScan):
     labels: TrainIds  # (N,) uint8: of the points, refined by kNN
 
 
-def label_scan(
-    file: ScanFile, network: Network, knn: KnnParameters = KnnParameters()
-) -> Generator[Float | None, Float | None, LabelledScan]:
-    """Label a scan: yields its input, for which a softmax may be sent, and None after it."""
-    network, projected = project_for(network, file)
-    given = network.input(projected.image.channels)
-    softmax = yield given
-    if softmax is None:
-        (softmax,) = network.softmax([given])
-    yield None
-    return labelled(projected, softmax, network, knn)
-
-
-def project_for(
-    network: Network, file: ScanFile, scan: Scan | None = None
-) -> tuple[Network, ProjectedScan]:
-    """Read, check and project a scan; return the network for its sensor too.
-
-    `scan`: if it was read.
-    """
+def prepared_for(network: Network, file: ScanFile, scan: Scan | None = None) -> PreparedScan:
+    """Read, check and project a scan for a network; `scan`: if it was read."""
     projected = project_scan(file, network.sensor, network.card.sensor, scan)
-    return network.for_sensor(projected.sensor), projected
+    network = network.for_sensor(projected.sensor)
+    return PreparedScan(projected, network, network.input(projected.image.channels))
+
+
+class NetworkInput(Protocol):
+    """Scan of which a network takes an input."""
+
+    @property
+    def network(self) -> Network:
+        """Network for the sensor of the scan."""
+
+    @property
+    def input(self) -> Float:
+        """Input of the network, (1, 5, H, W) float32, normalised."""
+
+
+def softmax_of(scans: Sequence[NetworkInput]) -> list[Float]:
+    """Return the softmax (C, H, W) float32 of the pixels of each scan."""
+    return scans[0].network.softmax([scan.input for scan in scans])
 
 
 def project_scan(
@@ -87,20 +96,20 @@ def check_with_remedy(
     return replace(check, findings=tuple(changed))
 
 
-def labelled(
-    projected: ProjectedScan, softmax: Float, network: Network, knn: KnnParameters
-) -> LabelledScan:
-    """Return a projected scan with the labels that follow from its pixels' softmax (C, H, W)."""
-    network.engine.require_finite(softmax, projected.file.path)
-    labels = network.labels(projected.image, softmax, knn)
-    own = {each.name: getattr(projected, each.name) for each in fields(ProjectedScan)}
-    return LabelledScan(**own, softmax=softmax, labels=labels)
+def labelled(scan: PreparedScan, softmax: Float, knn: KnnParameters) -> LabelledScan:
+    """Return a scan with the labels that follow from the softmax (C, H, W) of its pixels."""
+    given = scan.projected
+    scan.network.engine.require_finite(softmax, given.file.path)
+    labels = scan.network.labels(given.image, softmax, knn)
+    return LabelledScan(
+        *(given.file, given.scan, given.image, given.check, given.sensor, softmax, labels)
+    )
 
 
-def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> tuple[Path, Float]:
-    """Read what `project` wrote of a scan; return the file and its content, (5, H, W) float32."""
+def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> Float:
+    """Read the range image (5, H, W) float32 that `project` wrote of a scan."""
     path = output_path(folder, file.sequence, "range", file.stem)
-    return path, read_array(path, "float32", (len(CHANNELS), sensor.height, sensor.width))
+    return read_array(path, "float32", (len(CHANNELS), sensor.height, sensor.width))
 
 
 def projected_sensor(folder: Path) -> Sensor | None:

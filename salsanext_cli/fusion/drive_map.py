@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Map of a drive: one point per voxel, without the trails of what moves."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import NoInputError, SalsanextError
+from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.fusion.drive import DRIVE, Drive, recorded_drive
 from salsanext_cli.fusion.poses import POSES
@@ -85,24 +85,23 @@ class MapTask:
     reach: int  # Scans before and after each that tell what stands, as `FusionReach` has it
     max_chunk_scans: int = 400  # Neighbours share what they read
 
-    def open(self) -> Any:
-        """Return the function that works on scans; the window moves from one to the next."""
-        return self._attempts
+    def open(self) -> Callable[[], Callable[[ScanFile], Columns]]:
+        """Return what makes the function of the scans of a chunk."""
+        return self._function
 
-    def _attempts(self, files: Iterable[ScanFile]) -> Iterator[tuple[ScanFile, Any, Any]]:
+    def _function(self) -> Callable[[ScanFile], Columns]:
+        """Return the function of a scan; the window moves from one scan to the next."""
         sensor = self.results.sensor()
         window = DriveWindow(self.drive.parts, self.reach, partial(self._seen, sensor=sensor))
-        origins = self.drive.origins
         numbers = {file: number for number, file in enumerate(self.files)}
-        for file in files:
-            try:
-                own, others = window.around(numbers[file])
-            except SalsanextError as error:
-                yield file, None, error
-                continue
-            columns = one_per_voxel([own.columns], self.size, origins)
+
+        def columns_of(file: ScanFile) -> Columns:
+            own, others = window.around(numbers[file])
+            columns = one_per_voxel([own.columns], self.size, self.drive.origins)
             stays = self._standing(columns, others, sensor)
-            yield file, {name: values[stays] for name, values in columns.items()}, None
+            return {name: values[stays] for name, values in columns.items()}
+
+        return columns_of
 
     def _standing(
         self, columns: Columns, others: Mapping[int, MapScan], sensor: Sensor

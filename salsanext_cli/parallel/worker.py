@@ -1,116 +1,47 @@
 # SPDX-License-Identifier: MIT
-"""Workers of a run: threads and processes of this machine, what each does, and a GPU for each."""
+"""One worker of a run: the task that it has opened, the chunks that it works on, and its GPU."""
 
 import getpass
 import hashlib
 import logging
 import os
-import signal
 import socket
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, partial
-from multiprocessing import resource_tracker
+from functools import cache
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
-from salsanext_cli.errors import OutputError, SalsanextError
+from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import MARK
-from salsanext_cli.parallel.options import RunOptions, cores, threads_of_workers, use_threads
+from salsanext_cli.parallel.job import Attempt, OpenableTask, ScanJob, Task
+from salsanext_cli.parallel.options import use_threads
+from salsanext_cli.parallel.pipeline import Pipeline, one_by_one
 from salsanext_cli.results.layout import ScanFile
 
-CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is there when one is done
 POLL_INTERVAL_S = 1.0
 THREAD_TIMEOUT_S = 10.0
 
 Chunk = tuple[ScanFile, ...]  # Scans that a worker is sent together
-Attempt = tuple[ScanFile, Any, SalsanextError | None]  # A scan, its result, its error
-AttemptFunction = Callable[[Iterable[ScanFile]], Iterator[Attempt]]
-"""Works on scans in turn; a scan that fails is an attempt with an error."""
+AttemptFunction = Callable[[Iterable[ScanFile]], Iterator[Attempt[Any]]]  # Works on scans in turn
 
 log = logging.getLogger(__name__)
 
 
-@runtime_checkable
-class OpenableTask(Protocol):
-    """Task that is opened once per worker, since that is slow: it loads a network, say."""
-
-    @property
-    def max_chunk_scans(self) -> int:
-        """Largest number of scans that a worker is sent together."""
-
-    def open(self) -> AttemptFunction:
-        """Load what all scans need, and return the function that works on them."""
-
-
-Task = Callable[[ScanFile], Any] | OpenableTask
-"""Plain function of one scan, or a task that is opened first; both can be pickled."""
-
-
 def opened(task: Task) -> AttemptFunction:
-    """Open a task, or make attempts of a plain function."""
-    return task.open() if isinstance(task, OpenableTask) else partial(one_by_one, task)
+    """Open a task, and return what works on the scans of a chunk."""
+    begin = task.open() if isinstance(task, OpenableTask) else lambda: task
 
+    def attempts(files: Iterable[ScanFile]) -> Iterator[Attempt[Any]]:
+        work = begin()
+        work = Pipeline(work) if isinstance(work, ScanJob) else work
+        return work.run(files) if isinstance(work, Pipeline) else one_by_one(work, files)
 
-def one_by_one(function: Callable[[ScanFile], Any], files: Iterable[ScanFile]) -> Iterator[Attempt]:
-    """Call a function with one scan after the other."""
-    for file in files:
-        try:
-            yield file, function(file), None
-        except SalsanextError as error:
-            yield file, None, error
-
-
-@dataclass(frozen=True, slots=True)
-class WorkerPool:
-    """Workers that are ready."""
-
-    backend: dict[str, Any]  # Arguments of `joblib.parallel_config`
-    workers: int  # Number of chunks that are worked on side by side
-    in_flight: int  # Number of chunks that are sent before the first comes back
-    threads: int  # Threads that each worker may use
-    died: tuple[type[BaseException], ...]  # Raised by the backend when a worker died
-
-
-@contextmanager
-def local_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
-    """Give a pool of threads or processes, at most so many; joblib starts them when needed."""
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    workers = min(max_workers, options.workers_here())
-    threads = max(1, cores() // workers)
-    backend: dict[str, Any] = {"backend": options.backend, "n_jobs": workers}
-    died = (TerminatedWorkerError,)
-    pool = WorkerPool(backend, workers, CHUNKS_IN_FLIGHT * workers, threads, died)
-    if options.backend == "threading":
-        with threads_of_workers(threads):
-            yield pool
-    else:
-        backend |= {"initializer": end_with_parent, "initargs": (os.getpid(),)}
-        backend["inner_max_num_threads"] = threads
-        yield pool
-
-
-@contextmanager
-def signals_blocked(*signals: signal.Signals) -> Generator[None, None, None]:
-    """Start threads and processes that signals do not reach, since this thread ends them."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    from joblib.externals.loky.backend import resource_tracker as tracker_of_loky
-
-    # Starting these lets the signals through again, so they are started before.
-    tracker_of_loky.ensure_running()
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return attempts
 
 
 def end_with_parent(parent: int) -> None:
@@ -191,15 +122,15 @@ class Worker:
 WORKER = Worker()
 
 
-def attempt_chunk(context: WorkerContext, task: Task, scans: Chunk) -> list[Attempt]:
+def attempt_chunk(context: WorkerContext, task: Task, scans: Chunk) -> list[Attempt[Any]]:
     """Attempt the scans of a chunk, in a worker."""
     MARK.set(context.mark)
     use_threads(context.threads)
-    done: list[Attempt] = []
+    done: list[Attempt[Any]] = []
     with WORKER.serving(context, task) as attempts:
         for attempt in attempts(scans):
             done.append(attempt)
-            if WORKER.ended == context.run or (context.stop and attempt[2]):
+            if WORKER.ended == context.run or (context.stop and attempt.error):
                 break
     return done
 

@@ -15,7 +15,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.files.atomic import require_target, write_bytes
 from salsanext_cli.files.optional_packages import import_extra, import_nncf
-from salsanext_cli.fitting.label_scan import project_for
+from salsanext_cli.fitting.label_scan import prepared_for
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.network.card import ONNX_SUFFIX, WeightsCard
 from salsanext_cli.network.weights import read_weights
@@ -102,8 +102,7 @@ def _int8(model: Any, network: Network, scans: list[ScanFile]) -> tuple[bytes, f
 
 def _input(file: ScanFile, network: Network) -> Float:
     """Return what the network sees of a scan, (1, 5, H, W)."""
-    network, projected = project_for(network, file)
-    return network.input(projected.image.channels)
+    return prepared_for(network, file).input
 
 
 def _graph(content: bytes, card: WeightsCard) -> Graph:

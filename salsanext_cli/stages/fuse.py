@@ -4,7 +4,7 @@
 import logging
 import os
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -44,7 +44,6 @@ from salsanext_cli.fusion.window import (
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import FusionReach
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.parallel.worker import Attempt, AttemptFunction
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import (
     DISAGREEMENT,
@@ -88,22 +87,25 @@ class FuseTask:
     # Neighbours share what they read, so that a chunk is much longer than the reach
     max_chunk_scans: int = 400
 
-    def open(self) -> AttemptFunction:
-        """Return the function that works on scans; the window moves from one to the next."""
-        return self._attempts
+    def open(self) -> Callable[[], Callable[[ScanFile], ScanSummary]]:
+        """Return what makes the function of the scans of a chunk."""
+        return self._function
 
-    def _attempts(self, scans: Iterable[ScanFile]) -> Iterator[Attempt]:
-        for sequence, group in groupby(scans, lambda file: file.sequence):
-            drive, files = self.drives[sequence], self.members[sequence]
+    def _function(self) -> Callable[[ScanFile], ScanSummary]:
+        """Return the function of a scan; the window moves from one scan to the next."""
+        windows: dict[str, FusionWindow] = {}  # Of the sequence that is worked on
+        numbers = {f: n for files in self.members.values() for n, f in enumerate(files)}
+
+        def fuse_scan(file: ScanFile) -> ScanSummary:
+            drive = self.drives[file.sequence]
             if isinstance(drive, SalsanextError):
-                yield from ((file, None, drive) for file in group)
-                continue
-            window, numbers = self._window(files, drive), {f: n for n, f in enumerate(files)}
-            for file in group:
-                try:
-                    yield file, self._fuse(file, numbers[file], window), None
-                except SalsanextError as error:
-                    yield file, None, error
+                raise drive
+            if file.sequence not in windows:
+                windows.clear()
+                windows[file.sequence] = self._window(self.members[file.sequence], drive)
+            return self._fuse(file, numbers[file], windows[file.sequence])
+
+        return fuse_scan
 
     def _window(self, files: Sequence[ScanFile], drive: Drive) -> FusionWindow:
         def read(index: int) -> tuple[Float, Float, Any]:

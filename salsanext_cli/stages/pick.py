@@ -3,7 +3,7 @@
 
 import hashlib
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, FormatError, NoInputError, counted
+from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.picked_data_set import (
@@ -27,8 +28,10 @@ from salsanext_cli.labelling.picked_data_set import (
 )
 from salsanext_cli.labelling.scan_choice import choose_scans, require_choice
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, log_recorded
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.parallel.run import Failure, NetworkTask, Outcome, RunOptions, run_over_scans
+from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.parallel.network_task import NetworkTask
+from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
+from salsanext_cli.records import Float
 from salsanext_cli.report.picked import (
     PickedLabels,
     picked_cloud,
@@ -40,8 +43,13 @@ from salsanext_cli.results.layout import DISAGREEMENT, ScanFile, find_scans, out
 from salsanext_cli.results.result_folder import ResultFolder, read_kind
 from salsanext_cli.results.selection import choose, evenly_spaced, scans_of, space_of
 from salsanext_cli.results.stage_records import StageRecords, as_json
+from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import require_sampling
-from salsanext_cli.uncertainty.scan_description import ScanDescription, describe_scan, label_sampled
+from salsanext_cli.uncertainty.scan_description import (
+    DescribeJob,
+    ScanDescription,
+    checked_sample,
+)
 
 SAMPLES = 8  # Passes of Monte-Carlo dropout, whose masks are the same for all scans
 
@@ -69,15 +77,47 @@ class Picking:
         }
 
 
-def write_scan(
-    file: ScanFile, network: Network, samples: int, seed: int, data_set: PickedDataSet
-) -> PickedLabels:
-    """Write a picked scan, and a coloured cloud with the labels that the network guesses."""
-    labelled, information = label_sampled(file, network, samples, seed)
-    data_set.write_points(file, network.sensor)
-    cloud = picked_cloud(labelled, information, network.space)
-    data_set.write_missing(data_set.paths(file.sequence, file.stem).cloud, cloud)
-    return PickedLabels.of(labelled, information, network.space)
+@dataclass(frozen=True, slots=True)
+class PickJob:
+    """Job that writes picked scans, and coloured clouds with the labels that a network guesses."""
+
+    network: Network
+    seed: int
+    data_set: PickedDataSet
+
+    def prepare(self, file: ScanFile) -> PreparedScan:
+        """Read, check and project a scan."""
+        return prepared_for(self.network, file)
+
+    def compute(self, scans: Sequence[PreparedScan]) -> list[Estimate]:
+        """Sample each scan."""
+        return [checked_sample(p, network, SAMPLES, self.seed) for p, network, _ in scans]
+
+    def finish(self, scan: PreparedScan, estimate: Estimate) -> PickedLabels:
+        """Label the points by the mean softmax, and write the scan and its cloud."""
+        file, space = scan.projected.file, scan.network.space
+        guess = labelled(scan, estimate.probabilities, KnnParameters())
+        information = estimate.uncertainty.mutual_information
+        self.data_set.write_points(file, scan.network.sensor)
+        cloud = picked_cloud(guess, information, space)
+        self.data_set.write_missing(self.data_set.paths(file.sequence, file.stem).cloud, cloud)
+        return PickedLabels.of(guess, information, space)
+
+
+@dataclass(frozen=True, slots=True)
+class DisagreementJob(DescribeJob):
+    """Job that takes the mean disagreement of the views of a scan's places as its uncertainty."""
+
+    folder: Path  # Output folder of `fuse`
+
+    def finish(self, scan: PreparedScan, computed: tuple[Float, Float | None]) -> ScanDescription:
+        """Return the means over the pixels with a point, and over the points with votes."""
+        described, file = DescribeJob.finish(self, scan, computed), scan.projected.file
+        path = output_path(self.folder, file.sequence, DISAGREEMENT, file.stem)
+        against = read_kind(path, "disagreement", described.points)
+        if not (known := np.isfinite(against)).any():
+            raise FormatError(path, "nothing but NaN", "the disagreement of some point")
+        return replace(described, uncertainty=float(against[known].mean()))
 
 
 def pick(
@@ -128,8 +168,11 @@ def pick(
             return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
         resolved = settings.resolved(network)
         if record is None:
-            describe = partial(_describe, samples=SAMPLES, seed=seed, disagreement=disagreement)
-            task = NetworkTask(describe, resolved, network)
+            describe: Callable[[Network], DescribeJob]
+            describe = partial(DescribeJob, samples=SAMPLES, seed=seed)
+            if disagreement is not None:
+                describe = partial(DisagreementJob, samples=0, seed=seed, folder=disagreement)
+            task = NetworkTask(describe, resolved, network, batch=1)
             summary = RunSummary.of_scans(scans, network.sensor)
             of_scan: dict[ScanFile, ScanDescription] = {}
 
@@ -146,25 +189,11 @@ def pick(
             failed = [failure.to_dict() for failure in failures]
             record = PickRecord(recorded, picked, failed, warnings)
             data_set.begin_anew(record)
-        write = partial(write_scan, samples=SAMPLES, seed=seed, data_set=data_set)
-        task = NetworkTask(write, resolved, network)
+        write = partial(PickJob, seed=seed, data_set=data_set)
+        task = NetworkTask(write, resolved, network, batch=1)
         classes = space if space.fits(network.space) else space_of([], network.space)
         outcome = _written(task, data_set, record, scans, options, classes)
     return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
-
-
-def _describe(
-    file: ScanFile, network: Network, samples: int, seed: int, disagreement: Path | None
-) -> ScanDescription:
-    """Describe a scan; its uncertainty may be the mean disagreement of the views of its places."""
-    if disagreement is None:
-        return describe_scan(file, network, samples, seed)
-    described = describe_scan(file, network, 0, seed)
-    path = output_path(disagreement, file.sequence, DISAGREEMENT, file.stem)
-    against = read_kind(path, "disagreement", described.points)
-    if not (known := np.isfinite(against)).any():
-        raise FormatError(path, "nothing but NaN", "the disagreement of some point")
-    return replace(described, uncertainty=float(against[known].mean()))
 
 
 def _digest(scans: Sequence[ScanFile]) -> str:

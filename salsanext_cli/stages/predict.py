@@ -4,33 +4,30 @@
 import csv
 import io
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import LabelSpace, TrainIds
-from salsanext_cli.engines.loading import load_network
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE, NoInputError, UsageError, WeightsError
-from salsanext_cli.files.locks import temporary_folder
+from salsanext_cli.errors import NOTICE, UsageError, WeightsError
 from salsanext_cli.fitting.label_scan import (
     LabelledScan,
-    label_scan,
+    PreparedScan,
     labelled,
-    project_for,
+    prepared_for,
     projected_sensor,
     range_image,
     sensor_of_images,
+    softmax_of,
 )
-from salsanext_cli.fitting.scan_checks import check_image
+from salsanext_cli.fitting.scan_checks import ScanCheck, check_image
 from salsanext_cli.fitting.scan_fit import (
-    fit_network,
     fitted_view,
     is_other_view,
     labels_depend_on,
@@ -45,23 +42,20 @@ from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.risk_control import promise
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, ScanSteps, run_over_scans
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.parallel.network_task import NetworkTask
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.records import Float
 from salsanext_cli.results.layout import (
     ERROR,
     LEAST_CONFIDENCE,
     ScanFile,
-    drive_order,
+    output_path,
     with_outputs,
 )
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.stages.fuse import FUSED, fuse_results, require_fusable
-from salsanext_cli.uncertainty.error_features import error_model, error_probability, knows_error
-
-IN_MEMORY = ScanFile("scan", "points", Path("points"))
-"""Name of the points in warnings and errors."""
+from salsanext_cli.uncertainty.error_features import error_model, error_probability
 
 OTHER_VIEW = (
     "the view fitted to these scans is not that of the scans that the threshold was chosen on: of "
@@ -129,11 +123,25 @@ def object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> byt
     return file.getvalue().encode()
 
 
-def predict_scan(file: ScanFile, network: Network, writer: LabelWriter) -> ScanSteps:
-    """Label the points of one scan, in steps; the last yields numbers about it."""
-    writer.output.require_replaceable(file)
-    scan = yield from label_scan(file, network, writer.knn)
-    yield writer.write(scan, network)
+@dataclass(frozen=True, slots=True)
+class PredictJob:
+    """Job that labels the points of scans and writes the results."""
+
+    network: Network
+    writer: LabelWriter
+
+    def prepare(self, file: ScanFile) -> PreparedScan:
+        """Read, check and project a scan whose results may be replaced."""
+        self.writer.output.require_replaceable(file)
+        return prepared_for(self.network, file)
+
+    def compute(self, scans: Sequence[PreparedScan]) -> list[Float]:
+        """Return the softmax (C, H, W) of the pixels of each scan."""
+        return softmax_of(scans)
+
+    def finish(self, scan: PreparedScan, softmax: Float) -> ScanSummary:
+        """Refine the labels on the points, and write the results."""
+        return self.writer.write(labelled(scan, softmax, self.writer.knn), scan.network)
 
 
 def predict_scans(
@@ -192,10 +200,8 @@ def predict_scans(
         limits = [of_classes.get(name, reject) for name in network.space.names]
         above = None if reject is None else np.array(limits, np.float32)
         writer = LabelWriter(knn, output, above, reject_by)
-        function = partial(predict_scan, writer=writer)
-        task = NetworkTask(
-            function, settings.resolved(network), network, takes_softmax=True, batch=batch
-        )
+        job = partial(PredictJob, writer=writer)
+        task = NetworkTask(job, settings.resolved(network), network, batch)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
     rejected = None if reject is None else summary.rejected_points
     return replace(outcome, rejected_points=rejected)
@@ -219,19 +225,45 @@ def _chosen_threshold(
     return risk
 
 
-def predict_image(file: ScanFile, network: Network, folder: Path, output: OutputRun) -> ScanSteps:
-    """Label the pixels of a range image that `project` wrote into a folder, in steps; check it."""
-    output.require_replaceable(file)
-    if network.sensor.others:
-        scan = read_scan(file.path, network.sensor)
-        network = network.for_sensor(sensor_of(scan, network.sensor))
-    path, image = range_image(file, folder, network.sensor)
-    yield
-    (probabilities,) = network.pixel_probabilities([image])
-    network.engine.require_finite(probabilities, path)
-    yield
-    output.write_array(file, "pixel_labels", probabilities.argmax(axis=0).astype(np.uint8))
-    yield ScanSummary(file, check_image(image, network.sensor, network.card.sensor))
+class PreparedImage(NamedTuple):
+    """Range image that `project` wrote, ready for a network."""
+
+    file: ScanFile
+    network: Network  # For the sensor of the scan
+    input: Float  # (1, 5, H, W) float32, normalised
+    check: ScanCheck  # Reasons to doubt the scan
+
+
+@dataclass(frozen=True, slots=True)
+class PredictImageJob:
+    """Job that labels the pixels of range images in a folder."""
+
+    network: Network
+    folder: Path
+    output: OutputRun
+
+    def prepare(self, file: ScanFile) -> PreparedImage:
+        """Read and check a range image; its sensor may depend on the scan."""
+        self.output.require_replaceable(file)
+        network = self.network
+        if network.sensor.others:
+            scan = read_scan(file.path, network.sensor)
+            network = network.for_sensor(sensor_of(scan, network.sensor))
+        image = range_image(file, self.folder, network.sensor)
+        check = check_image(image, network.sensor, network.card.sensor)
+        return PreparedImage(file, network, network.input(image), check)
+
+    def compute(self, scans: Sequence[PreparedImage]) -> list[Float]:
+        """Return the softmax (C, H, W) of the pixels of each scan."""
+        return softmax_of(scans)
+
+    def finish(self, scan: PreparedImage, softmax: Float) -> ScanSummary:
+        """Write the labels of the pixels."""
+        path = output_path(self.folder, scan.file.sequence, "range", scan.file.stem)
+        scan.network.engine.require_finite(softmax, path)
+        labels = softmax.argmax(axis=0).astype(np.uint8)
+        self.output.write_array(scan.file, "pixel_labels", labels)
+        return ScanSummary(scan.file, scan.check)
 
 
 def predict_range_images(
@@ -255,134 +287,12 @@ def predict_range_images(
         found,
         out,
         overwrite=options.overwrite,
-        image_of=lambda file: range_image(file, folder, network.sensor)[1],
+        image_of=lambda file: range_image(file, folder, network.sensor),
     )
     recorded, folders = settings.record(network), ("pixel_labels",)
     summary = RunSummary(network.sensor)
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
-        steps = partial(predict_image, folder=folder, output=output)
-        task = NetworkTask(steps, settings.resolved(network), network)
+        job = partial(PredictImageJob, folder=folder, output=output)
+        task = NetworkTask(job, settings.resolved(network), network)
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
-
-
-class PointLabels(NamedTuple):
-    """Result of `label`."""
-
-    labels: TrainIds
-    probabilities: Float
-    error: Float | None
-
-
-def label(
-    points: npt.ArrayLike,
-    intensity: npt.ArrayLike | None = None,
-    weights: Path | str | Network | None = None,
-) -> PointLabels:
-    """Label the points of one scan, as `predict` does: fitted, checked, refined.
-
-    Reasons to doubt the labels are logged as warnings of ``salsanext_cli``.
-
-    Parameters
-    ----------
-    points : (N, 3) numbers
-        Coordinates in metres around the sensor. Those that are NaN, infinite or 0 get label 0.
-    intensity : (N,) numbers, optional
-        Of any scale; None where there is none.
-    weights : Path, str or Network, optional
-        A weights file, None for the default weights: loaded, and fitted to these points. A network
-        is taken as it is, which saves both for many scans: fit it by `fit_network`.
-
-    Returns
-    -------
-    labels : (N,) uint8
-        Train ids of the label space of the weights, ``sn.label_space()`` for the default ones.
-    probabilities : (N, C) float32
-        Of the pixel of each point, of class 0 alone without one; labels are refined besides.
-    error : (N,) float32 or None
-        Probability that each label is wrong, NaN without a pixel; None if the weights lack it.
-
-    Raises
-    ------
-    SalsanextError
-        If the arrays cannot be points in metres around a sensor, or the weights cannot be used.
-    """
-    scan = _scan(points, intensity)
-    network = weights
-    if not isinstance(network, Network):
-        network = fit_network(load_network(weights), [scan])  # type: ignore[arg-type]
-    network, projected = project_for(network, IN_MEMORY, scan)
-    softmax = network.probabilities(projected.image, IN_MEMORY.path)
-    done = labelled(projected, softmax, network, KnnParameters())
-    RunSummary(network.sensor).add(ScanSummary.of_scan(done, network.space))
-    none = np.eye(1, network.space.class_count)
-    of_points = points_from_pixels(softmax, done.image.pixel_of_point, none)
-    known = knows_error(network)
-    error = error_probability(network, done.image, softmax, done.labels) if known else None
-    return PointLabels(done.labels, of_points, error)
-
-
-def _scan(points: npt.ArrayLike, intensity: npt.ArrayLike | None) -> Scan:
-    """Check the arrays and return the scan that they are; a scan without intensity has 0."""
-    try:
-        coordinates = np.asarray(points)
-    except ValueError:  # Lists of several lengths
-        coordinates = np.array("lists of several lengths")
-    if coordinates.ndim != 2 or coordinates.shape[1] != 3 or coordinates.dtype.kind not in "fiu":
-        found = f"an array {coordinates.shape} of {coordinates.dtype}"
-        remedy = "of x, y, z, intensity: label(array[:, :3], array[:, 3])"
-        raise UsageError("points", found, "numbers (N, 3), in metres", remedy)
-    values = np.zeros(len(coordinates)) if intensity is None else np.asarray(intensity)
-    if values.shape != coordinates.shape[:1] or values.dtype.kind not in "fiu":
-        found = f"an array {values.shape} of {values.dtype}"
-        raise UsageError("intensity", found, f"numbers ({len(coordinates)},), one per point")
-    # What float32 cannot hold is infinite: no measurement.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return Scan(coordinates.astype(np.float32), values.astype(np.float32))
-
-
-class FusedScan(NamedTuple):
-    """Scan of `label_drive`."""
-
-    name: str
-    scan: Scan
-    labels: TrainIds
-    disagreement: Float
-
-
-def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterator[FusedScan]:
-    """Label the scans of a drive and fuse the labels where scans see the same places.
-
-    That is `predict --fuse` in a temporary folder: the first scan comes when all are labelled.
-    Those that cannot be are logged as errors and left out.
-
-    Parameters
-    ----------
-    folder : Path or str
-        Scans, and their `poses.txt`; else poses are computed, which needs ``salsanext[fuse]``.
-    weights : Path or str, optional
-        A weights file, None for the default weights, fitted to the scans.
-
-    Yields
-    ------
-    FusedScan
-        `name`, ``08/000000``, and `scan` of N points; `labels` (N,) uint8, train ids as of `label`;
-        `disagreement` (N,) float32, the share of the votes against the label, NaN without any.
-    """
-    source = Path(folder)
-    settings = NetworkSettings(weights=None if weights is None else Path(weights))
-    with temporary_folder() as out:
-        fused = ResultFolder(out / FUSED)
-        require_fusable(source, out, RunOptions())
-        outcome = predict_scans(source, out, settings=settings, extras=("votes",))
-        for failure in outcome.failures:
-            log.error("%s", failure.reason)
-        if not outcome.done:
-            raise NoInputError(source, "no scan that can be labelled", "see the errors of each")
-        for reason in dict.fromkeys(failure.reason for failure in fuse_results(out).failures):
-            log.error("%s", reason)
-        files, space = fused.predicted(ScanSelection())
-        for file in sorted(fused.with_column("label", files), key=drive_order):
-            found = fused.read(file, fused.sensor())
-            labels, against = np.asarray(found.label), found.uncertainty["disagreement"]
-            yield FusedScan(file.name, found.scan, space.to_train(labels), against)

@@ -3,10 +3,10 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,52 +14,75 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings, recorded_view
 from salsanext_cli.errors import NOTICE, OutputError
-from salsanext_cli.fitting.label_scan import labelled, project_for
+from salsanext_cli.fitting.label_scan import PreparedScan, ProjectedScan, labelled, prepared_for
 from salsanext_cli.fitting.scan_fit import network_of_run
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.parallel.run import NetworkTask, Outcome, RunOptions, ScanSteps, run_over_scans
+from salsanext_cli.parallel.network_task import NetworkTask
+from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ERROR, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.results.stage_records import StageRecords, as_json
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
+from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 log = logging.getLogger(__name__)
 
 
-def uncertainty_scan(
-    file: ScanFile,
-    network: Network,
-    knn: KnnParameters,
-    method: UncertaintyMethod,
-    output: OutputRun,
-) -> ScanSteps:
-    """Estimate the uncertainty of one scan's points, in steps; the last yields numbers about it."""
-    output.require_replaceable(file)
-    network, projected = project_for(network, file)
-    image, check = projected.image, projected.check
-    yield
-    estimate = method.estimate(network, image, file)
-    network.engine.require_finite(estimate.probabilities, file.path)
-    # The model of errors was fitted to a single pass.
-    single = network.probabilities(image, file.path) if ERROR in output.folders else None
-    yield
-    for kind in method.kinds:
-        of_pixels = getattr(estimate.uncertainty, kind)
-        of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
-        output.write_array(file, f"uncertainty/{kind}", of_points)
-    if "predictions" not in output.folders:
-        yield ScanSummary(file, check)
-        return
-    labels, space = labelled(projected, estimate.probabilities, network, knn).labels, network.space
-    if single is not None:
-        output.write_array(file, ERROR, error_probability(network, image, single, labels))
-    output.write_labels(file, space.to_raw(labels))
-    yield ScanSummary.of_labels(file, labels, space, check)
+class EstimatedScan(NamedTuple):
+    """What an `UncertaintyJob` computes of a scan."""
+
+    estimate: Estimate
+    softmax: Float | None  # (C, H, W) of a single pass, which the model of errors was fitted to
+
+
+@dataclass(frozen=True, slots=True)
+class UncertaintyJob:
+    """Job that estimates the uncertainty of the points of scans, and labels them."""
+
+    network: Network
+    knn: KnnParameters
+    method: UncertaintyMethod
+    output: OutputRun
+
+    def prepare(self, file: ScanFile) -> PreparedScan:
+        """Read, check and project a scan whose results may be replaced."""
+        self.output.require_replaceable(file)
+        return prepared_for(self.network, file)
+
+    def compute(self, scans: Sequence[PreparedScan]) -> list[EstimatedScan]:
+        """Estimate the uncertainty of the pixels of scans, one after the other."""
+        return [self._estimate(*scan) for scan in scans]
+
+    def _estimate(self, projected: ProjectedScan, network: Network, given: Float) -> EstimatedScan:
+        estimate = self.method.estimate(network, projected.image, projected.file)
+        network.engine.require_finite(estimate.probabilities, projected.file.path)
+        if ERROR not in self.output.folders:
+            return EstimatedScan(estimate, None)
+        (softmax,) = network.softmax([given])
+        network.engine.require_finite(softmax, projected.file.path)
+        return EstimatedScan(estimate, softmax)
+
+    def finish(self, scan: PreparedScan, computed: EstimatedScan) -> ScanSummary:
+        """Write the uncertainty of the points, and their labels."""
+        (projected, network, _), (estimate, softmax) = scan, computed
+        file, image, output = projected.file, projected.image, self.output
+        for kind in self.method.kinds:
+            of_pixels = getattr(estimate.uncertainty, kind)
+            of_points = points_from_pixels(of_pixels, image.pixel_of_point, np.nan)
+            output.write_array(file, f"uncertainty/{kind}", of_points)
+        if "predictions" not in output.folders:
+            return ScanSummary(file, projected.check)
+        labels, space = labelled(scan, estimate.probabilities, self.knn).labels, network.space
+        if softmax is not None:
+            output.write_array(file, ERROR, error_probability(network, image, softmax, labels))
+        output.write_labels(file, space.to_raw(labels))
+        return ScanSummary.of_labels(file, labels, space, projected.check)
 
 
 def uncertainty(
@@ -95,8 +118,8 @@ def uncertainty(
     summary = RunSummary.of_scans(scans, network.sensor, network.space)
     run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
-        function = partial(uncertainty_scan, knn=knn, method=method, output=output)
-        task = NetworkTask(function, settings.resolved(network), network)
+        job = partial(UncertaintyJob, knn=knn, method=method, output=output)
+        task = NetworkTask(job, settings.resolved(network), network, batch=1)
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
 
 

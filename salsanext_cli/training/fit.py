@@ -18,22 +18,17 @@ import torch
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, TrainingError
-from salsanext_cli.geometry.projection import project
-from salsanext_cli.measures.scores import confusion_matrix, scores
 from salsanext_cli.network.card import WeightsCard
-from salsanext_cli.network.error_model import TEMPERATURES
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
-from salsanext_cli.training.data.sources import Source, read_labelled
-from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
+from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.log import EpochWriter, Row, draw_curve, tensorboard_in, write_log
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
-from salsanext_cli.training.tuning.temperature import best_temperature
+from salsanext_cli.training.validation import validate
 
 SAVE_INTERVAL_S = 600.0  # Seconds between two checkpoints within an epoch
-MAX_VALIDATED_POINTS = 200_000  # Points of a validation that the temperature is fitted to
 
 log = logging.getLogger(__name__)
 
@@ -172,35 +167,3 @@ class Training:
         if self.learner.group.is_main:
             epoch, epochs = state.epoch + (row is None), self.learner.recipe.epochs
             self.report(StepReport(epoch, epochs, step + 1, self.samples.plan.steps, row))
-
-
-def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS) -> Row:
-    """Score scans labelled as `predict` does, shared by workers; also fit a temperature."""
-    space = network.card.space
-    confusion = np.zeros((space.class_count, space.class_count), np.int64)
-    # (C, M) float32, (M,) int64: some points of the classes that count, evenly spaced in every scan
-    logits, truth = [torch.empty(space.class_count, 0)], [torch.empty(0, dtype=torch.int64)]
-    for file in source.files[group.rank :: group.size]:
-        own = network.for_sensor(source.sensor_of(file))
-        scan, labels = read_labelled(file, source.space, own.sensor)
-        image = project(scan, own.sensor)
-        of_pixels = own.logits(image)
-        confusion += confusion_matrix(labels, own.labels(image, of_pixels), space.class_count)
-        usable = np.flatnonzero(space.scored[labels] & (image.pixel_of_point >= 0))
-        chosen = usable[:: max(1, len(usable) * len(source.files) // MAX_VALIDATED_POINTS)]
-        pixels = image.pixel_of_point[chosen]
-        logits.append(torch.from_numpy(of_pixels.reshape(space.class_count, -1)[:, pixels]))
-        truth.append(torch.from_numpy(labels[chosen].astype(np.int64)))
-    counts = group.sum(torch.from_numpy(confusion).to(network.device)).cpu().numpy()
-    all_logits, all_truth = (
-        torch.cat(group.gather(torch.cat(own, dim=-1).to(network.device)), dim=-1).cpu()
-        for own in (logits, truth)
-    )
-    result, (lowest, highest) = scores(counts, space), TEMPERATURES
-    best = best_temperature(all_logits.T.contiguous(), all_truth) if len(all_truth) else 1.0
-    return {
-        "accuracy": result.accuracy,
-        "miou": result.iou_mean_present,
-        "temperature": best if lowest <= best <= highest else 1.0,
-        **{f"iou_{score.name}": score.iou for score in result.classes},
-    }

@@ -19,11 +19,14 @@ from salsanext_cli.engines.graphs import LOGITS
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, WeightsError, first_few
+from salsanext_cli.fitting.label_scan import softmax_of
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import read_weights
+from salsanext_cli.parallel.job import Steps
+from salsanext_cli.parallel.network_task import network_pipeline
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.sensors.sensor import Sensor, sensor
@@ -34,7 +37,7 @@ from salsanext_cli.training.data.dataset import Samples, SamplingPlan
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.data.targets import class_sets
 from salsanext_cli.training.distributed import ProcessGroup
-from salsanext_cli.training.fit import StepReport, Training, validate
+from salsanext_cli.training.fit import StepReport, Training
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.recipe import Recipe
@@ -47,6 +50,8 @@ from salsanext_cli.training.tuning.error import (
     of_both_kinds,
     points_of_scan,
 )
+from salsanext_cli.training.tuning.scans import LabelledImage, read_labelled_image
+from salsanext_cli.training.validation import validate
 from salsanext_cli.uncertainty.error_features import FEATURES
 
 DEFAULT_SENSOR = "hdl64"  # Sensor of a training from random weights, unless another is given
@@ -255,9 +260,13 @@ class Setup:
             # That of the final weights: the fold's own was fitted to these very scans.
             card = replace(card, temperature=temperature)
             network = network_of_module(module.to(self.device), card, str(self.device))
-            for file in part:
+
+            def read(file: ScanFile, network: Network = network) -> LabelledImage:
                 own = network.for_sensor(source.sensor_of(file))
-                judged[file] = judged_points(file, own, source.space, most)
+                return read_labelled_image(file, own, source.space)
+
+            job = Steps(read, softmax_of, partial(judged_points, most=most))
+            judged |= zip(part, network_pipeline(job, network).results(part), strict=True)
         if of_both_kinds(judged.values()):
             start = self.error if self.error and self.error.features == FEATURES else None
             model = cross_validated(judged, parts, start=start)

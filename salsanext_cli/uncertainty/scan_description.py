@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Scan as the network sees it: described by features and uncertainty, or labelled."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,11 +10,10 @@ from torch import Tensor
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.errors import FormatError
-from salsanext_cli.fitting.label_scan import LabelledScan, labelled, project_for
+from salsanext_cli.fitting.label_scan import PreparedScan, ProjectedScan, prepared_for
 from salsanext_cli.fitting.scan_checks import ScanCheck
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.options import KnnParameters
-from salsanext_cli.records import Double, Float, RangeImage
+from salsanext_cli.records import Double, Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import sample
@@ -31,45 +31,59 @@ class ScanDescription:
     check: ScanCheck  # Reasons to doubt the scan
 
 
-def describe_scan(file: ScanFile, network: Network, samples: int, seed: int) -> ScanDescription:
-    """Describe a scan by what the network makes of it."""
-    # The masks of dropout are the same for every scan: between masks the mutual information varies
-    # more than between scans of one drive.
-    network, projected = project_for(network, file)
-    image = projected.image
-    filled = image.point_of_pixel >= 0
-    if not filled.any():
-        raise FormatError(file.path, "no point is in view of the sensor", "a scan with points")
-    features = pixel_features(network, image)[:, filled].mean(axis=1, dtype=np.float64)
-    network.engine.require_finite(features, file.path)
-    mean = np.nan
-    if samples:
-        information = _estimate(file, image, network, samples, seed).uncertainty.mutual_information
-        mean = float(information[filled].mean(dtype=np.float64))
-    return ScanDescription(file, features, mean, len(projected.scan), projected.check)
+@dataclass(frozen=True, slots=True)
+class DescribeJob:
+    """Job that describes scans by what a network makes of them."""
+
+    network: Network
+    samples: int  # Passes of dropout; 0 for none
+    seed: int
+
+    def prepare(self, file: ScanFile) -> PreparedScan:
+        """Read, check and project a scan."""
+        scan = prepared_for(self.network, file)
+        if not (scan.projected.image.point_of_pixel >= 0).any():
+            raise FormatError(file.path, "no point is in view of the sensor", "a scan with points")
+        return scan
+
+    def compute(self, scans: Sequence[PreparedScan]) -> list[tuple[Float, Float | None]]:
+        """Return features (D, H, W) and, if sampled, mutual information (H, W) of each scan."""
+        return [self._compute(*scan) for scan in scans]
+
+    def _compute(
+        self, projected: ProjectedScan, network: Network, given: Float
+    ) -> tuple[Float, Float | None]:
+        features = pixel_features(network, given)
+        if not self.samples:
+            return features, None
+        # The masks of dropout are the same for every scan: between masks the mutual information
+        # varies more than between scans of one drive.
+        estimate = checked_sample(projected, network, self.samples, self.seed)
+        return features, estimate.uncertainty.mutual_information
+
+    def finish(self, scan: PreparedScan, computed: tuple[Float, Float | None]) -> ScanDescription:
+        """Return the means over the pixels with a point."""
+        (projected, network, _), (of_pixels, information) = scan, computed
+        filled = projected.image.point_of_pixel >= 0
+        features = of_pixels[:, filled].mean(axis=1, dtype=np.float64)
+        network.engine.require_finite(features, projected.file.path)
+        mean = np.nan
+        if information is not None:
+            mean = float(information[filled].mean(dtype=np.float64))
+        points = len(projected.scan)
+        return ScanDescription(projected.file, features, mean, points, projected.check)
 
 
-def label_sampled(
-    file: ScanFile, network: Network, samples: int, seed: int
-) -> tuple[LabelledScan, Float]:
-    """Label a scan by the mean softmax of passes; also return their information (H, W), nats."""
-    network, projected = project_for(network, file)
-    estimate = _estimate(file, projected.image, network, samples, seed)
-    scan = labelled(projected, estimate.probabilities, network, KnnParameters())
-    return scan, estimate.uncertainty.mutual_information
-
-
-def _estimate(
-    file: ScanFile, image: RangeImage, network: Network, samples: int, seed: int
-) -> Estimate:
-    estimate = sample(network, image, samples=samples, seed=seed)
-    network.engine.require_finite(estimate.probabilities, file.path)
+def checked_sample(projected: ProjectedScan, network: Network, samples: int, seed: int) -> Estimate:
+    """Estimate by Monte-Carlo dropout; `WeightsError` if the result is not finite."""
+    estimate = sample(network, projected.image, samples=samples, seed=seed)
+    network.engine.require_finite(estimate.probabilities, projected.file.path)
     return estimate
 
 
-def pixel_features(network: Network, image: RangeImage) -> Float:
-    """Return the features of every pixel of a scan, (D, H, W) float32, without dropout."""
-    engine, given = network.engine, network.input(image.channels)
+def pixel_features(network: Network, given: Float) -> Float:
+    """Return the features (D, H, W) float32 of an input (1, 5, H, W), without dropout."""
+    engine = network.engine
     if engine.library == "openvino":
         return engine.graph("features", _decoded)(given)[0][0]
     with inference_mode(engine.device):

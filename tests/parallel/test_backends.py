@@ -16,7 +16,7 @@ from works import Write, run, scans_of
 
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import MissingDependency, UsageError, WorkersLost
-from salsanext_cli.parallel import clusters
+from salsanext_cli.parallel import pool
 from salsanext_cli.parallel.options import threads_of_workers
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.predict import predict_scans
@@ -101,7 +101,7 @@ def connected(workers):
     with ExitStack() as stack:
         if workers["backend"] == "ray":
             ray = pytest.importorskip("ray")
-            stack.enter_context(clusters._connected_to_ray(ray, workers["scheduler"]))
+            stack.enter_context(pool._connected_to_ray(ray, workers["scheduler"]))
         yield workers
 
 
@@ -167,7 +167,7 @@ def free_port():
 @pytest.mark.parametrize("address", ["{here}:{port}", "nonsense"])
 def test_where_no_cluster_answers(tmp_path, backend, address, monkeypatch):
     pytest.importorskip({"dask": "distributed"}.get(backend, backend))
-    monkeypatch.setattr(clusters, "CONNECT_TIMEOUT_S", 1)
+    monkeypatch.setattr(pool, "CONNECT_TIMEOUT_S", 1)
     address = address.format(here=HERE, port=free_port())
     with pytest.raises(UsageError, match=f"^--scheduler {address} · "):
         run(Write(tmp_path), scans_of("a"), backend=backend, scheduler=address)

@@ -23,7 +23,7 @@ from salsanext_cli.parallel.options import (
     use_threads,
     worker_count,
 )
-from salsanext_cli.parallel.run import MAX_CHUNK_SCANS, MIN_CHUNKS_PER_WORKER, chunks
+from salsanext_cli.parallel.pool import MAX_CHUNK_SCANS, MIN_CHUNKS_PER_WORKER, chunks
 from salsanext_cli.parallel.worker import WORKER
 from salsanext_cli.results.layout import ScanFile
 

@@ -20,11 +20,12 @@ from salsanext_cli.errors import OutputError, WeightsError
 from salsanext_cli.files.atomic import STALE_AFTER_S
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.options import KnnParameters
-from salsanext_cli.parallel.run import NetworkTask, RunOptions, run_over_scans
+from salsanext_cli.parallel.network_task import NetworkTask
+from salsanext_cli.parallel.run import RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.stage_records import StageRecords
-from salsanext_cli.stages.predict import predict_scan, predict_scans
+from salsanext_cli.stages.predict import LabelWriter, PredictJob, predict_scans
 
 SETTINGS = {"weights": "abc", "knn": {"k": 5}}
 LABELS = np.full(5, 10, np.uint32)
@@ -317,7 +318,8 @@ def test_workers_that_find_other_weights_label_no_scan(world, tmp_path):
     settings = NetworkSettings(weights, "cpu").resolved(network)
     write_weights(weights, seed=1)
     output = OutputRun(world.out, folders=("predictions",))
-    task = NetworkTask(partial(predict_scan, knn=KnnParameters(), output=output), settings, network)
+    writer = LabelWriter(KnnParameters(), output, None)
+    task = NetworkTask(partial(PredictJob, writer=writer), settings, network)
     with pytest.raises(WeightsError, match="was replaced since the run began"):
         run_over_scans(task, find_scans(world.data), RunOptions(jobs=2))
     assert labels_below(world.out) == {}

@@ -11,16 +11,25 @@ import yaml
 from scans import SMALL, files_below, make_scan, write_array, write_sequence, write_weights
 from world import Kept
 
-from salsanext_cli import label_space, read_labels, read_scan, write_labels
+from salsanext_cli import (
+    knn_refine,
+    label_space,
+    project,
+    read_labels,
+    read_scan,
+    sample,
+    write_labels,
+)
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError, WeightsError
 from salsanext_cli.labelling.scan_choice import choose_scans
 from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.pipeline import Pipeline
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages import pick as stage
 from salsanext_cli.stages.pick import pick
-from salsanext_cli.uncertainty.scan_description import describe_scan, label_sampled
+from salsanext_cli.uncertainty.scan_description import DescribeJob
 
 PASSES = {"samples": 2, "seed": 0}
 
@@ -78,7 +87,7 @@ def of_folder(world, folder):
 def test_what_is_chosen_is_what_the_descriptions_say(drive):
     network = drive.network.load()
     scans = find_scans(drive.data)
-    described = [describe_scan(scan, network, **PASSES) for scan in scans]
+    described = [*Pipeline(DescribeJob(network, **PASSES)).results(scans)]
     features = [each.features for each in described]
     doubt = [each.uncertainty for each in described]
     found = run(drive, strategy="diverse")
@@ -127,9 +136,11 @@ def test_the_data_set_is_ready_to_label(picked):
         source = picked.scan("08", scan.stem)
         assert scan.path.read_bytes() == source.read_bytes()
         original = next(s for s in find_scans(picked.data) if s.stem == scan.stem)
-        expected, _ = label_sampled(original, network, **PASSES)
-        raw = read_labels(scan.label_path, len(expected.scan))
-        np.testing.assert_array_equal(raw, space.to_raw(expected.labels))
+        image = project(read_scan(original.path), network.sensor)
+        softmax = sample(network, image, **PASSES).probabilities
+        labels = knn_refine(image, softmax.argmax(axis=0))
+        raw = read_labels(scan.label_path, len(labels))
+        np.testing.assert_array_equal(raw, space.to_raw(labels))
     written = label_space(picked.out / "labels.yaml")
     assert written.fits(space)
     assert written.splits == {"train": ("08",), "valid": (), "test": ()}

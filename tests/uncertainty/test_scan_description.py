@@ -11,11 +11,12 @@ import torch
 from scans import SMALL, make_scan, write_bin, write_sequence
 from scipy.special import softmax
 
-from salsanext_cli import Scan, knn_refine, load_network, project, read_scan, sample
+from salsanext_cli import Scan, load_network, project, read_scan, sample
 from salsanext_cli.errors import FormatError
+from salsanext_cli.parallel.pipeline import Pipeline
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.error_features import FEATURES, error_features
-from salsanext_cli.uncertainty.scan_description import describe_scan, label_sampled, pixel_features
+from salsanext_cli.uncertainty.scan_description import DescribeJob, pixel_features
 
 PASSES = {"samples": 3, "seed": 4}
 
@@ -31,10 +32,15 @@ def file(tmp_path) -> ScanFile:
     return ScanFile("00", "000007", folder / "velodyne/000007.bin")
 
 
+def describe_scan(file, network, samples, seed):
+    (found,) = Pipeline(DescribeJob(network, samples, seed)).results([file])
+    return found
+
+
 @pytest.mark.parametrize("network", ["torch", "openvino"], indirect=True)
 def test_the_features_are_what_the_logits_are_made_of(network):
     image = project(make_scan(), SMALL)
-    features = pixel_features(network, image)
+    features = pixel_features(network, network.input(image.channels))
     channels = network.module.logits.in_channels
     assert features.shape == (channels, SMALL.height, SMALL.width)
     with torch.inference_mode():
@@ -47,7 +53,7 @@ def test_means_are_over_the_pixels_that_hold_a_point(network, file):
     image = project(read_scan(file.path), SMALL)
     pixels = [*zip(*np.nonzero(image.point_of_pixel >= 0), strict=True)]
     assert len(pixels) < image.point_of_pixel.size
-    features = pixel_features(network, image).astype(np.float64)
+    features = pixel_features(network, network.input(image.channels)).astype(np.float64)
     mean = sum(features[:, v, u] for v, u in pixels) / len(pixels)
     np.testing.assert_allclose(found.features, mean, rtol=1e-9)
     information = sample(network, image, **PASSES).uncertainty.mutual_information
@@ -63,15 +69,6 @@ def test_equal_scans_are_described_alike_whatever_their_names(network, file):
     again = describe_scan(file, network, samples=3, seed=5)
     assert again.uncertainty != first.uncertainty
     np.testing.assert_array_equal(again.features, first.features)
-
-
-def test_labels_are_those_of_the_mean_softmax(network, file):
-    found, information = label_sampled(file, network, **PASSES)
-    image = project(read_scan(file.path), SMALL)
-    sampled = sample(network, image, **PASSES)
-    refined = knn_refine(image, sampled.probabilities.argmax(axis=0))
-    np.testing.assert_array_equal(found.labels, refined)
-    np.testing.assert_array_equal(information, sampled.uncertainty.mutual_information)
 
 
 def test_a_scan_without_a_measurement(weights, tmp_path):

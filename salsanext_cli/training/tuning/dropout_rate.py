@@ -12,9 +12,10 @@ from salsanext_cli.engines.loading import with_dropout
 from salsanext_cli.errors import TrainingError, UsageError
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import dropouts
+from salsanext_cli.parallel.job import Steps
 from salsanext_cli.records import Float
 from salsanext_cli.training.cross_validation import held_out
-from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
+from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan_seed
 
@@ -66,22 +67,25 @@ def fit_dropout(
     noise_of(scans.loaded.sensor)
     network = scans.network
     candidates = [with_dropout(network, rate) for rate in rates]
-    sums, points = np.zeros((len(scans.files), len(rates))), 0
-    for number, file in enumerate(scans.files):
-        labelled = read_labelled_image(file, network, scans.space)
-        noise = labelled.of_points(aleatoric(labelled.network, labelled.image))
-        points += len(labelled.truth)
-        masks = scan_seed(seed, file.sequence, file.stem)
-        for index, candidate in enumerate(candidates):
-            fitted = candidate.for_sensor(labelled.network.sensor)
-            sampled = sample(fitted, labelled.image, samples=samples, seed=masks)
-            variance = labelled.of_points(sampled.variance) + noise
-            probabilities = labelled.of_points(sampled.probabilities)
-            sums[number, index] = objective(probabilities, variance, labelled.truth)
-            if scans.progress:
-                done = number * len(rates) + index + 1
-                scans.progress(done, len(scans.files) * len(rates))
-        log.info("%s: %d points", file.name, len(labelled.truth))
+
+    def objectives_of(scan: LabelledImage) -> list[float]:
+        noise = scan.of_points(aleatoric(scan.network, scan.image))
+        masks, found = scan_seed(seed, scan.file.sequence, scan.file.stem), list[float]()
+        for candidate in candidates:
+            fitted = candidate.for_sensor(scan.network.sensor)
+            sampled = sample(fitted, scan.image, samples=samples, seed=masks)
+            variance = scan.of_points(sampled.variance) + noise
+            probabilities = scan.of_points(sampled.probabilities)
+            found.append(objective(probabilities, variance, scan.truth))
+        return found
+
+    def numbers(image: LabelledImage, of_scan: list[float]) -> tuple[list[float], int]:
+        log.info("%s: %d points", image.file.name, len(image.truth))
+        return of_scan, len(image.truth)
+
+    job = Steps(scans.read, lambda images: [*map(objectives_of, images)], numbers)
+    sums, counts = map(np.array, zip(*scans.run(job), strict=True))
+    points = int(counts.sum())
     scans.require_points(points)
     objectives: list[float] = (sums.sum(axis=0) / points).tolist()
     if not np.isfinite(objectives).all():

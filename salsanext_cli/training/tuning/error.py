@@ -4,6 +4,7 @@
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,17 +12,17 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import TrainingError, counted, first_few
+from salsanext_cli.fitting.label_scan import softmax_of
 from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
 from salsanext_cli.measures.risk_coverage import kept_points, ranking_scores
 from salsanext_cli.network.error_model import ErrorModel
+from salsanext_cli.parallel.job import Steps
 from salsanext_cli.records import Float, Mask
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.cross_validation import folds
-from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
+from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import FEATURES, features_of, knows_error
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
@@ -57,18 +58,17 @@ def points_of_scan(scans: int) -> int:
     return max(1, min(MAX_POINTS_OF_SCAN, MAX_POINTS // scans))
 
 
-def judged_points(file: ScanFile, network: Network, space: LabelSpace, most: int) -> JudgedPoints:
-    """Predict a labelled scan as `predict` does, and judge a random sample of its points."""
-    labelled = read_labelled_image(file, network, space)
-    network = labelled.network
-    probabilities = network.probabilities(labelled.image, file.path)
-    labels = network.labels(labelled.image, probabilities)
-    features = features_of(network, labelled.image, probabilities, labels)
+def judged_points(scan: LabelledImage, softmax: Float, most: int) -> JudgedPoints:
+    """Label a scan as `predict` does, and judge a random sample of its points."""
+    network, file = scan.network, scan.file
+    network.engine.require_finite(softmax, file.path)
+    labels = network.labels(scan.image, softmax)
+    features = features_of(network, scan.image, softmax, labels)
     random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
-    chosen = random.permutation(len(labelled.truth))[:most]
-    points = labelled.points[chosen]
-    wrong = labels[points] != labelled.truth[chosen]
-    return JudgedPoints(features[points], wrong, labelled.several)
+    chosen = random.permutation(len(scan.truth))[:most]
+    points = scan.points[chosen]
+    wrong = labels[points] != scan.truth[chosen]
+    return JudgedPoints(features[points], wrong, scan.several)
 
 
 def fit_error_model(scans: TuningScans) -> Tuned:
@@ -79,7 +79,8 @@ def fit_error_model(scans: TuningScans) -> Tuned:
     """
     files, network = scans.files, scans.network
     most = points_of_scan(len(files))
-    judged = {file: judged_points(file, network, scans.space, most) for file in scans.each()}
+    job = Steps(scans.read, softmax_of, partial(judged_points, most=most))
+    judged = dict(zip(files, scans.run(job), strict=True))
     wrong = np.concatenate([points.wrong for points in judged.values()])
     scans.require_points(len(wrong))
     if not of_both_kinds(judged.values()):

@@ -5,15 +5,20 @@ import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import LabelError, TrainingError, UsageError, counted, first_few
-from salsanext_cli.fitting.label_scan import labelled, project_for
+from salsanext_cli.fitting.label_scan import (
+    PreparedScan,
+    labelled,
+    prepared_for,
+    softmax_of,
+)
 from salsanext_cli.fitting.scan_fit import labels_depend_on, view_record
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import points_from_pixels
@@ -30,6 +35,8 @@ from salsanext_cli.measures.risk_control import (
 from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.options import KnnParameters
+from salsanext_cli.parallel.job import Steps
+from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
@@ -52,8 +59,8 @@ class JudgedScan:
 
 
 def judged_scan(
-    file: ScanFile,
-    network: Network,
+    scan: PreparedScan,
+    softmax: Float,
     space: LabelSpace,
     kind: str,
     counts: Counts,
@@ -63,9 +70,8 @@ def judged_scan(
 
     `counts` (C, C, B + 1): its points are added by truth, label and bin, the last without a label.
     """
-    network, projected = project_for(network, file)
-    image, softmax = projected.image, network.probabilities(projected.image, file.path)
-    labels = labelled(projected, softmax, network, KnnParameters()).labels
+    file, image, network = scan.projected.file, scan.projected.image, scan.network
+    labels = labelled(scan, softmax, KnnParameters()).labels
     truth = space.to_train(read_labels(file.label_path, len(labels)), source=file.label_path)
     scored = space.scored[truth]
     if not scored.any():
@@ -82,7 +88,7 @@ def judged_scan(
     both = (place, place[labels != truth])
     of_bins = [np.bincount(each, minlength=math.prod(shape)) for each in both]
     below = np.reshape(of_bins, (2, *shape))[..., :-1].cumsum(axis=2, dtype=np.int32)
-    return JudgedScan(file, scan_digest(projected.scan), len(truth), below)
+    return JudgedScan(file, scan_digest(scan.projected.scan), len(truth), below)
 
 
 def kept_labels(
@@ -125,7 +131,9 @@ def fit_risk(
         log.warning(message, first_few(same))
     classes = space.class_count
     counts = np.zeros((classes, classes, UNCERTAINTY_BINS + 1), np.int64)
-    judged = [judged_scan(f, network, space, kind, counts, per_class) for f in scans.each()]
+    judge = partial(judged_scan, space=space, kind=kind, counts=counts, per_class=per_class)
+    job = Steps(partial(prepared_for, network), softmax_of, judge)
+    judged = [*scans.run(job)]
     shares = np.empty((len(judged), 2, UNCERTAINTY_BINS))
     for share, scan in zip(shares, judged, strict=True):
         np.divide(scan.below.sum(axis=1), scan.points, out=share)

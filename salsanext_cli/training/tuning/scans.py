@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.network.card import WeightsCard, scan_digest
 from salsanext_cli.options import ScanSelection
+from salsanext_cli.parallel.job import Computed, Prepared, ScanJob
+from salsanext_cli.parallel.network_task import network_pipeline
 from salsanext_cli.records import Float, Indices, RangeImage
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.selection import (
@@ -37,6 +39,8 @@ from salsanext_cli.training.data.sources import read_labelled
 from salsanext_cli.training.data.targets import class_sets
 
 Tuned = tuple[WeightsCard, dict[str, Any]]  # Card of the new weights, and a report, plain data
+
+Result = TypeVar("Result")
 
 log = logging.getLogger(__name__)
 
@@ -60,10 +64,15 @@ class TuningScans:
         self.settings.announce(fitted)
         return fitted
 
-    def each(self) -> Iterator[ScanFile]:
-        """Yield each scan, and report when the next one is asked for."""
-        for number, file in enumerate(self.files, start=1):
-            yield file
+    def read(self, file: ScanFile) -> "LabelledImage":
+        """Read and project a scan with its labels."""
+        return read_labelled_image(file, self.network, self.space)
+
+    def run(self, job: ScanJob[Prepared, Computed, Result]) -> Iterator[Result]:
+        """Run a job on the scans; yield the results in order, and report progress after each."""
+        results = network_pipeline(job, self.network).results(self.files)
+        for number, result in enumerate(results, start=1):
+            yield result
             if self.progress:
                 self.progress(number, len(self.files))
 
@@ -78,11 +87,17 @@ class TuningScans:
 class LabelledImage:
     """Range image of a whole scan, and its M points that have a pixel and one class that counts."""
 
+    file: ScanFile
     network: Network  # For the sensor of the scan
     image: RangeImage
     points: Indices  # (M,): their indices in the scan
     truth: TrainIds  # (M,) uint8
     several: float  # Share of the labelled points with a pixel whose label is of several classes
+
+    @property
+    def input(self) -> Float:
+        """Input of the network, (1, 5, H, W) float32, normalised."""
+        return self.network.input(self.image.channels)
 
     def of_points(self, of_pixels: Float) -> Float:
         """Give every point that counts its pixel's values: (C, H, W) to (M, C)."""
@@ -145,4 +160,4 @@ def read_labelled_image(file: ScanFile, network: Network, space: LabelSpace) -> 
     points = np.flatnonzero(is_scored & seen)
     several = int(((targets >= space.class_count) & seen).sum())
     share = several / max(len(points) + several, 1)
-    return LabelledImage(network, image, points, targets[points], share)
+    return LabelledImage(file, network, image, points, targets[points], share)

@@ -3,8 +3,9 @@
 
 import logging
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -15,9 +16,11 @@ from salsanext_cli.errors import NOTICE, TrainingError, WeightsError
 from salsanext_cli.measures.calibration import calibration_scores
 from salsanext_cli.measures.histograms import confidence_histogram, softmax_errors
 from salsanext_cli.network.error_model import TEMPERATURES
+from salsanext_cli.parallel.job import Steps
+from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.cross_validation import held_out
-from salsanext_cli.training.tuning.scans import Tuned, TuningScans, read_labelled_image
+from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 MAX_LOGITS = 4_000_000  # 32 MB in float64: 200 000 points with 20 classes
@@ -38,7 +41,13 @@ def fit_temperature(scans: TuningScans) -> Tuned:
     """
     card = scans.network.card
     most = max(1, MAX_LOGITS // card.space.class_count // len(scans.files))
-    of_scan = dict(zip(scans.files, _samples(scans, most), strict=True))
+    engine = scans.network.engine
+
+    def logits_of(images: Sequence[LabelledImage]) -> list[Float]:
+        return engine.outputs([image.input for image in images], None)
+
+    job = Steps(scans.read, logits_of, partial(_sample, most=most))
+    of_scan = dict(zip(scans.files, scans.run(job), strict=True))
 
     def of(files: Sequence[ScanFile]) -> Points:
         logits, truth = zip(*(of_scan[file] for file in files), strict=True)
@@ -91,19 +100,16 @@ def fit_temperature(scans: TuningScans) -> Tuned:
     return replace(card, temperature=temperature), report
 
 
-def _samples(scans: TuningScans, most: int) -> Iterator[Points]:
-    """Yield the logits (M, C) and train ids (M,) of at most so many points of each scan."""
-    for file in scans.each():
-        labelled = read_labelled_image(file, scans.network, scans.space)
-        logits = labelled.network.logits(labelled.image)
-        if not np.isfinite(logits).all():
-            raise WeightsError(file.path, "the network's logits are not finite", "finite ones")
-        random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
-        count = len(labelled.truth)
-        chosen = random.choice(count, most, replace=False) if count > most else slice(None)
-        log.info("%s: %d points", file.name, min(count, most))
-        of_points = labelled.of_points(logits)[chosen].copy()
-        yield torch.from_numpy(of_points), torch.from_numpy(labelled.truth[chosen]).long()
+def _sample(scan: LabelledImage, logits: Float, most: int) -> Points:
+    """Return the logits (M, C) and train ids (M,) of at most so many points of a scan."""
+    file, count = scan.file, len(scan.truth)
+    if not np.isfinite(logits).all():
+        raise WeightsError(file.path, "the network's logits are not finite", "finite ones")
+    random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
+    chosen = random.choice(count, most, replace=False) if count > most else slice(None)
+    log.info("%s: %d points", file.name, min(count, most))
+    of_points = scan.of_points(logits)[chosen].copy()
+    return torch.from_numpy(of_points), torch.from_numpy(scan.truth[chosen]).long()
 
 
 def _scores(tempered: Sequence[tuple[Points, float]]) -> dict[str, float]:

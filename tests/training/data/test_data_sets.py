@@ -37,8 +37,8 @@ from salsanext_cli.training.data.sources import (
     labelled_split,
 )
 from salsanext_cli.training.data.targets import class_sets, to_targets
-from salsanext_cli.training.fit import validate
 from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.validation import validate
 
 SPACE, COARSE = label_space(), label_space("coarse")
 NOTHING = Recipe(rotate=0.0, shift=0.0, flip=0.0, drop=0.0)

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: MIT
+"""Labels in memory: of the points of one scan, and of the scans of a drive."""
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from salsanext_cli.classes.label_space import TrainIds
+from salsanext_cli.engines.loading import load_network
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.errors import NoInputError, UsageError
+from salsanext_cli.files.locks import temporary_folder
+from salsanext_cli.fitting.label_scan import labelled, prepared_for
+from salsanext_cli.fitting.scan_fit import fit_network
+from salsanext_cli.geometry.projection import points_from_pixels
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.parallel.options import RunOptions
+from salsanext_cli.records import Float, Scan
+from salsanext_cli.results.layout import ScanFile, drive_order
+from salsanext_cli.results.result_folder import ResultFolder
+from salsanext_cli.stages.fuse import FUSED, fuse_results, require_fusable
+from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.uncertainty.error_features import error_probability, knows_error
+
+IN_MEMORY = ScanFile("scan", "points", Path("points"))
+"""Name of the points in warnings and errors."""
+
+log = logging.getLogger(__name__)
+
+
+class PointLabels(NamedTuple):
+    """Result of `label`."""
+
+    labels: TrainIds
+    probabilities: Float
+    error: Float | None
+
+
+def label(
+    points: npt.ArrayLike,
+    intensity: npt.ArrayLike | None = None,
+    weights: Path | str | Network | None = None,
+) -> PointLabels:
+    """Label the points of one scan, as `predict` does: fitted, checked, refined.
+
+    Reasons to doubt the labels are logged as warnings of ``salsanext_cli``.
+
+    Parameters
+    ----------
+    points : (N, 3) numbers
+        Coordinates in metres around the sensor. Those that are NaN, infinite or 0 get label 0.
+    intensity : (N,) numbers, optional
+        Of any scale; None where there is none.
+    weights : Path, str or Network, optional
+        A weights file, None for the default weights: loaded, and fitted to these points. A network
+        is taken as it is, which saves both for many scans: fit it by `fit_network`.
+
+    Returns
+    -------
+    labels : (N,) uint8
+        Train ids of the label space of the weights, ``sn.label_space()`` for the default ones.
+    probabilities : (N, C) float32
+        Of the pixel of each point, of class 0 alone without one; labels are refined besides.
+    error : (N,) float32 or None
+        Probability that each label is wrong, NaN without a pixel; None if the weights lack it.
+
+    Raises
+    ------
+    SalsanextError
+        If the arrays cannot be points in metres around a sensor, or the weights cannot be used.
+    """
+    scan = _scan(points, intensity)
+    network = weights
+    if not isinstance(network, Network):
+        network = fit_network(load_network(weights), [scan])  # type: ignore[arg-type]
+    prepared = prepared_for(network, IN_MEMORY, scan)
+    network = prepared.network
+    (softmax,) = network.softmax([prepared.input])
+    done = labelled(prepared, softmax, KnnParameters())
+    RunSummary(network.sensor).add(ScanSummary.of_scan(done, network.space))
+    none = np.eye(1, network.space.class_count)
+    of_points = points_from_pixels(softmax, done.image.pixel_of_point, none)
+    known = knows_error(network)
+    error = error_probability(network, done.image, softmax, done.labels) if known else None
+    return PointLabels(done.labels, of_points, error)
+
+
+def _scan(points: npt.ArrayLike, intensity: npt.ArrayLike | None) -> Scan:
+    """Check the arrays and return the scan that they are; a scan without intensity has 0."""
+    try:
+        coordinates = np.asarray(points)
+    except ValueError:  # Lists of several lengths
+        coordinates = np.array("lists of several lengths")
+    if coordinates.ndim != 2 or coordinates.shape[1] != 3 or coordinates.dtype.kind not in "fiu":
+        found = f"an array {coordinates.shape} of {coordinates.dtype}"
+        remedy = "of x, y, z, intensity: label(array[:, :3], array[:, 3])"
+        raise UsageError("points", found, "numbers (N, 3), in metres", remedy)
+    values = np.zeros(len(coordinates)) if intensity is None else np.asarray(intensity)
+    if values.shape != coordinates.shape[:1] or values.dtype.kind not in "fiu":
+        found = f"an array {values.shape} of {values.dtype}"
+        raise UsageError("intensity", found, f"numbers ({len(coordinates)},), one per point")
+    # What float32 cannot hold is infinite: no measurement.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return Scan(coordinates.astype(np.float32), values.astype(np.float32))
+
+
+class FusedScan(NamedTuple):
+    """Scan of `label_drive`."""
+
+    name: str
+    scan: Scan
+    labels: TrainIds
+    disagreement: Float
+
+
+def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterator[FusedScan]:
+    """Label the scans of a drive and fuse the labels where scans see the same places.
+
+    That is `predict --fuse` in a temporary folder: the first scan comes when all are labelled.
+    Those that cannot be are logged as errors and left out.
+
+    Parameters
+    ----------
+    folder : Path or str
+        Scans, and their `poses.txt`; else poses are computed, which needs ``salsanext[fuse]``.
+    weights : Path or str, optional
+        A weights file, None for the default weights, fitted to the scans.
+
+    Yields
+    ------
+    FusedScan
+        `name`, ``08/000000``, and `scan` of N points; `labels` (N,) uint8, train ids as of `label`;
+        `disagreement` (N,) float32, the share of the votes against the label, NaN without any.
+    """
+    source = Path(folder)
+    settings = NetworkSettings(weights=None if weights is None else Path(weights))
+    with temporary_folder() as out:
+        fused = ResultFolder(out / FUSED)
+        require_fusable(source, out, RunOptions())
+        outcome = predict_scans(source, out, settings=settings, extras=("votes",))
+        for failure in outcome.failures:
+            log.error("%s", failure.reason)
+        if not outcome.done:
+            raise NoInputError(source, "no scan that can be labelled", "see the errors of each")
+        for reason in dict.fromkeys(failure.reason for failure in fuse_results(out).failures):
+            log.error("%s", reason)
+        files, space = fused.predicted(ScanSelection())
+        for file in sorted(fused.with_column("label", files), key=drive_order):
+            found = fused.read(file, fused.sensor())
+            labels, against = np.asarray(found.label), found.uncertainty["disagreement"]
+            yield FusedScan(file.name, found.scan, space.to_train(labels), against)

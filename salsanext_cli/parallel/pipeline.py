@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: MIT
+"""The loop over scans: reader threads prepare, the calling thread computes, a writer finishes.
+
+While the calling thread computes a batch, the readers prepare the next scans and the writer
+finishes the batch before. An error belongs to one scan. The same loop runs on a CPU and on a GPU.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Any, Generic, TypeVar
+
+from salsanext_cli.engines.batches import BatchSize
+from salsanext_cli.errors import FormatError, SalsanextError, out_of_memory
+from salsanext_cli.parallel.job import Attempt, Computed, Prepared, ScanJob
+from salsanext_cli.results.layout import ScanFile
+
+Result = TypeVar("Result")
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True, slots=True)
+class Pipeline(Generic[Prepared, Computed, Result]):
+    """Job on scans, and how its steps overlap.
+
+    Parameters
+    ----------
+    job : ScanJob
+        The three steps.
+    batch : BatchSize
+        Number of scans that are computed together.
+    readers : int
+        Number of threads that prepare scans.
+    device : str
+        Device that computes, for errors.
+    """
+
+    job: ScanJob[Prepared, Computed, Result]
+    batch: BatchSize = field(default_factory=lambda: BatchSize(1, "scans"))
+    readers: int = 1
+    device: str = "cpu"
+
+    def run(self, files: Iterable[ScanFile]) -> Iterator[Attempt[Result]]:
+        """Work on scans; yield the attempts in the order of the files.
+
+        In memory are a batch that is computed, a batch that is finished, and what is prepared: a
+        batch, or one scan per reader if that is more. An interrupt, or an exception that is not a
+        `SalsanextError`, ends the run after the scans that are being finished.
+        """
+        waiting = iter(files)
+        reading: deque[Future[Attempt[Prepared]]] = deque()
+        writing: deque[Future[Attempt[Result]]] = deque()
+        readers = ThreadPoolExecutor(self.readers, "salsanext-reader")
+        writer = ThreadPoolExecutor(1, "salsanext-writer")
+
+        def read_ahead() -> None:
+            missing = max(self.batch.most, self.readers) - len(reading)
+            for file in islice(waiting, max(0, missing)):
+                reading.append(_submit(readers, self._attempt, file, self.job.prepare, file))
+
+        def next_batch() -> Iterator[Attempt[Prepared]]:
+            for _ in range(min(self.batch.most, len(reading))):
+                yield reading[0].result()
+                reading.popleft()
+                read_ahead()
+
+        try:
+            read_ahead()
+            while reading or writing:
+                computed = self._compute([*next_batch()])
+                while writing:
+                    finished = writing[0].result()
+                    writing.popleft()
+                    yield finished
+                while computed:
+                    writing.append(_submit(writer, self._finish, *computed.popleft()))
+        except GeneratorExit:
+            raise
+        except BaseException:
+            for each in writing:
+                if not each.exception():
+                    yield each.result()
+            raise
+        finally:
+            for pool in (readers, writer):
+                pool.shutdown(cancel_futures=True)
+
+    def results(self, files: Iterable[ScanFile]) -> Iterator[Result]:
+        """Yield the results of scans; raise the first error."""
+        for each in self.run(files):
+            yield each.get()
+
+    def _compute(
+        self, scans: Sequence[Attempt[Prepared]]
+    ) -> deque[tuple[Attempt[Prepared], Attempt[Computed]]]:
+        """Compute the scans that could be prepared."""
+        usable = [scan for scan in scans if not scan.error]
+        computed = iter(self.batch.in_batches(self._together, usable))
+        return deque(
+            (scan, Attempt(scan.file, error=scan.error) if scan.error else next(computed))
+            for scan in scans
+        )
+
+    def _together(self, scans: Sequence[Attempt[Prepared]]) -> list[Attempt[Computed]]:
+        """Compute scans in one batch; where one of them is an error, each alone."""
+        if len(scans) == 1:
+            alone = scans[0]
+            return [self._attempt(alone.file, lambda: self.job.compute([alone.get()])[0])]
+        try:
+            computed = self.job.compute([scan.get() for scan in scans])
+        except SalsanextError:
+            return [each for scan in scans for each in self._together([scan])]
+        return [Attempt(scan.file, value) for scan, value in zip(scans, computed, strict=True)]
+
+    def _finish(self, scan: Attempt[Prepared], computed: Attempt[Computed]) -> Attempt[Result]:
+        if computed.error:
+            return Attempt(scan.file, error=computed.error)
+        return self._attempt(scan.file, self.job.finish, scan.get(), computed.get())
+
+    def _attempt(
+        self, file: ScanFile, function: Callable[..., Value], *given: Any
+    ) -> Attempt[Value]:
+        """Call a function of a scan; memory that runs out is an error of the scan too."""
+        try:
+            return attempt(file, function, *given)
+        except (MemoryError, RuntimeError) as error:
+            if not out_of_memory(error):
+                raise
+            on_cpu = self.device == "cpu"
+            remedy = "free some memory, or use fewer --jobs" if on_cpu else "use --device cpu"
+            found = f"is too large for the memory of {self.device}"
+            return Attempt(file, error=FormatError(file.path, found, remedy=remedy))
+
+
+def attempt(file: ScanFile, function: Callable[..., Value], *given: Any) -> Attempt[Value]:
+    """Call a function of a scan; a `SalsanextError` is the error of the attempt."""
+    try:
+        return Attempt(file, function(*given))
+    except SalsanextError as error:
+        return Attempt(file, error=error)
+
+
+def one_by_one(
+    function: Callable[[ScanFile], Value], files: Iterable[ScanFile]
+) -> Iterator[Attempt[Value]]:
+    """Call a function of one scan after the other."""
+    for file in files:
+        yield attempt(file, function, file)
+
+
+def _submit(pool: ThreadPoolExecutor, function: Callable[..., Value], *given: Any) -> Future[Value]:
+    """Call a function in a thread that has the context variables of this one."""
+    return pool.submit(copy_context().run, function, *given)
