@@ -52,6 +52,8 @@ from salsanext_cli.training.tuning.scans import labelled_scans
 
 HELD_OUT = 10
 """Scans of PandaSet that every validation scores, and that the temperature is fitted on too."""
+VERSION = 5
+"""Version of the weights that this script writes; raise it for each file that is published."""
 STREETS_PER_VALIDATED = 4
 """Validation scans of the streets for each that every validation scores: ten of forty."""
 SECTORS = 8
@@ -154,7 +156,10 @@ def finish(
         card,
         description=DESCRIPTION.format(aachen=AACHEN if sectors else ""),
         temperature=1.0,
+        error=None,  # What the training inherited is fitted anew.
+        accuracy={},
         trained_on=card.trained_on | digests,
+        version=VERSION,
     )
     half = target.with_name("half.safetensors")
     save_weights(half, module, card, half=True)

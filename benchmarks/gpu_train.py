@@ -103,7 +103,7 @@ class Run:
         """Score and write the weights, and write the log."""
         module, recipe = self.learner.average.eval(), self.learner.recipe
         network = network_of_module(module, self.card, self.figures.device)
-        scores = {name: validate(network, source) for name, source in self.held_out.items()}
+        scores = {name: validate(network, source)[0] for name, source in self.held_out.items()}
         recent = self.losses[-LOGGED_LOSSES:]
         row: Row = {
             "steps": self.steps,
@@ -161,6 +161,7 @@ def train(
             card,
             recipe=recipe.to_dict() | {"initial": name},
             description=DESCRIPTION.format(also=also, weights=name),
+            version=None,
         )
         run = Run(scratch / "run", out, figures, None, card, held_out)  # type: ignore[arg-type]
         samples = begin(run, module, recipe, pool, real, cores)

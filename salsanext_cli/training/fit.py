@@ -30,7 +30,7 @@ from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.learner import Learner, learning_rate
 from salsanext_cli.training.log import EpochWriter, Row, draw_curve, tensorboard_in, write_log
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
-from salsanext_cli.training.tuning.temperature import best_temperature
+from salsanext_cli.training.tuning.temperature import best_temperature, with_temperature
 
 SAVE_INTERVAL_S = 600.0  # Seconds between two checkpoints within an epoch
 MAX_VALIDATED_POINTS = 200_000  # Points of a validation that the temperature is fitted to
@@ -67,9 +67,9 @@ class Training:
     def fit(self) -> TrainingState:
         """Train from the last checkpoint, if there is one, to the end."""
         checkpoint, steps = self.run / CHECKPOINT, self.samples.plan.steps_per_epoch
-        state = TrainingState()
-        if checkpoint.exists():
-            state = load_checkpoint(checkpoint, self.learner)
+        state = (
+            load_checkpoint(checkpoint, self.learner) if checkpoint.exists() else TrainingState()
+        )
         first, group = state.epoch * steps + len(state.losses), self.learner.group
         if (of_main := group.on_main(lambda: first)) != first:
             found = f"the first worker goes on after step {of_main}, this one after step {first}"
@@ -106,7 +106,7 @@ class Training:
     def _end_epoch(self, state: TrainingState, write_epoch: EpochWriter) -> None:
         """Validate, write and report an epoch whose steps are done."""
         recipe, steps = self.learner.recipe, self.samples.plan.steps_per_epoch
-        losses, seconds, group = state.losses, state.seconds, self.learner.group
+        losses, seconds, group, card = state.losses, state.seconds, self.learner.group, self.card
         state.epoch, state.losses, state.seconds = state.epoch + 1, [], 0.0
         step = state.epoch * steps - 1
         row: Row = {
@@ -119,9 +119,10 @@ class Training:
         if due and self.validation.files:
             # On CPUs the workers' statistics of batch norm differ; kept are those of the main one.
             group.broadcast(self.learner.average.buffers())
-            row |= validate(self._network(), self.validation, group)
+            measured, card = validate(self._network(), self.validation, group)
+            row |= measured
         if group.is_main:
-            self._write(state, row, write_epoch)
+            self._write(state, row, card, write_epoch)
         self._report(state, step, row)
 
     def _step(self, batch: Batch, step: int) -> float:
@@ -140,15 +141,12 @@ class Training:
         remedy = "look at these scans, lower learning_rate or set clip_gradient"
         raise TrainingError(f"step {step + 1}", found, "finite ones", remedy)
 
-    def _write(self, state: TrainingState, row: Row, write_epoch: EpochWriter) -> None:
+    def _write(self, state: TrainingState, row: Row, card: WeightsCard, write: EpochWriter) -> None:
         """Write weights, log, curve, pictures and, last, the checkpoint."""
         state.rows.append(row)
-        scored = {key: row[key] for key in row if "iou" in key or key == "accuracy"}
-        measured = {key: value for key, value in scored.items() if value == value}
+        scored = {k: v for k, v in row.items() if ("iou" in k or k == "accuracy") and v == v}
         network, written = self._network(), OwnedFolder(self.run)
-        scores = {**self.card.scores, **measured, "epoch": state.epoch}
-        temperature = row.get("temperature", self.card.temperature)
-        card = replace(self.card, scores=scores, temperature=temperature)
+        card = replace(card, scores={**card.scores, **scored, "epoch": state.epoch})
         state_dict = self.learner.average.state_dict()
         tensors = {name: tensor.cpu().contiguous() for name, tensor in state_dict.items()}
         weights = safetensors.torch.save(tensors, card.to_metadata())
@@ -161,7 +159,7 @@ class Training:
         draw_curve(self.run / CURVE, state.rows)
         with written.writing(sample_path(self.run, state.epoch)) as file:
             picture = self.draw(file, network)
-        write_epoch(row, picture)
+        write(row, picture)
         save_checkpoint(self.run / CHECKPOINT, self.learner, state)
 
     def _network(self) -> Network:
@@ -174,9 +172,11 @@ class Training:
             self.report(StepReport(epoch, epochs, step + 1, self.samples.plan.steps, row))
 
 
-def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS) -> Row:
-    """Score scans labelled as `predict` does, shared by workers; also fit a temperature."""
-    space = network.card.space
+def validate(
+    network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS
+) -> tuple[Row, WeightsCard]:
+    """Score scans labelled as `predict` does, shared by workers; fit the card's temperature."""
+    card, space = network.card, network.card.space
     confusion = np.zeros((space.class_count, space.class_count), np.int64)
     # (C, M) float32, (M,) int64: some points of the classes that count, evenly spaced in every scan
     logits, truth = [torch.empty(space.class_count, 0)], [torch.empty(0, dtype=torch.int64)]
@@ -197,10 +197,13 @@ def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROC
         for own in (logits, truth)
     )
     result, (lowest, highest) = scores(counts, space), TEMPERATURES
-    best = best_temperature(all_logits.T.contiguous(), all_truth) if len(all_truth) else 1.0
-    return {
+    of_points = all_logits.T.contiguous()
+    best = best_temperature(of_points, all_truth) if len(all_truth) else card.temperature
+    card = with_temperature(card, best if lowest <= best <= highest else 1.0, of_points)
+    row = {
         "accuracy": result.accuracy,
         "miou": result.iou_mean_present,
-        "temperature": best if lowest <= best <= highest else 1.0,
+        "temperature": card.temperature,
         **{f"iou_{score.name}": score.iou for score in result.classes},
     }
+    return row, card
