@@ -66,10 +66,8 @@ class Training:
 
     def fit(self) -> TrainingState:
         """Train from the last checkpoint, if there is one, to the end."""
-        checkpoint, steps = self.run / CHECKPOINT, self.samples.plan.steps_per_epoch
-        state = (
-            load_checkpoint(checkpoint, self.learner) if checkpoint.exists() else TrainingState()
-        )
+        saved, steps = self.run / CHECKPOINT, self.samples.plan.steps_per_epoch
+        state = load_checkpoint(saved, self.learner) if saved.exists() else TrainingState()
         first, group = state.epoch * steps + len(state.losses), self.learner.group
         if (of_main := group.on_main(lambda: first)) != first:
             found = f"the first worker goes on after step {of_main}, this one after step {first}"
@@ -77,7 +75,7 @@ class Training:
         if first and group.is_main:
             epochs = f"{state.epoch} of {self.learner.recipe.epochs} epochs"
             begun = "going on" if state.epoch < self.learner.recipe.epochs else "complete"
-            log.log(NOTICE, "%s after %s, step %d, from %s", begun, epochs, first, checkpoint)
+            log.log(NOTICE, "%s after %s, step %d, from %s", begun, epochs, first, saved)
         pinned = self.learner.device.type == "cuda"
         stream = batches(self.samples, first, self.workers, pinned=pinned, group=group)
         with tensorboard_in(self.run, wanted=group.is_main) as write_epoch:

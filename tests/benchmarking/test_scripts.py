@@ -18,6 +18,7 @@ import torch
 from corruption_models import LEVELS
 from scans import IN_BYTES, SMALL, make_scan, write_bin, write_sequence
 from speed_turn import take_turn
+from tiny_network import TinyNetwork
 from typer.testing import CliRunner
 
 from salsanext_cli import (
@@ -33,11 +34,15 @@ from salsanext_cli import (
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError
+from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.error_model import ErrorModel
+from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.selection import data_set_label_space
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 from salsanext_cli.training.data.sources import labelled_split
 from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.error_features import FEATURES
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
@@ -207,6 +212,33 @@ def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_pa
     both, own = map(data_set_label_space, (tmp_path / "validated", real))
     ids = np.array(list(own.learning_map), np.uint32)
     np.testing.assert_array_equal(both.to_train(ids), own.to_train(ids))
+
+
+def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_training, monkeypatch):
+    script = runpy.run_path(str(BENCHMARKS / "default_weights.py"))
+
+    def tune(part, dataset, target, *, settings, overwrite):
+        # The temperature is fitted to the weights without what they inherited.
+        assert read_card(settings.path).inherited() == ""
+        return {"after": {"temperature": 1.5}}
+
+    monkeypatch.setitem(script["finish"].__globals__, "tune", tune)
+    card = WeightsCard({"name": "salsanext", "class_count": 20}, label_space(), SMALL)
+    mark = {"inherited_from": "weights of before"}
+    layers = [(np.ones((len(FEATURES), 1), "f4"), np.zeros(1, "f4"))]
+    line = {"slope": 1.0, "offset": 0.0, "deviation": 0.1}
+    card = replace(card, recipe={"class_weight": 0.5}, accuracy=mark | line)
+    (tmp_path / "run").mkdir()
+    error = ErrorModel(FEATURES, layers, mark, temperature=2.0)
+    save_weights(
+        tmp_path / "run/last.safetensors", TinyNetwork(), replace(card, error=error, version=4)
+    )
+    points = dict.fromkeys(label_space().names, 10)
+    (tmp_path / "run/class_counts.json").write_text(json.dumps({"points": points}))
+    script["finish"](tmp_path / "run", [tmp_path / "data"], tmp_path / "default.safetensors")
+    finished = read_card(tmp_path / "default.safetensors")
+    assert finished.version == script["VERSION"] == 5
+    assert (finished.error, finished.accuracy, finished.temperature) == (None, {}, 1.5)
 
 
 @pytest.mark.parametrize("name", ["pandaset", "aachen"])
