@@ -51,7 +51,7 @@ def test_a_run_prints_and_records_the_version(world: World, default: Path, caplo
     assert recorded["weights"] == fingerprint(default)
     assert dict(facts_of_run(world.out, SMALL))["Weights"].startswith(f"{name}. Trained on")
     assert describe_weights(default)["version"] == 5
-    assert rows_of(default)["version"] == "5"
+    assert rows_of(default)["weights"] == "default weights version 5"
 
 
 def test_the_default_weights_of_before_have_none(world: World, narrow_default, caplog) -> None:
@@ -62,7 +62,7 @@ def test_the_default_weights_of_before_have_none(world: World, narrow_default, c
     recorded = json.loads((world.out / "predict.json").read_text())["settings"]
     assert "weights_version" not in recorded
     assert "version" not in describe_weights(narrow_default)
-    assert "version" not in rows_of(narrow_default)
+    assert "weights" not in rows_of(narrow_default)
 
 
 def test_files_made_of_them_have_none(world: World, default: Path, tmp_path: Path) -> None:
