@@ -190,22 +190,31 @@ def names(root: Path, split: str) -> list[str]:
 
 
 def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_path):
+    """The second sensor has no scan at 04, the time from which the first one's are held out."""
     script = runpy.run_path(str(BENCHMARKS / "default_weights.py"))
-    source, real, streets = (tmp_path / name for name in ("source", "pandaset", "streets"))
-    for sequence, count in (("001", 2), ("002", 12)):
-        write_sequence(source / f"sequences/{sequence}", [f"{i:02}" for i in range(count)], count=9)
+    source, second, real, streets = (tmp_path / name for name in ("source", "gt", "real", "synth"))
+    for sequence, count in (("001", 2), ("002", 12), ("003", 3)):
+        write_sequence(source / f"sequences/{sequence}", [f"{2 * i:02}" for i in range(count)])
+        write_sequence(second / f"sequences/{sequence}", ["03", "05", "22"], count=9)
     for _ in range(2):
-        script["link_pandaset"](source, real)
-    assert names(real, "train") == ["001/001-00", "001/001-01", "002/002-00", "002/002-01"]
-    held_out = [f"002-{i:02}" for i in range(2, 12)]
-    assert names(real, "valid") == [f"held-out/{stem}" for stem in held_out]
+        training = script["link_pandaset"]({"pandaset": source, "pandargt": second}, real)
+    of_pandaset = ["001/pandaset-001-00", "001/pandaset-001-02", "002/pandaset-002-00"]
+    of_pandargt = ["001-03", "001-05", "001-22", "002-03"]
+    assert names(real, "train") == [
+        *(f"pandargt-{name[:3]}/pandargt-{name}" for name in of_pandargt),
+        *(f"pandaset-{name}" for name in (*of_pandaset, "002/pandaset-002-02")),
+    ]
+    assert len(training) == len(names(real, "train"))
+    held_out = [f"held-out-pandargt/pandargt-002-{stem}" for stem in ("05", "22")]
+    held_out += [f"held-out-pandaset/pandaset-002-{2 * i:02}" for i in range(2, 12)]
+    assert names(real, "valid") == held_out
 
     for sequence, stems in (("00", "ab"), ("08", "abcdefgh")):
         write_sequence(streets / "sequences" / sequence, stems, count=9)
     script["link_streets"](streets, real, tmp_path / "validated")
     assert names(tmp_path / "validated", "train") == ["00/00-a", "00/00-b"]
     assert names(tmp_path / "validated", "valid") == [
-        *(f"valid-pandaset/held-out-{stem}" for stem in held_out),
+        *(f"valid-{name.replace('/', '/' + name.split('/')[0] + '-')}" for name in held_out),
         *("valid-streets/08-a", "valid-streets/08-e"),
     ]
     # What the held-out scans are labelled with means the same as in PandaSet's label space.
