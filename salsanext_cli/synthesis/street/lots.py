@@ -13,7 +13,7 @@ from salsanext_cli.synthesis.things import boundaries, buildings, furniture, peo
 from salsanext_cli.synthesis.things.vehicles import car, length_of, truck, vehicle
 
 CAR_ROOM_M = 5.2  # Distance from the kerb to the house that a car in the driveway needs
-SOLID_M = 1.5  # Height of walls around a lot; higher ones are rarely labelled fence
+SOLID_M = 1.1  # Height of walls around a lot; higher ones are rarely labelled fence
 Span = tuple[float, float]
 Maker = Callable[[float], Mesh]  # Returns a piece of something long from its length in metres
 
@@ -238,20 +238,23 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
 
 def _boundary(builder: Builder) -> Maker:
     """Return a maker of pieces of a hedge, a fence or a wall."""
-    if builder.chance(0.52):
+    if builder.chance(0.5):
         return _hedge(builder)
     kind = str(builder.rng.choice(boundaries.FENCES))
     if kind in ("wall", "boards"):
-        height = builder.between(0.4, SOLID_M)
+        height = builder.between(0.3, SOLID_M)
     else:
-        height = builder.between(1.2, 2.4) if builder.chance(0.35) else builder.between(0.8, 1.3)
+        height = builder.between(*(1.1, 2.2) if builder.chance(0.25) else (0.5, 1.1))
     shade = builder.between(0.7, 1.5)
     return partial(boundaries.fence, builder.rng, kind=kind, height=height, shade=shade)
 
 
 def _hedge(builder: Builder) -> Maker:
-    height, depth = builder.between(0.7, 2.7), builder.between(0.5, 1.5)
-    ragged = builder.between(*(0.003, 0.03) if builder.chance(0.5) else (0.03, 0.2))
+    low = builder.chance(0.6)
+    height = builder.between(*(0.4, 1.2) if low else (0.7, 2.7))
+    depth = builder.between(0.4, 1.0 if low else 1.5)
+    clipped = builder.chance(0.75 if low else 0.5)
+    ragged = builder.between(*(0.003, boundaries.CLIPPED_M) if clipped else (0.03, 0.2))
     return partial(boundaries.hedge, builder.rng, height=height, depth=depth, ragged=ragged)
 
 

@@ -17,12 +17,13 @@ from salsanext_cli.synthesis.mesh import (
 from salsanext_cli.synthesis.surfaces import FENCE, Material
 from salsanext_cli.synthesis.things.vegetation import FOOT_M, leaf_skin
 
-FENCES = ("pickets", "pickets", *["railing"] * 3, *["mesh"] * 3, "boards", "wall")
+FENCES = (*["pickets"] * 3, *["railing"] * 5, *["mesh"] * 4, "boards", "wall")
+CLIPPED_M = 0.03  # Largest unevenness of a clipped hedge, whose leaves are small and dense
 PALES = {
-    "pickets": (Material.WOOD, 0.16, 0.09),
+    "pickets": (Material.WOOD, 0.2, 0.07),
     "boards": (Material.WOOD, 0.21, 0.2),
-    "railing": (Material.METAL, 0.13, 0.035),
-    "mesh": (Material.METAL, 0.1, 0.018),
+    "railing": (Material.METAL, 0.14, 0.03),
+    "mesh": (Material.METAL, 0.12, 0.015),
 }
 """Material, distance and width of the upright pieces, metres."""
 BLOCK_OUTLINE = np.array(
@@ -82,9 +83,10 @@ def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -
     section[[0, -1], 1] = FOOT_M
     sides = section + rng.normal(0, ragged, (len(stations), len(section), 2))
     core = extrusion(stations, sides, leaf)
-    count = int(length * (height + depth) * rng.uniform(15, 45))
+    clipped = ragged <= CLIPPED_M
+    count = int(length * (height + depth) * rng.uniform(15, 45) * (1 + clipped))
     centres = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
-    outer, largest = rng.random(count), rng.uniform(0.04, 0.12)
+    outer, largest = rng.random(count), rng.uniform(*(0.025, 0.05) if clipped else (0.04, 0.12))
     centres[:, 1] = np.where(outer < 0.75, np.sign(centres[:, 1]) * depth * 0.48, centres[:, 1])
     centres[:, 2] = np.where(outer >= 0.75, height, centres[:, 2])
     centres += rng.normal(0, ragged, centres.shape)
