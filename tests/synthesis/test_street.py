@@ -11,7 +11,8 @@ from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.presets import STYLES, Numbers
 from salsanext_cli.synthesis.street import lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder
-from salsanext_cli.synthesis.street.plan import LEFT, REACH_M, Crossing, Lot, draw_plan, ground
+from salsanext_cli.synthesis.street.ground import ground
+from salsanext_cli.synthesis.street.plan import LEFT, REACH_M, Crossing, Lot, draw_plan
 from salsanext_cli.synthesis.street.traffic import Mover, lanes
 from salsanext_cli.synthesis.things import furniture
 

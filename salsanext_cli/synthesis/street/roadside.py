@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from salsanext_cli.synthesis.street.builder import Builder
-from salsanext_cli.synthesis.street.plan import Crossing, Side
+from salsanext_cli.synthesis.street.plan import ACROSS_M, Crossing, Side
 from salsanext_cli.synthesis.things import boundaries, cycles, furniture, people, vegetation
 from salsanext_cli.synthesis.things.vehicles import car, length_of, vehicle
 
@@ -50,11 +50,16 @@ def _parked(builder: Builder, side: Side) -> None:
     out = side.parking / 2 if side.parking else 0.75
     share = builder.plan.style.parked * (1 if side.parking else 0.45)
     s, occupied = 2.5, builder.chance(share)
+    across = side.parking > ACROSS_M
     while s < builder.plan.length - 2.5:
         if builder.chance(0.35):
             occupied = builder.chance(share)
-        length = 5.2
-        if occupied:
+        length = builder.between(2.4, 2.8) if across else 5.2
+        if occupied and across:
+            yaw = np.pi * (builder.chance(0.5) - 0.5) + builder.rng.normal(0, 0.03)
+            beyond = out + builder.rng.normal(0, 0.15)
+            builder.put_if_free(car(builder.rng), side, s + length / 2, beyond, 1.1, yaw)
+        elif occupied:
             mesh = vehicle(builder.rng)
             length = length_of(mesh) + builder.between(0.6, 1.6)
             yaw = np.pi * (builder.chance(0.15) ^ (side.sign > 0)) + builder.rng.normal(0, 0.02)
