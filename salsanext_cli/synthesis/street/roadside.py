@@ -78,13 +78,16 @@ def _trees(builder: Builder, side: Side) -> None:
     while s < builder.plan.length:
         mesh = vegetation.tree(builder.rng, height * builder.between(0.85, 1.15))
         builder.put_if_free(mesh, side, s, out + builder.rng.normal(0, 0.1), 0.5)
-        if side.verge and builder.chance(0.5):
-            weeds = vegetation.weeds(builder.rng, builder.between(0.3, 0.8))
-            builder.put(weeds, side, s + builder.between(1, 4), out)
+        if side.verge and builder.chance(0.7):
+            make = vegetation.weeds if builder.chance(0.4) else vegetation.ground_cover
+            plants = make(builder.rng, builder.between(0.3, 0.8))
+            builder.put(plants, side, s + builder.between(1, 4), out)
+        if builder.chance(0.01 * builder.plan.style.crowd):
+            _group(builder, side, s, out)
         s += builder.between(*builder.plan.style.tree_gap)
     if side.verge and builder.chance(0.3):
         for s in np.arange(3, builder.plan.length, builder.between(2, 8)):
-            radius = min(1.0, 0.5 * side.verge) * builder.between(0.5, 1)
+            radius = min(1.0, 0.5 * side.verge) * builder.between(0.2, 1)
             builder.put_if_free(vegetation.bush(builder.rng, radius), side, float(s), out, 0.8)
 
 

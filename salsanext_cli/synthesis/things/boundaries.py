@@ -18,6 +18,7 @@ from salsanext_cli.synthesis.surfaces import FENCE, Material
 from salsanext_cli.synthesis.things.vegetation import FOOT_M, leaf_skin
 
 FENCES = (*["pickets"] * 3, *["railing"] * 5, *["mesh"] * 4, "boards", "wall")
+PALE_SPREAD_M = 0.025  # Standard deviation of the upright pieces across a fence
 CLIPPED_M = 0.03  # Largest unevenness of a clipped hedge, whose leaves are small and dense
 PALES = {
     "pickets": (Material.WOOD, 0.2, 0.07),
@@ -57,20 +58,21 @@ def fence(rng: Rng, length: float, kind: str, height: float, shade: float) -> Me
     material, pitch, width = PALES[kind]
     skin = Skin(FENCE, material, shade)
     x = np.arange(0, length, pitch)
-    parts = [_strips(x, x + width, 0.03, height + rng.normal(0, 0.015, len(x)), skin=skin)]
+    top, y = height + rng.normal(0, 0.015, len(x)), rng.normal(0, PALE_SPREAD_M, len(x))
+    parts = [_strips(x, x + width, 0.03, top, y, skin=skin)]
     for post in np.arange(0, length, 2.2):
         parts.append(box((post, -0.05, FOOT_M), (post + 0.08, 0.05, height + 0.05), skin))
     for z in (0.2, height - 0.15):
         parts.append(box((0, 0.01, z - 0.04), (length, 0.05, z + 0.04), skin))
     if kind == "mesh":
         rows = np.arange(0.1, height, 0.12)
-        parts.append(_strips(0.0, length, rows, rows + 0.018, skin=skin))
+        parts.append(_strips(0.0, length, rows, rows + 0.018, 0.0, skin=skin))
     return merge(parts)
 
 
 def _strips(*edges: Array | float, skin: Skin) -> Mesh:
-    """Return upright rectangles in the plane y = 0: left, right, lower and upper edges."""
-    x0, x1, z0, z1, y = np.broadcast_arrays(*edges, 0.0)
+    """Return upright rectangles in planes y: left, right, lower and upper edges and y."""
+    x0, x1, z0, z1, y = np.broadcast_arrays(*edges)
     corners = [np.stack(c, -1) for c in ((x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1))]
     return quads(np.stack(corners, 1), skin)
 
