@@ -9,7 +9,14 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Mesh, Rng
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import REACH_M, Lot, Side
-from salsanext_cli.synthesis.things import boundaries, buildings, furniture, people, vegetation
+from salsanext_cli.synthesis.things import (
+    boundaries,
+    buildings,
+    cycles,
+    furniture,
+    people,
+    vegetation,
+)
 from salsanext_cli.synthesis.things.vehicles import car, length_of, truck, vehicle
 
 CAR_ROOM_M = 5.2  # Distance from the kerb to the house that a car in the driveway needs
@@ -88,6 +95,7 @@ def _house(builder: Builder, side: Side, lot: Lot) -> None:
         end = front + builder.between(2, 12)
         builder.put_outward(_boundary(builder), side, lot.end, side.depth + 0.3, end)
     _scatter(builder, side, lot, _clutter, (0, 1), 0.8)
+    _scatter(builder, side, lot, _motorcycle, (0, 1), 0.12)
 
 
 def _yard(builder: Builder, side: Side, lot: Lot) -> None:
@@ -229,6 +237,10 @@ def _clutter(rng: Rng, _size: float) -> Mesh:
     return furniture.clutter(rng)
 
 
+def _motorcycle(rng: Rng, _size: float) -> Mesh:
+    return cycles.motorcycle(rng)
+
+
 def _person(rng: Rng, _size: float) -> Mesh:
     return people.person(rng)
 
@@ -239,7 +251,7 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
     out = side.depth + lot.setback + builder.between(20, 30)
     if builder.plan.half + out > REACH_M - 14:
         return
-    if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.45):
+    if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.3):
         mesh = buildings.house(rng, width * builder.between(0.7, 1), 10, int(rng.integers(2, 6)))
         builder.put(mesh, side, (lot.start + lot.end) / 2, out)
         for _ in builder.count(width / 6):

@@ -5,7 +5,7 @@ Positions are given along the street and across it: ``s`` metres along the centr
 metres to its left. Everything here is vectorised over s and t.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,6 +72,7 @@ class Side:
 
     sign: int  # LEFT or RIGHT
     parking: float
+    islands: tuple[tuple[float, float], ...]  # Intervals along s that interrupt the parking spaces
     verge: float
     strip: int  # Raw id of the verge
     sidewalk: float
@@ -121,7 +122,10 @@ class Side:
             label = np.where(inside, ground, label)
         label = np.where(beyond < self.depth, surfaces.SIDEWALK, label)
         label = np.where(beyond < self.parking + self.verge, self.strip, label)
-        label = np.where(beyond < self.parking, surfaces.PARKING, label)
+        on_island = np.zeros(np.shape(s), bool)
+        for low, high in self.islands:
+            on_island |= (s >= low) & (s < high)
+        label = np.where((beyond < self.parking) & ~on_island, surfaces.PARKING, label)
         for crossing in self.crossings:
             paved = np.abs(s - crossing.s) - crossing.half < crossing.pavement
             label = np.where(paved & (beyond > self.parking), surfaces.SIDEWALK, label)
@@ -205,6 +209,7 @@ class Plan:
         t = [-0.08, 0.08]
         for side in self.sides:
             s += [edge for lot in side.lots for edge in (lot.start, *lot.drive)]
+            s += [edge for island in side.islands for edge in island]
             strips = [0, side.parking, side.parking + side.verge, side.depth]
             strips += [side.depth + lot.setback for lot in side.lots]
             foot = side.depth + side.bank.start
@@ -264,6 +269,7 @@ def _side(
 ) -> Side:
     width = (4.6, 5.6) if rng.random() < style.across else (1.7, 2.3)
     parking = rng.uniform(*width) if rng.random() < style.parking else 0.0
+    islands = tuple(_islands(rng, length)) if parking and rng.random() < 0.5 else ()
     verge = rng.uniform(0.5, 2.6) if rng.random() < style.verge else 0.0
     sidewalk = rng.uniform(*style.sidewalk_width) if rng.random() < style.sidewalk else 0.0
     low = MAX_KERB_M * rng.random() ** 1.3  # Most are lower than half of it
@@ -283,7 +289,19 @@ def _side(
         position = crossing.s + crossing.half + crossing.pavement
     lots += _lots(rng, style, kinds, position, length)
     raised = bool(rng.random() < 0.5)
-    return Side(sign, parking, verge, strip, sidewalk, kerb, raised, tuple(lots), here, bank)
+    return Side(
+        sign, parking, islands, verge, strip, sidewalk, kerb, raised, tuple(lots), here, bank
+    )
+
+
+def _islands(rng: Rng, length: float) -> Iterator[tuple[float, float]]:
+    """Yield intervals along s of planted ground between groups of parking spaces."""
+    gap = rng.uniform(8, 40)
+    s = rng.uniform(0, gap)
+    while s < length:
+        end = s + rng.uniform(0.8, 4)
+        yield s, end
+        s = end + gap * rng.uniform(0.7, 1.3)
 
 
 def _lots(

@@ -19,7 +19,7 @@ IN_A_ROW_M = 1.95  # Distance between bicycles that stand one behind the other
 
 def furnish(builder: Builder, side: Side) -> None:
     """Fill the strips of one side: parked cars, trees, lamps, signs, people, clutter."""
-    for fill in (_road_works, _parked, _trees, _lamps, _signs, _crowd, _clutter):
+    for fill in (_road_works, _islands, _parked, _trees, _lamps, _signs, _crowd, _clutter):
         fill(builder, side)
     for crossing in side.crossings:
         _side_street(builder, side, crossing)
@@ -44,6 +44,18 @@ def _road_works(builder: Builder, side: Side) -> None:
     out = builder.between(-0.7, 0.5)
     for s in np.arange(start, end, length):
         builder.put_if_free(piece, side, float(s), out + builder.rng.normal(0, 0.04), 0.45 * length)
+
+
+def _islands(builder: Builder, side: Side) -> None:
+    """Plant what lies between groups of parking spaces, and let nobody park there."""
+    for low, high in side.islands:
+        half, room = (high - low) / 2, side.parking / 2
+        s = (low + high) / 2
+        radius = min(half, room) * builder.between(0.6, 1)
+        make = vegetation.bush if builder.chance(0.5) else vegetation.ground_cover
+        planted = builder.put_if_free(make(builder.rng, radius), side, s, room, half)
+        if planted and builder.chance(0.4):
+            builder.put(vegetation.tree(builder.rng, builder.between(4, 10)), side, s, room)
 
 
 def _parked(builder: Builder, side: Side) -> None:
@@ -82,7 +94,7 @@ def _trees(builder: Builder, side: Side) -> None:
             make = vegetation.weeds if builder.chance(0.4) else vegetation.ground_cover
             plants = make(builder.rng, builder.between(0.3, 0.8))
             builder.put(plants, side, s + builder.between(1, 4), out)
-        if builder.chance(0.01 * builder.plan.style.crowd):
+        if builder.chance(0.015 * builder.plan.style.crowd):
             _group(builder, side, s, out)
         s += builder.between(*builder.plan.style.tree_gap)
     if side.verge and builder.chance(0.3):
