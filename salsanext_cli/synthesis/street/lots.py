@@ -251,10 +251,10 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
     out = side.depth + lot.setback + builder.between(20, 30)
     if builder.plan.half + out > REACH_M - 14:
         return
-    if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.3):
+    if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.4):
         mesh = buildings.house(rng, width * builder.between(0.7, 1), 10, int(rng.integers(2, 6)))
         builder.put(mesh, side, (lot.start + lot.end) / 2, out)
-        for _ in builder.count(width / 6):
+        for _ in builder.count(width / 12):
             tree = vegetation.tree(rng, builder.between(4, 10))
             builder.put(
                 tree, side, builder.between(lot.start, lot.end), out - builder.between(2, 9)
@@ -306,7 +306,7 @@ def _close(
 PLANTS = (
     (vegetation.bush, (0.12, 0.45), 0.5),
     (vegetation.bush, (0.4, 1.3), 0.5),
-    (vegetation.ground_cover, (0.4, 1.8), 0.5),
+    (vegetation.ground_cover, (0.4, 1.8), 0.35),
 )
 """Makers of plants of a lot, their sizes, and their number relative to that of all bushes."""
 KINDS: dict[str, Callable[[Builder, Side, Lot], None]] = {

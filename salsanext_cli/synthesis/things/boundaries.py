@@ -86,7 +86,7 @@ def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -
     sides = section + rng.normal(0, ragged, (len(stations), len(section), 2))
     core = extrusion(stations, sides, leaf)
     clipped = ragged <= CLIPPED_M
-    count = int(length * (height + depth) * rng.uniform(15, 45) * (1 + clipped))
+    count = int(length * (height + depth) * rng.uniform(15, 45) * (1 + 0.4 * clipped))
     centres = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
     outer, largest = rng.random(count), rng.uniform(*(0.025, 0.05) if clipped else (0.04, 0.12))
     centres[:, 1] = np.where(outer < 0.75, np.sign(centres[:, 1]) * depth * 0.48, centres[:, 1])

@@ -113,7 +113,7 @@ def thicket(rng: Rng, length: float, depth: float, height: float) -> Mesh:
 def ground_cover(rng: Rng, radius: float) -> Mesh:
     """Return plants that cover the ground 0.05 to 0.5 m high, thinner towards their rim."""
     leaf, height = leaf_skin(rng), rng.uniform(0.05, 0.5) * min(1.0, radius)
-    count = int(220 * radius**2)
+    count = int(140 * radius**2)
     places = rng.uniform(-1, 1, (count, 2))
     rise = np.clip(1 - (places**2).sum(1), 0, 1) ** 0.4 * rng.uniform(0.4, 1.0, count)
     centres = np.column_stack([places * radius, rise * height])[rise > 0]
