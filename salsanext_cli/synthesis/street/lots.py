@@ -266,7 +266,7 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
 
 def _boundary(builder: Builder) -> Maker:
     """Return a maker of pieces of a hedge, a fence or a wall."""
-    if builder.chance(0.5):
+    if builder.chance(0.4):
         return _hedge(builder)
     kind = str(builder.rng.choice(boundaries.FENCES))
     if kind in ("wall", "boards"):

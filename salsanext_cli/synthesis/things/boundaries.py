@@ -21,10 +21,10 @@ FENCES = (*["pickets"] * 3, *["railing"] * 5, *["mesh"] * 4, "boards", "wall")
 PALE_SPREAD_M = 0.025  # Standard deviation of the upright pieces across a fence
 CLIPPED_M = 0.03  # Largest unevenness of a clipped hedge, whose leaves are small and dense
 PALES = {
-    "pickets": (Material.WOOD, 0.2, 0.07),
+    "pickets": (Material.WOOD, 0.2, 0.09),
     "boards": (Material.WOOD, 0.21, 0.2),
-    "railing": (Material.METAL, 0.14, 0.03),
-    "mesh": (Material.METAL, 0.12, 0.015),
+    "railing": (Material.METAL, 0.13, 0.035),
+    "mesh": (Material.METAL, 0.1, 0.018),
 }
 """Material, distance and width of the upright pieces, metres."""
 BLOCK_OUTLINE = np.array(
