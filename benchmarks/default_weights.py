@@ -3,11 +3,13 @@
 
 PANDASET holds ``sequences/001`` and ``sequences/002``, each with velodyne/ and labels/: scans of
 the Pandar64 of two drives, x forward, y left, z up, intensity / 255, and labels in raw ids of
-SemanticKITTI (docs/model-card.md has the map). The last ten of 002 are never trained on. AACHEN, if
-given, holds ``sequences/a0`` and ``sequences/a1``, front sectors of a VLP-32C, likewise. An
-interrupted rebuild goes on where it was. What follows --train goes to `salsanext train`.
+SemanticKITTI (docs/model-card.md has the map). The last ten of 002 are never trained on. PANDARGT
+holds scans of the second sensor of both drives; those from the same time are never trained on
+either. AACHEN holds ``sequences/a0`` and ``sequences/a1``, front sectors of a VLP-32C. The same
+command continues an interrupted rebuild. What follows --train goes to `salsanext train`.
 
-Run: python benchmarks/default_weights.py pandaset/ folder/ [aachen/] [--train --weights default]
+Run: python benchmarks/default_weights.py pandaset/ folder/ [aachen/] [--pandargt pandargt/]
+     [--streets 240] [--seed 0] [--train --weights default --set epochs=6]
 """
 
 import argparse
@@ -17,7 +19,7 @@ import signal
 import subprocess
 import sys
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -50,8 +52,11 @@ from salsanext_cli.training.tuning.error import (
 )
 from salsanext_cli.training.tuning.scans import labelled_scans
 
+DRIVES = ("001", "002")
 HELD_OUT = 10
-"""Scans of PandaSet that every validation scores, and that the temperature is fitted on too."""
+"""Last scans of PandaSet, which are validated and which the temperature is fitted on too."""
+VERSION = 5
+"""Version of the weights that this script writes; raise it for each file that is published."""
 STREETS_PER_VALIDATED = 4
 """Validation scans of the streets for each that every validation scores: ten of forty."""
 SECTORS = 8
@@ -60,31 +65,62 @@ POINTS_OF_SCAN = 10_000
 """Points of each validation scan that the model of errors is fitted to."""
 CORRUPTIONS = 5
 """Copies of each validation sequence in bad conditions that the model of errors is fitted to."""
-STREETS = ("--train", "240", "--valid", "5", "--scans", "8", "--spacing", "10", "--jobs", "2")
+SCANS_OF_STREET = 8
+STREETS = ("--valid", "5", "--scans", SCANS_OF_STREET, "--spacing", "10", "--jobs", "2")
 
 DESCRIPTION = (
-    "Trained on simulated streets and sensors and on two drives of PandaSet: 1 920 scans each of "
-    "`salsanext synth` with an HDL-64 and with random sensors, 32 of PandaSet (Hesai and Scale AI, "
-    "CC BY 4.0).{aachen} See docs/model-card.md; not for use on real roads."
+    "Trained on simulated streets and sensors and on two drives of PandaSet: {simulated} scans "
+    "each of `salsanext synth` with an HDL-64 and with random sensors, {real} of PandaSet (Hesai "
+    "and Scale AI, CC BY 4.0).{aachen} See docs/model-card.md; not for use on real roads."
 )
 AACHEN = (
-    " Also 248 front sectors of one drive in Aachen (ika, RWTH Aachen, MIT), whose labels are from "
-    "a network for camera images."
+    " Also {sectors} front sectors of one drive in Aachen (ika, RWTH Aachen, MIT), whose labels "
+    "are from a network for camera images."
 )
 
 
-def salsanext(*words: str | Path) -> None:
+def salsanext(*words: str | int | Path) -> None:
     """Run a command of salsanext and stop where it fails."""
     print("salsanext", *words, flush=True)
     subprocess.run(["salsanext", *map(str, words)], check=True)
 
 
-def link_pandaset(source: Path, root: Path) -> None:
-    """Make a data set of links to the scans, the last ones in a sequence of their own."""
-    scans = find_scans(source, ["001", "002"])
-    for number, file in enumerate(scans, HELD_OUT - len(scans)):
-        link(file, root / "sequences" / ("held-out" if number >= 0 else file.sequence))
-    (root / "labels.yaml").write_bytes((Path(__file__).parent / "pandaset.yaml").read_bytes())
+def split_pandaset(
+    scans: Mapping[str, Sequence[ScanFile]],
+) -> tuple[list[ScanFile], dict[str, list[ScanFile]]]:
+    """Return the scans of PandaSet's sensors to train on, and the scans held out, by sensor.
+
+    Sensors are ``pandaset``, whose last scans are held out, and perhaps ``pandargt``, whose scans
+    from the same time are held out too. The name of each sequence begins with that of its sensor,
+    so that every sensor is fitted to its own scans.
+    """
+    first = scans["pandaset"][-HELD_OUT:][0]
+    training: list[ScanFile] = []
+    held_out: dict[str, list[ScanFile]] = {name: [] for name in scans}
+    for name, files in scans.items():
+        for file in files:
+            late = (file.sequence, file.stem) >= (first.sequence, first.stem)
+            target = held_out[name] if late else training
+            target.append(replace(file, sequence=f"{name}-{file.sequence}"))
+    return training, held_out
+
+
+def link_pandaset(roots: Mapping[str, Path], root: Path) -> list[ScanFile]:
+    """Make a data set of links to the scans of `split_pandaset`; return those to train on."""
+    scans = {name: find_scans(source, DRIVES) for name, source in roots.items()}
+    training, held_out = split_pandaset(scans)
+    for file in training:
+        link(file, root / "sequences" / file.sequence)
+    for name, files in held_out.items():
+        for file in files:
+            link(file, root / "sequences" / f"held-out-{name}")
+    splits = {
+        "train": sorted({file.sequence for file in training}),
+        "valid": [f"held-out-{name}" for name, files in held_out.items() if files],
+    }
+    space = label_space(Path(__file__).parent / "pandaset.yaml").to_dict()
+    (root / "labels.yaml").write_text(json.dumps(space | {"split": splits}))
+    return training
 
 
 def link_streets(streets: Path, real: Path, root: Path) -> None:
@@ -92,11 +128,14 @@ def link_streets(streets: Path, real: Path, root: Path) -> None:
     space, training = labelled_split(streets, None, "train")
     for file in training:
         link(file, root / "sequences" / file.sequence)
-    for dataset in (streets, real):
-        files = labelled_split(dataset, None, "valid")[1]
-        for file in files[:: STREETS_PER_VALIDATED if dataset == streets else 1]:
-            link(file, root / "sequences" / f"valid-{dataset.name}")
-    names = {"train": space.split("train"), "valid": [f"valid-{d.name}" for d in (streets, real)]}
+    simulated = labelled_split(streets, None, "valid")[1][::STREETS_PER_VALIDATED]
+    validated = [("valid-streets", file) for file in simulated]
+    validated += [
+        (f"valid-{file.sequence}", file) for file in labelled_split(real, None, "valid")[1]
+    ]
+    for name, file in validated:
+        link(file, root / "sequences" / name)
+    names = {"train": space.split("train"), "valid": sorted({name for name, _ in validated})}
     (root / "labels.yaml").write_text(json.dumps(space.to_dict() | {"split": names}))
 
 
@@ -131,7 +170,11 @@ def compose_circles(aachen: Path, root: Path) -> None:
 
 
 def finish(
-    run: Path, datasets: Sequence[Path], target: Path, sectors: Sequence[ScanFile] = ()
+    run: Path,
+    datasets: Sequence[Path],
+    target: Path,
+    description: str,
+    sectors: Sequence[ScanFile] = (),
 ) -> None:
     """Write the last weights of a run in float16, without class weights, with a temperature.
 
@@ -152,9 +195,12 @@ def finish(
     digests = {scan_digest(read_scan(file.path, card.sensor)) for file in sectors}
     card = replace(
         card,
-        description=DESCRIPTION.format(aachen=AACHEN if sectors else ""),
+        description=description,
         temperature=1.0,
+        error=None,  # What the training inherited is fitted anew.
+        accuracy={},
         trained_on=card.trained_on | digests,
+        version=VERSION,
     )
     half = target.with_name("half.safetensors")
     save_weights(half, module, card, half=True)
@@ -222,27 +268,37 @@ def main() -> None:
     for name in ("pandaset", "folder"):
         parser.add_argument(name, type=Path)
     parser.add_argument("aachen", type=Path, nargs="?")
+    parser.add_argument("--pandargt", type=Path, help="scans of PandaSet's second sensor")
+    text = "streets of each data set to train on (%(default)s)"
+    parser.add_argument("--streets", type=int, default=240, help=text)
+    text = "seed of the streets; the next one is that of the random sensors' (%(default)s)"
+    parser.add_argument("--seed", type=int, default=0, help=text)
     parser.add_argument("--train", nargs=argparse.REMAINDER, default=[])
     given = parser.parse_args()
     # The command that runs ends with this script.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     out: Path = given.folder
     streets, sensors, real = (out / name for name in ("streets", "sensors", "pandaset"))
-    if not (streets / "labels.yaml").exists():
-        salsanext("synth", streets, *STREETS, "--seed", "0")
-    if not (sensors / "labels.yaml").exists():
-        salsanext("synth", sensors, *STREETS, "--seed", "1", "--sensor", "random")
-    link_pandaset(given.pandaset, real)
+    simulated = ("--train", given.streets, *STREETS)
+    salsanext("synth", streets, *simulated, "--seed", given.seed)
+    salsanext("synth", sensors, *simulated, "--seed", given.seed + 1, "--sensor", "random")
+    roots = {"pandaset": given.pandaset, "pandargt": given.pandargt}
+    scans = link_pandaset({name: root for name, root in roots.items() if root}, real)
     link_streets(streets, real, out / "validated")
-    also = [sensors, real]
+    also, sectors = [sensors, real], []
     if given.aachen:
+        sectors = sectors_of(given.aachen)
         compose_circles(given.aachen, out / "aachen")
         also.append(out / "aachen")
     how = [word for dataset in also for word in ("--also", dataset)]
     how += ["--recipe", "street", "--sensor", "hdl64-512", *given.train]
     salsanext("train", out / "validated", out / "run", *how)
-    sectors = sectors_of(given.aachen) if given.aachen else []
-    finish(out / "run", (streets, real), out / "default.safetensors", sectors)
+    description = DESCRIPTION.format(
+        simulated=given.streets * SCANS_OF_STREET,
+        real=len(scans),
+        aachen=AACHEN.format(sectors=len(sectors)) if sectors else "",
+    )
+    finish(out / "run", (streets, real), out / "default.safetensors", description, sectors)
     add_error(out / "default.safetensors", (streets, sensors))
 
 

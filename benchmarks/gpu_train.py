@@ -14,11 +14,12 @@ import statistics
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import torch
-from default_weights import HELD_OUT, compose_circles
+from default_weights import compose_circles, split_pandaset
 from gpu_measures import Figures, mean_text, utilisation
 from gpu_training import STEPS, gpu_recipe, small_weights
 from pack import unpack
@@ -103,7 +104,7 @@ class Run:
         """Score and write the weights, and write the log."""
         module, recipe = self.learner.average.eval(), self.learner.recipe
         network = network_of_module(module, self.card, self.figures.device)
-        scores = {name: validate(network, source) for name, source in self.held_out.items()}
+        scores = {name: validate(network, source)[0] for name, source in self.held_out.items()}
         recent = self.losses[-LOGGED_LOSSES:]
         row: Row = {
             "steps": self.steps,
@@ -161,6 +162,7 @@ def train(
             card,
             recipe=recipe.to_dict() | {"initial": name},
             description=DESCRIPTION.format(also=also, weights=name),
+            version=None,
         )
         run = Run(scratch / "run", out, figures, None, card, held_out)  # type: ignore[arg-type]
         samples = begin(run, module, recipe, pool, real, cores)
@@ -190,29 +192,21 @@ def real_data(
 ) -> tuple[list[Source], dict[str, Source]]:
     """Return packed real scans to train on, and those that are held out, by name.
 
-    The scans of PandaSet's two sensors are one source. Held out are PandaSet's last scans, as for
-    the default weights, and those of its other sensor from the same time.
+    The scans of PandaSet's two sensors are one source. The same scans are held out as for the
+    default weights.
     """
     roots = {root.name: root for root in unpack(pack, folder)} if pack else {}
     if unknown := sorted(roots.keys() - SPACES.keys()):
         raise TrainingError(pack, f"holds {', '.join(unknown)}", f"some of {', '.join(SPACES)}")
-    sources, held_out = [], {}
+    sources: list[Source] = []
+    held_out: dict[str, Source] = {}
     if "pandaset" in roots:
-        first = find_scans(roots["pandaset"])[-HELD_OUT]
-        files: list[ScanFile] = []
-        for name in roots.keys() - {"aachen"}:
-            of_name = find_scans(roots[name])
-            files += [replace(file, sequence=f"{name}-{file.sequence}") for file in of_name]
+        scans = {name: find_scans(root) for name, root in roots.items() if name != "aachen"}
+        training, late = split_pandaset(scans)
+        files = sorted(chain(training, *late.values()))
         whole = fitted_source(source_of(files, "pandaset", sensor), jobs)
-        late = [
-            file
-            for file in files
-            if (file.sequence.partition("-")[2], file.stem) >= (first.sequence, first.stem)
-        ]
-        sources.append(replace(whole, files=[file for file in files if file not in late]))
-        for name in roots.keys() - {"aachen"}:
-            of_name = [file for file in late if file.sequence.startswith(name)]
-            held_out[name] = replace(whole, files=of_name)
+        sources.append(replace(whole, files=training))
+        held_out = {name: replace(whole, files=files) for name, files in late.items()}
     elif "pandargt" in roots:
         raise TrainingError(pack, "holds pandargt without pandaset", "both")
     if "aachen" in roots:

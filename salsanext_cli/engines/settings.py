@@ -137,10 +137,13 @@ class NetworkSettings:
     def announce(self, network: "Network") -> None:
         """Log what computes, and on what the default weights were trained."""
         default = self.weights in (None, DEFAULT_WEIGHTS)
-        name = f"default weights ({network.card.summary()})" if default else self.weights
+        name = network.card.title(self.path) if default else self.weights
         merged = f", merged into the classes of {network.space.name}" if network.merging else ""
         computing = f"on {network.device} by {network.engine.library} in {network.engine.precision}"
         log.log(NOTICE, "%s %s%s", name, computing, merged)
+        if inherited := network.card.inherited():
+            remedy = ": `salsanext tune error`" if inherited.startswith("error") else ""
+            log.log(NOTICE, "%s; not fitted to these weights%s", inherited, remedy)
 
     def resolved(self, network: "Network") -> "NetworkSettings":
         """Log what computes, and return the settings for workers: all the same, same weights."""
@@ -158,10 +161,10 @@ class NetworkSettings:
 
     def record(self, network: "Network") -> dict[str, Any]:
         """Return what the results of a stage depend on, as plain data for its record."""
-        engine, known = network.engine, {}
-        if network.card.trained_on:
-            known["trained_on"] = "".join(sorted(network.card.trained_on))
-        return known | {
+        engine, card = network.engine, network.card
+        known: dict[str, Any] = {"weights_version": card.version, "inherited": card.inherited()}
+        known["trained_on"] = "".join(sorted(card.trained_on))
+        return {key: value for key, value in known.items() if value} | {
             "weights": engine.sha256,
             "label_space": network.space.to_dict(),
             "sensor": recorded_view(network.sensor),

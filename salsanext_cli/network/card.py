@@ -18,6 +18,7 @@ import safetensors
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, UsageError, WeightsError, error_text, shortened
+from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.optional_packages import import_openvino
 from salsanext_cli.files.reading import is_folder, present, reading, refusing_damage
 from salsanext_cli.network.error_model import ErrorModel, valid_temperature
@@ -32,6 +33,7 @@ FITTED = {"risk": ("threshold", "at_most", "scans"), "accuracy": ("slope", "offs
 """Parts that are mappings and may be absent, and the numbers that each holds."""
 OF_ERROR = re.compile(r"The error is fitted to ([^.]*)\. ?")
 """Sentence on the error model in the description of older files."""
+INHERITED = "inherited_from"  # Key of a fitted part: names the weights that it was fitted to
 ONNX_SUFFIX = ".onnx"
 DIGITS = 24  # Of a digest: by chance, two of 20 000 scans agree once in 10¹¹ cases
 
@@ -80,19 +82,34 @@ class WeightsCard:
     risk: Mapping[str, Any] = field(default_factory=dict)
     # Line from the logit of a run's mean confidence to that of its accuracy: `slope`, `offset`, and
     # `deviation` of the accuracy from it, 0…1; empty if none was fitted
-    accuracy: Mapping[str, float] = field(default_factory=dict)
+    accuracy: Mapping[str, Any] = field(default_factory=dict)
     # Digests of the scans that the weights were trained on, as far as they are known
     trained_on: frozenset[str] = frozenset()
+    version: int | None = None  # Version of the default weights; None for other weights
 
-    def summary(self) -> str:
-        """Return the start of the description, up to the first colon or full stop."""
+    def named(self, path: Path) -> str:
+        """Return the version of these weights, else the name of their file, and its SHA-256."""
+        name = f"default weights version {self.version}" if self.version else path.name
+        return f"{name} (SHA-256 {fingerprint(path)[:16]})"
+
+    def title(self, path: Path) -> str:
+        """Name default weights with their description up to the first colon or full stop."""
         start = re.split(r"[:.](?:\s|$)", self.description, maxsplit=1)[0]
-        return shortened(start[:1].lower() + start[1:])
+        summary = shortened(start[:1].lower() + start[1:])
+        return f"{self.named(path)}, {summary}," if self.version else f"default weights ({summary})"
+
+    def inherited(self) -> str:
+        """Name the parts that were fitted to the weights that these began from; "" for none."""
+        parts = {"error model": self.error.scores if self.error else {}}
+        parts["expected accuracy"] = self.accuracy
+        of = {what: shortened(part[INHERITED]) for what, part in parts.items() if INHERITED in part}
+        names = " and ".join(dict.fromkeys(of.values()))
+        return f"{' and '.join(of)} of {names}" if of else ""
 
     def changed(self, done: str) -> WeightsCard:
         """Return the card of changed weights, by a sentence: without scores and what was fitted."""
-        description = f"{self.description} {done}".lstrip()
-        return replace(self, scores={}, error=None, risk={}, accuracy={}, description=description)
+        bare = replace(self, scores={}, error=None, risk={}, accuracy={}, version=None)
+        return replace(bare, description=f"{self.description} {done}".lstrip())
 
     def to_metadata(self) -> dict[str, str]:
         """Return what a safetensors header holds; equal cards give equal text."""
@@ -107,12 +124,10 @@ class WeightsCard:
             "recipe": dict(self.recipe),
             "scores": dict(self.scores),
         }
-        if self.error:
-            values["error"] = self.error.to_dict()
-        values |= {name: dict(getattr(self, name)) for name in FITTED if getattr(self, name)}
-        if self.trained_on:
-            values["trained_on"] = "".join(sorted(self.trained_on))
-        return {KEY: json.dumps(values)}
+        known: dict[str, Any] = {"error": self.error.to_dict() if self.error else {}}
+        known |= {name: dict(getattr(self, name)) for name in FITTED}
+        known |= {"trained_on": "".join(sorted(self.trained_on)), "weights_version": self.version}
+        return {KEY: json.dumps(values | {name: part for name, part in known.items() if part})}
 
     @classmethod
     def from_metadata(cls, metadata: Mapping[str, str], source: object) -> WeightsCard:
@@ -134,6 +149,8 @@ class WeightsCard:
             risk = values.get("risk", {})
             for view in (risk.get("view", {}), *risk.get("other_views", ())):
                 Sensor.from_dict({**values["sensor"], **view}, source)
+            if type(version := values.get("weights_version", 1)) is not int or version < 1:
+                raise ValueError(f"weights_version is {shortened(version)}")
             description, error = str(values["description"]), values.get("error")
             if error and (statement := OF_ERROR.search(description)):
                 # It describes the error model, so it goes when the error model is replaced.
@@ -150,6 +167,7 @@ class WeightsCard:
                 error=None if error is None else ErrorModel.from_dict(error),
                 **{name: _numbers_of(name, values[name]) for name in FITTED if name in values},
                 trained_on=frozenset(parted(values.get("trained_on", ""))),
+                version=values.get("weights_version"),
             )
         except UsageError as error:
             raise WeightsError(source, f"damaged metadata: {error.found}") from error

@@ -206,6 +206,7 @@ def card_table(card: Mapping[str, Any]) -> Table:
     sensor = card["sensor"]
     view = f"{sensor['fov_up']:+g}° to {sensor['fov_down']:+g}°"
     rows = {
+        "weights": f"default weights version {card['version']}" if "version" in card else "",
         "what": card["description"] or ABSENT,
         "architecture": ", ".join(f"{k} {v}" for k, v in card["architecture"].items()),
         "temperature": f"{card['temperature']:.4g}",

@@ -65,7 +65,7 @@ from salsanext_cli.sensors.sensor import Sensor
 
 FUSED = "fused"  # Folder of the fused labels in that of the labels of single scans
 SOFTMAX_FOLDERS = ("probabilities", "votes")
-ABOUT_THE_NETWORK = ("weights", "trained_on", "temperature")
+ABOUT_THE_NETWORK = ("weights", "weights_version", "trained_on", "temperature")
 """Settings of `predict` that the record of fused labels repeats."""
 
 Found = TypeVar("Found")

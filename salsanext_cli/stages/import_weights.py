@@ -39,7 +39,7 @@ def import_weights(
                 raise UsageError(option, found, "a published checkpoint", f"leave {option} out")
         module, card = read_weights(source)
         described = description or card.description
-        card = replace(card, description=described, sensor=view or card.sensor)
+        card = replace(card, description=described, sensor=view or card.sensor, version=None)
     else:
         space, tensors = space or label_space(), read_published(source)
         outputs = tensors["logits.bias"].numel() if "logits.bias" in tensors else 0

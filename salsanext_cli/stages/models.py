@@ -46,6 +46,7 @@ def describe_weights(path: Path) -> Mapping[str, Any]:
     card: WeightsCard = read_card(path)
     return {
         "path": str(path),
+        **({"version": card.version} if card.version else {}),
         "sha256": fingerprint(path),
         "bytes": path.stat().st_size,
         "description": card.description,

@@ -10,7 +10,6 @@ from typing import Any
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
-from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.parallel.options import worker_count
@@ -47,7 +46,7 @@ from salsanext_cli.training.run_folder import (
     require_free,
     training_settings,
 )
-from salsanext_cli.training.setup import Setup, initial_network
+from salsanext_cli.training.setup import Setup, inheriting, initial_network
 
 SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0  # Of a simulated street
 
@@ -118,10 +117,8 @@ def train(
             kept, sources = run / CLASS_COUNTS, [first, *others]
             validated = evenly_spaced(scored.files, recipe.validation_scans)
             counts = class_counts(kept, sources, scored, validated, jobs, recipe.also)
-            if strict and counts.warnings:
-                found = (
-                    f"{w['code']} in {counted(len(w['scans']), 'scan')}" for w in counts.warnings
-                )
+            if strict and (doubts := counts.warnings):
+                found = [f"{w['code']} in {counted(len(w['scans']), 'scan')}" for w in doubts]
                 remedy = "mend the scans or leave them out, or train without --strict"
                 raise TrainingError(dataset, f"doubtful scans: {', '.join(found)}", "none", remedy)
             begin(run, settings, overwrite=overwrite)
@@ -134,15 +131,12 @@ def train(
         simulated = ", simulated streets" if len(sources) > 1 + len(also) else ""
         description = f"Trained with `salsanext train` on {roots}{simulated}."
         # The recipe says which without --weights.
-        text = f"{weights.name} (SHA-256 {fingerprint(weights)[:16]})" if weights else ""
-        begun_from = {"initial": text} if weights else {}
+        origin = {"initial": read_card(weights).named(weights)} if weights else {}
         setup = Setup(
             run=run,
             recipe=recipe,
             initial=initial,
-            card=replace(
-                card, sensor=sources[0].sensor, recipe=begun_from, description=description
-            ),
+            card=replace(card, sensor=sources[0].sensor, recipe=origin, description=description),
             sources=sources,
             counts=counts,
             settings=settings,
@@ -156,6 +150,8 @@ def train(
         )
         outlook = None if validation else setup.cross_validated()
         setup = setup if validation else setup.after(outlook)
+        if start and not outlook:
+            setup = replace(setup, card=inheriting(setup.card, start))
         state = setup.training(training, scored).fit()
     best = state.best if validation else None
     return TrainResult(run / BEST, run / LAST, best, state.rows, counts.warnings, outlook)

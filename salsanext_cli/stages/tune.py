@@ -4,6 +4,7 @@
 import logging
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -74,5 +75,5 @@ def tune(
             file.write(risk_curve(report))
             file.flush()
             report["curve"] = str(curve)
-        save_with_card(settings.path, target, card, overwrite=overwrite)
+        save_with_card(settings.path, target, replace(card, version=None), overwrite=overwrite)
     return report

@@ -14,11 +14,13 @@ from salsanext_cli.synthesis.presets import BRIGHTNESS, STYLES, Numbers
 from salsanext_cli.synthesis.rig import Rig, RigMaker, hdl64_rig
 from salsanext_cli.synthesis.street import lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder, with_brightness
-from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan, draw_plan, ground
+from salsanext_cli.synthesis.street.ground import ground
+from salsanext_cli.synthesis.street.plan import RUN_OUT_M, Plan, draw_plan
 from salsanext_cli.synthesis.street.traffic import Mover, moving
 from salsanext_cli.synthesis.surfaces import Material
 
 SPEED_M_PER_S = (4.0, 12.0)  # Slowest and fastest drive
+GROUND = [Material.ASPHALT, Material.PAVING, Material.GRASS]
 VIEW_M = 90.0  # Largest distance at which moving things are recorded
 
 
@@ -45,6 +47,8 @@ def build_street(
 def _draw_brightness(rng: Rng) -> Array:
     """Draw the brightness of each material in a street, (materials,), relative to the usual."""
     brightness = np.exp(rng.normal(0, BRIGHTNESS.street, len(Material)))
+    if rng.random() < BRIGHTNESS.ground_alike:
+        brightness[GROUND] = brightness[GROUND[0]] * np.exp(rng.normal(0, 0.08, len(GROUND)))
     dark = rng.random(len(Material)) < BRIGHTNESS.dark
     low, high = BRIGHTNESS.dark_brightness
     brightness[dark] = rng.uniform(low, high, int(dark.sum()))

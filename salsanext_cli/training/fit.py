@@ -61,10 +61,8 @@ class Training:
 
     def fit(self) -> TrainingState:
         """Train from the last checkpoint, if there is one, to the end."""
-        checkpoint, steps = self.run / CHECKPOINT, self.samples.plan.steps_per_epoch
-        state = TrainingState()
-        if checkpoint.exists():
-            state = load_checkpoint(checkpoint, self.learner)
+        saved, steps = self.run / CHECKPOINT, self.samples.plan.steps_per_epoch
+        state = load_checkpoint(saved, self.learner) if saved.exists() else TrainingState()
         first, group = state.epoch * steps + len(state.losses), self.learner.group
         if (of_main := group.on_main(lambda: first)) != first:
             found = f"the first worker goes on after step {of_main}, this one after step {first}"
@@ -72,7 +70,7 @@ class Training:
         if first and group.is_main:
             epochs = f"{state.epoch} of {self.learner.recipe.epochs} epochs"
             begun = "going on" if state.epoch < self.learner.recipe.epochs else "complete"
-            log.log(NOTICE, "%s after %s, step %d, from %s", begun, epochs, first, checkpoint)
+            log.log(NOTICE, "%s after %s, step %d, from %s", begun, epochs, first, saved)
         pinned = self.learner.device.type == "cuda"
         stream = batches(self.samples, first, self.workers, pinned=pinned, group=group)
         with tensorboard_in(self.run, wanted=group.is_main) as write_epoch:
@@ -101,7 +99,7 @@ class Training:
     def _end_epoch(self, state: TrainingState, write_epoch: EpochWriter) -> None:
         """Validate, write and report an epoch whose steps are done."""
         recipe, steps = self.learner.recipe, self.samples.plan.steps_per_epoch
-        losses, seconds, group = state.losses, state.seconds, self.learner.group
+        losses, seconds, group, card = state.losses, state.seconds, self.learner.group, self.card
         state.epoch, state.losses, state.seconds = state.epoch + 1, [], 0.0
         step = state.epoch * steps - 1
         row: Row = {
@@ -114,9 +112,10 @@ class Training:
         if due and self.validation.files:
             # On CPUs the workers' statistics of batch norm differ; kept are those of the main one.
             group.broadcast(self.learner.average.buffers())
-            row |= validate(self._network(), self.validation, group)
+            measured, card = validate(self._network(), self.validation, group)
+            row |= measured
         if group.is_main:
-            self._write(state, row, write_epoch)
+            self._write(state, row, card, write_epoch)
         self._report(state, step, row)
 
     def _step(self, batch: Batch, step: int) -> float:
@@ -135,15 +134,12 @@ class Training:
         remedy = "look at these scans, lower learning_rate or set clip_gradient"
         raise TrainingError(f"step {step + 1}", found, "finite ones", remedy)
 
-    def _write(self, state: TrainingState, row: Row, write_epoch: EpochWriter) -> None:
+    def _write(self, state: TrainingState, row: Row, card: WeightsCard, write: EpochWriter) -> None:
         """Write weights, log, curve, pictures and, last, the checkpoint."""
         state.rows.append(row)
-        scored = {key: row[key] for key in row if "iou" in key or key == "accuracy"}
-        measured = {key: value for key, value in scored.items() if value == value}
+        scored = {k: v for k, v in row.items() if ("iou" in k or k == "accuracy") and v == v}
         network, written = self._network(), OwnedFolder(self.run)
-        scores = {**self.card.scores, **measured, "epoch": state.epoch}
-        temperature = row.get("temperature", self.card.temperature)
-        card = replace(self.card, scores=scores, temperature=temperature)
+        card = replace(card, scores={**card.scores, **scored, "epoch": state.epoch})
         state_dict = self.learner.average.state_dict()
         tensors = {name: tensor.cpu().contiguous() for name, tensor in state_dict.items()}
         weights = safetensors.torch.save(tensors, card.to_metadata())
@@ -156,7 +152,7 @@ class Training:
         draw_curve(self.run / CURVE, state.rows)
         with written.writing(sample_path(self.run, state.epoch)) as file:
             picture = self.draw(file, network)
-        write_epoch(row, picture)
+        write(row, picture)
         save_checkpoint(self.run / CHECKPOINT, self.learner, state)
 
     def _network(self) -> Network:

@@ -20,7 +20,7 @@ from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, WeightsError, first_few
 from salsanext_cli.fitting.label_scan import softmax_of
-from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.card import INHERITED, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.registry import build
 from salsanext_cli.network.segmentation import SegmentationNetwork
@@ -88,6 +88,20 @@ def initial_network(
     return module, replace(begun, trained_on=card.trained_on)
 
 
+def inheriting(card: WeightsCard, weights: Path) -> WeightsCard:
+    """Return a card with what was fitted to the weights that the training began from, marked."""
+    begun = read_card(weights)
+    error, name = begun.error, begun.named(weights)
+    fits = begun.space.fits(card.space) and (error is None or error.features == FEATURES)
+    error = error and replace(error, scores={INHERITED: name, **error.scores})
+    accuracy = begun.accuracy and {INHERITED: name, **begun.accuracy}
+    heir = replace(card, temperature=begun.temperature, error=error, accuracy=accuracy)
+    if inherited := heir.inherited():
+        how = "inherited" if fits else "not inherited, since classes or features differ"
+        log.log(NOTICE, "%s: %s; fit a model by `salsanext tune error`", how, inherited)
+    return heir if inherited and fits else card
+
+
 def _completed(own: Sensor | None, trained: Sensor) -> Sensor:
     """Return a sensor, or else that of trained weights, with what these know of it."""
     if own is None:
@@ -128,8 +142,7 @@ class Setup:
     run: Path
     recipe: Recipe
     initial: SegmentationNetwork  # The network before training
-    # Of the weights files, without scores; of the recipe it has keys with other values than the
-    # recipe's, of the scans trained on those of the weights that it begins from
+    # Of the weights files; recipe: the keys that differ; trained_on: scans of the initial weights
     card: WeightsCard
     sources: Sequence[Source]  # All labelled scans of the data set, and further data sets
     counts: ClassCounts
@@ -203,7 +216,7 @@ class Setup:
         """Return mean IoU and accuracy before training, means over the folds."""
         module, first = copy.deepcopy(self.initial).to(self.device).eval(), self.sources[0]
         network = network_of_module(module, self.card, str(self.device))
-        rows = [validate(network, replace(first, files=part), self.group) for part in parts]
+        rows = [validate(network, replace(first, files=part), self.group)[0] for part in parts]
         miou, accuracy = np.nanmean([(row["miou"], row["accuracy"]) for row in rows], axis=0)
         return float(miou), float(accuracy)
 
@@ -239,9 +252,7 @@ class Setup:
         best = self.run / run_folder.BEST
         own = run_folder.fold_folder(self.run, number) / run_folder.BEST
         if report.row and own.exists() and not (self.run / run_folder.CHECKPOINT).exists():
-            scores = [
-                read_card(path).scores.get("miou", -1.0) for path in (best, own) if path.exists()
-            ]
+            scores = [read_card(p).scores.get("miou", -1.0) for p in (best, own) if p.exists()]
             if len(scores) == 1 or scores[1] > scores[0]:
                 OwnedFolder(self.run).write(best, own.read_bytes(), durable=True)
         done, steps = (number - 1) * report.steps + report.step, (count + 1) * report.steps

@@ -11,6 +11,7 @@ from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.scores import Counts, confusion_matrix, scores
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.error_model import TEMPERATURES
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.parallel.network_task import network_pipeline
@@ -19,7 +20,7 @@ from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.log import Row
-from salsanext_cli.training.tuning.temperature import best_temperature
+from salsanext_cli.training.tuning.temperature import best_temperature, with_temperature
 
 MAX_VALIDATED_POINTS = 200_000  # Points of a validation that the temperature is fitted to
 
@@ -40,9 +41,11 @@ class ValidatedScan(NamedTuple):
     truth: torch.Tensor  # (M,) int64
 
 
-def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS) -> Row:
-    """Score scans labelled as `predict` does, shared by workers; also fit a temperature."""
-    space = network.card.space
+def validate(
+    network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS
+) -> tuple[Row, WeightsCard]:
+    """Score scans labelled as `predict` does, shared by workers; fit the card's temperature."""
+    card, space = network.card, network.card.space
     confusion = np.zeros((space.class_count, space.class_count), np.int64)
     logits, truth = [torch.empty(space.class_count, 0)], [torch.empty(0, dtype=torch.int64)]
 
@@ -75,10 +78,13 @@ def validate(network: Network, source: Source, group: ProcessGroup = SINGLE_PROC
         for own in (logits, truth)
     )
     result, (lowest, highest) = scores(counts, space), TEMPERATURES
-    best = best_temperature(all_logits.T.contiguous(), all_truth) if len(all_truth) else 1.0
-    return {
+    of_points = all_logits.T.contiguous()
+    best = best_temperature(of_points, all_truth) if len(all_truth) else card.temperature
+    card = with_temperature(card, best if lowest <= best <= highest else 1.0, of_points)
+    row: Row = {
         "accuracy": result.accuracy,
         "miou": result.iou_mean_present,
-        "temperature": best if lowest <= best <= highest else 1.0,
+        "temperature": card.temperature,
         **{f"iou_{score.name}": score.iou for score in result.classes},
     }
+    return row, card

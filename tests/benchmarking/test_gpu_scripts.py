@@ -5,6 +5,7 @@ import json
 import math
 
 import gpu_run
+import gpu_train
 import numpy as np
 import pack
 import pytest
@@ -14,7 +15,7 @@ from ray_casting import RayScene
 from scans import SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import Scan, read_labels, read_scan, write_labels
-from salsanext_cli.errors import FormatError, LabelError, NoInputError, UsageError
+from salsanext_cli.errors import FormatError, LabelError, NoInputError, TrainingError, UsageError
 from salsanext_cli.network.card import read_card
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.synthesis.drive import Frame
@@ -165,6 +166,33 @@ def test_complete_scenes_stand_for_those_that_are_planned(tmp_path, monkeypatch)
     assert len(scan) == len(labels) > 2000
     assert now.sensor_of(now.files[0]).intensity_quantiles
     assert source.sensor_of(now.files[0]) == now.sensor_of(now.files[0])
+
+
+# Real scans
+
+
+def test_both_sensors_of_pandaset_are_one_source_and_held_out_from_the_same_time(tmp_path):
+    for name, stems in (("pandaset", range(12)), ("pandargt", (0, 1, 2, 7))):
+        folder = tmp_path / name / "sequences/002"
+        write_sequence(folder, [f"{stem:02}" for stem in stems], count=2000)
+    roots = [tmp_path / "pandaset", tmp_path / "pandargt"]
+    pack.pack(roots, tmp_path / "p.npz")
+    (source,), held_out = gpu_train.real_data(tmp_path / "p.npz", tmp_path / "real", SMALL, 1)
+    sensors = [f"{name}-002/{stem}" for name in ("pandaset", "pandargt") for stem in ("00", "01")]
+    assert [file.name for file in source.files] == sensors
+    assert {name: [f.stem for f in held.files] for name, held in held_out.items()} == {
+        "pandaset": [f"{stem:02}" for stem in range(2, 12)],
+        "pandargt": ["02", "07"],
+    }
+    # Each sensor is fitted to all its scans, and its held-out scans are projected with it.
+    assert source.fitted.keys() == {"pandaset-002", "pandargt-002"}
+    for held in held_out.values():
+        assert held.fitted == source.fitted
+        assert held.files[0].sequence in held.fitted
+
+    pack.pack(roots[1:], tmp_path / "alone.npz")
+    with pytest.raises(TrainingError, match=r"alone\.npz .*without pandaset"):
+        gpu_train.real_data(tmp_path / "alone.npz", tmp_path / "other", SMALL, 1)
 
 
 # The run

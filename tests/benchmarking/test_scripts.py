@@ -18,6 +18,7 @@ import torch
 from corruption_models import LEVELS
 from scans import IN_BYTES, SMALL, make_scan, write_bin, write_sequence
 from speed_turn import take_turn
+from tiny_network import TinyNetwork
 from typer.testing import CliRunner
 
 from salsanext_cli import (
@@ -33,11 +34,15 @@ from salsanext_cli import (
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import SalsanextError
+from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.error_model import ErrorModel
+from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.selection import data_set_label_space
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.training.data.other_sensors import HOLE_SHARES, hole_cells
 from salsanext_cli.training.data.sources import labelled_split
 from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.error_features import FEATURES
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 TINY = "fov_up = 3.0\nfov_down = -25.0\nheight = 16\nwidth = 64\n"
@@ -185,28 +190,64 @@ def names(root: Path, split: str) -> list[str]:
 
 
 def test_streets_are_validated_with_real_scans_that_nothing_is_trained_on(tmp_path):
+    """The second sensor has no scan at 04, the time from which the first one's are held out."""
     script = runpy.run_path(str(BENCHMARKS / "default_weights.py"))
-    source, real, streets = (tmp_path / name for name in ("source", "pandaset", "streets"))
-    for sequence, count in (("001", 2), ("002", 12)):
-        write_sequence(source / f"sequences/{sequence}", [f"{i:02}" for i in range(count)], count=9)
+    source, second, real, streets = (tmp_path / name for name in ("source", "gt", "real", "synth"))
+    for sequence, count in (("001", 2), ("002", 12), ("003", 3)):
+        write_sequence(source / f"sequences/{sequence}", [f"{2 * i:02}" for i in range(count)])
+        write_sequence(second / f"sequences/{sequence}", ["03", "05", "22"], count=9)
     for _ in range(2):
-        script["link_pandaset"](source, real)
-    assert names(real, "train") == ["001/001-00", "001/001-01", "002/002-00", "002/002-01"]
-    held_out = [f"002-{i:02}" for i in range(2, 12)]
-    assert names(real, "valid") == [f"held-out/{stem}" for stem in held_out]
+        training = script["link_pandaset"]({"pandaset": source, "pandargt": second}, real)
+    of_pandaset = ["001/pandaset-001-00", "001/pandaset-001-02", "002/pandaset-002-00"]
+    of_pandargt = ["001-03", "001-05", "001-22", "002-03"]
+    assert names(real, "train") == [
+        *(f"pandargt-{name[:3]}/pandargt-{name}" for name in of_pandargt),
+        *(f"pandaset-{name}" for name in (*of_pandaset, "002/pandaset-002-02")),
+    ]
+    assert len(training) == len(names(real, "train"))
+    held_out = [f"held-out-pandargt/pandargt-002-{stem}" for stem in ("05", "22")]
+    held_out += [f"held-out-pandaset/pandaset-002-{2 * i:02}" for i in range(2, 12)]
+    assert names(real, "valid") == held_out
 
     for sequence, stems in (("00", "ab"), ("08", "abcdefgh")):
         write_sequence(streets / "sequences" / sequence, stems, count=9)
     script["link_streets"](streets, real, tmp_path / "validated")
     assert names(tmp_path / "validated", "train") == ["00/00-a", "00/00-b"]
     assert names(tmp_path / "validated", "valid") == [
-        *(f"valid-pandaset/held-out-{stem}" for stem in held_out),
+        *(f"valid-{name.replace('/', '/' + name.split('/')[0] + '-')}" for name in held_out),
         *("valid-streets/08-a", "valid-streets/08-e"),
     ]
     # What the held-out scans are labelled with means the same as in PandaSet's label space.
     both, own = map(data_set_label_space, (tmp_path / "validated", real))
     ids = np.array(list(own.learning_map), np.uint32)
     np.testing.assert_array_equal(both.to_train(ids), own.to_train(ids))
+
+
+def test_default_weights_have_a_version_and_inherit_nothing(tmp_path, tiny_training, monkeypatch):
+    script = runpy.run_path(str(BENCHMARKS / "default_weights.py"))
+
+    def tune(part, dataset, target, *, settings, overwrite):
+        # The temperature is fitted to the weights without what they inherited.
+        assert read_card(settings.path).inherited() == ""
+        return {"after": {"temperature": 1.5}}
+
+    monkeypatch.setitem(script["finish"].__globals__, "tune", tune)
+    card = WeightsCard({"name": "salsanext", "class_count": 20}, label_space(), SMALL)
+    mark = {"inherited_from": "weights of before"}
+    layers = [(np.ones((len(FEATURES), 1), "f4"), np.zeros(1, "f4"))]
+    line = {"slope": 1.0, "offset": 0.0, "deviation": 0.1}
+    card = replace(card, recipe={"class_weight": 0.5}, accuracy=mark | line)
+    (tmp_path / "run").mkdir()
+    error = ErrorModel(FEATURES, layers, mark, temperature=2.0)
+    save_weights(
+        tmp_path / "run/last.safetensors", TinyNetwork(), replace(card, error=error, version=4)
+    )
+    points = dict.fromkeys(label_space().names, 10)
+    (tmp_path / "run/class_counts.json").write_text(json.dumps({"points": points}))
+    script["finish"](tmp_path / "run", [tmp_path / "data"], tmp_path / "default.safetensors")
+    finished = read_card(tmp_path / "default.safetensors")
+    assert finished.version == script["VERSION"] == 5
+    assert (finished.error, finished.accuracy, finished.temperature) == (None, {}, 1.5)
 
 
 @pytest.mark.parametrize("name", ["pandaset", "aachen"])

@@ -81,6 +81,15 @@ def test_equal_weights_give_equal_files(tmp_path):
     assert json.loads(again.to_metadata()[KEY])["version"] == __version__
 
 
+def test_a_version_is_kept_and_weights_without_one_stay_as_they_were(tmp_path):
+    metadata = replace(CARD, version=5).to_metadata()
+    assert WeightsCard.from_metadata(metadata, "w").version == 5
+    assert json.loads(metadata[KEY])["weights_version"] == 5
+    without = json.loads(CARD.to_metadata()[KEY])
+    assert list(without) == [key for key in json.loads(metadata[KEY]) if key != "weights_version"]
+    assert WeightsCard.from_metadata(CARD.to_metadata(), "w").version is None
+
+
 def test_another_card_leaves_the_tensors_as_they_are_stored(module, tmp_path):
     source, target = tmp_path / "half.safetensors", tmp_path / "new.safetensors"
     save_weights(source, module, CARD, half=True)
@@ -131,6 +140,7 @@ DAMAGED = {
     "temperature": (*(None, "0", "NaN", "Infinity", "1e-300", f"1{400 * '0'}", '"1"', "true"),),
     "recipe": ("[]",),
     "scores": ("3",),
+    "weights_version": ("null", "0", "-1", "true", "1.5", '"5"', "[]"),
 }
 """Keys of the card with values, as JSON, that it cannot have; None: it lacks the key."""
 

@@ -11,7 +11,8 @@ from salsanext_cli.synthesis import surfaces
 from salsanext_cli.synthesis.presets import STYLES, Numbers
 from salsanext_cli.synthesis.street import lots, roadside
 from salsanext_cli.synthesis.street.builder import Builder
-from salsanext_cli.synthesis.street.plan import LEFT, REACH_M, Crossing, Lot, draw_plan, ground
+from salsanext_cli.synthesis.street.ground import ground
+from salsanext_cli.synthesis.street.plan import LEFT, REACH_M, Crossing, Lot, draw_plan
 from salsanext_cli.synthesis.street.traffic import Mover, lanes
 from salsanext_cli.synthesis.things import furniture
 
@@ -31,6 +32,8 @@ def away_from_crossings(plan, side, margin=6.0):
 def test_strips_lie_in_order_from_the_kerb_outwards(plan):
     for side in plan.sides:
         s = away_from_crossings(plan, side)
+        for low, high in side.islands:
+            s = s[(s < low) | (s >= high)]
         ends = np.cumsum([side.parking, side.verge, side.sidewalk])
         starts = ends - [side.parking, side.verge, side.sidewalk]
         for start, end, label in zip(
@@ -128,6 +131,40 @@ def in_the_way(builder):
     path = plan.world(s, t)[..., :2].reshape(-1, 2)
     footprints = (Delaunay(part.vertices[:, :2]) for part in parts_of(builder, VEHICLES))
     return sum((footprint.find_simplex(path) >= 0).any() for footprint in footprints)
+
+
+@pytest.mark.parametrize("seed", [0, 2, 5])
+def test_islands_interrupt_parking_spaces_and_nobody_parks_there(seed):
+    busy = {"parking": 1.0, "parked": 1.0, "crossing_gap": (300, 900), "works": 0.0}
+    rng = np.random.default_rng(seed)
+    plan = draw_plan(rng, Numbers(**vars(STYLES[0]) | busy), 90.0)
+    builder = Builder(rng, plan)
+    places = []
+    for side in plan.sides:
+        t = side.sign * (plan.half + side.parking / 2)
+        for low, high in side.islands:
+            s = np.array([low - 0.01, (low + high) / 2, high + 0.01])
+            strips = [surfaces.PARKING, side.strip, surfaces.PARKING]
+            assert plan.label(s, np.full(3, t)).tolist() == strips
+            if low > 3 and high < plan.length - 3:
+                places.append(plan.world(s[1], t)[:2])
+        roadside.furnish(builder, side)
+    assert places
+    for vehicle in parts_of(builder, VEHICLES):
+        assert (Delaunay(vehicle.vertices[:, :2]).find_simplex(np.array(places)) < 0).all()
+
+
+def test_parking_spaces_may_have_the_surface_of_the_road_or_another():
+    style = Numbers(**vars(STYLES[0]) | {"parking": 1.0})
+    alike = []
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        mesh = ground(rng, draw_plan(rng, style, 40.0))
+        road, parking = (mesh.labels == label for label in (surfaces.ROAD, surfaces.PARKING))
+        same = set(mesh.materials[road]) == set(mesh.materials[parking])
+        brighter = np.median(mesh.shades[parking]) / np.median(mesh.shades[road])
+        alike.append(same and abs(brighter - 1) < 0.03)
+    assert 4 <= sum(alike) <= 20
 
 
 @pytest.mark.parametrize("kind", ["house", "yard", "forecourt", "carpark"])

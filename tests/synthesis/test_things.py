@@ -11,7 +11,14 @@ from salsanext_cli.synthesis.street import lots
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import Lot, draw_plan
 from salsanext_cli.synthesis.surfaces import CAR, POLE, Material
-from salsanext_cli.synthesis.things import cycles, furniture, people, vehicles
+from salsanext_cli.synthesis.things import (
+    boundaries,
+    cycles,
+    furniture,
+    people,
+    vegetation,
+    vehicles,
+)
 
 STEEL = Skin(POLE, Material.METAL, 0.5)
 
@@ -54,7 +61,7 @@ def test_moving_turns_first_and_shifts_then():
 
 
 THINGS = {
-    "car": (vehicles.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (5.5, 2.4, 2.5)),
+    "car": (vehicles.car, {surfaces.CAR}, (3.4, 1.6, 1.3), (6.0, 2.4, 2.7)),
     "truck": (vehicles.truck, {surfaces.TRUCK}, (4.2, 1.6, 1.5), (17.5, 3.3, 4.2)),
     "person": (people.person, {surfaces.PERSON}, (0.2, 0.2, 1.0), (1.4, 1.1, 2.0)),
     "bicycle": (cycles.bicycle, {surfaces.BICYCLE}, (1.5, 0.4, 0.8), (2.0, 0.8, 1.3)),
@@ -79,6 +86,10 @@ THINGS = {
     ),
     "bench": (furniture.bench, {surfaces.CLUTTER}, (1.4, 0.4, 1.1), (2.2, 0.5, 1.2)),
     "clutter": (furniture.clutter, {surfaces.CLUTTER}, (0.3, 0.2, 0.15), (4.0, 4.0, 3.6)),
+    "ground cover": (
+        lambda rng: vegetation.ground_cover(rng, 1.5), {surfaces.VEGETATION},
+        (2.0, 2.0, 0.05), (3.6, 3.6, 1.0),
+    ),
     "shelter": (furniture.shelter, {surfaces.STRUCTURE}, (2.4, 1.3, 2.4), (4.8, 1.8, 2.9)),
 }  # fmt: skip
 
@@ -95,6 +106,16 @@ def test_things_have_their_classes_and_sizes(name):
         size = np.ptp(mesh.vertices, axis=0)
         assert (size >= np.array(smallest) - 1e-9).all(), size
         assert (size <= largest).all(), size
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_clipped_hedge_is_nearly_even(seed):
+    height, depth = 0.8, 0.6
+    mesh = boundaries.hedge(np.random.default_rng(seed), 5.0, height, depth, boundaries.CLIPPED_M)
+    assert set(mesh.labels.tolist()) == {surfaces.VEGETATION}
+    across, up = np.abs(mesh.vertices[:, 1]), mesh.vertices[:, 2]
+    assert np.quantile(across, 0.99) < depth / 2 + 0.08
+    assert np.quantile(up, 0.99) < height + 0.08
 
 
 @pytest.mark.parametrize("kind", lots.KINDS)

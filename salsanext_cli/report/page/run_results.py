@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.errors import SalsanextError, UsageError, counted, first_few
+from salsanext_cli.errors import SalsanextError, UsageError, counted, first_few, shortened
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import RecordedSettings
 from salsanext_cli.files.reading import present, reading, refusing_damage
@@ -294,6 +294,8 @@ def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
         yield "Labels", _labels(stage, of_labels)
         if "promised" in of_labels:
             yield "Promise", promise(of_labels.table("promised"))
+        if inherited := of_labels.get("inherited"):
+            yield "Inherited", f"{shortened(inherited, 200)}, not fitted to these weights"
     if settings := records.settings("uncertainty"):
         numbers = ("samples", "seed", "aleatoric")
         given = (f"{key} {settings[key]}" for key in numbers if key in settings)
@@ -330,9 +332,10 @@ def _weights(records: StageRecords) -> str:
     # An installation without its weights still has results to show.
     with suppress(SalsanextError):
         if fingerprint(path) == sha256:
-            description = read_card(path).description.replace("`", "")
-            own = re.sub(r"See docs/\S+ (.)", lambda rest: rest[1].upper(), description)
-            return f"the default ones, {name}. {own} {DEFAULT_LIMITS}"
+            card = read_card(path)
+            own = re.sub(r"See docs/\S+ (.)", lambda rest: rest[1].upper(), card.description)
+            name = card.named(path) if card.version else f"the default ones, {name}"
+            return f"{name}. {own.replace('`', '')} {DEFAULT_LIMITS}"
     return f"{name}, not the default ones; salsanext models FILE describes a file of weights"
 
 

@@ -9,11 +9,18 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Mesh, Rng
 from salsanext_cli.synthesis.street.builder import Builder
 from salsanext_cli.synthesis.street.plan import REACH_M, Lot, Side
-from salsanext_cli.synthesis.things import boundaries, buildings, furniture, people, vegetation
+from salsanext_cli.synthesis.things import (
+    boundaries,
+    buildings,
+    cycles,
+    furniture,
+    people,
+    vegetation,
+)
 from salsanext_cli.synthesis.things.vehicles import car, length_of, truck, vehicle
 
 CAR_ROOM_M = 5.2  # Distance from the kerb to the house that a car in the driveway needs
-SOLID_M = 1.5  # Height of walls around a lot; higher ones are rarely labelled fence
+SOLID_M = 1.1  # Height of walls around a lot; higher ones are rarely labelled fence
 Span = tuple[float, float]
 Maker = Callable[[float], Mesh]  # Returns a piece of something long from its length in metres
 
@@ -38,7 +45,7 @@ def _terrace(builder: Builder, side: Side, lot: Lot) -> None:
             builder.put(arch, side, lot.end - passage / 2, front)
     if lot.setback > 0.8:
         _close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
-    _scatter(builder, side, lot, vegetation.bush, (0.3, 0.7), lot.setback / 3)
+    _plant(builder, side, lot, lot.setback / 3)
 
 
 def _overgrow(builder: Builder, side: Side, lot: Lot, front: float) -> None:
@@ -53,8 +60,9 @@ def _overgrow(builder: Builder, side: Side, lot: Lot, front: float) -> None:
             bush = vegetation.bush(builder.rng, builder.between(0.4, 0.9))
             builder.put(bush, side, float(s), front - 0.5)
     if builder.chance(0.2) and lot.setback > 1:
-        tree = vegetation.tree(builder.rng, builder.between(3, 9))
-        builder.put_if_free(tree, side, end, front - builder.between(0.6, 1.5), 0.5)
+        for s in np.arange(start, end, builder.between(2, 6)):
+            tree = vegetation.tree(builder.rng, builder.between(3, 9))
+            builder.put_if_free(tree, side, float(s), front - builder.between(0.6, 1.5), 0.5)
 
 
 def _house(builder: Builder, side: Side, lot: Lot) -> None:
@@ -62,6 +70,8 @@ def _house(builder: Builder, side: Side, lot: Lot) -> None:
     front = side.depth + lot.setback
     gap = builder.between(2.5, 6)
     drive = lot.drive[1] - lot.drive[0]
+    if drive and builder.chance(0.55) and front > CAR_ROOM_M:
+        _park(builder, side, sum(lot.drive) / 2, front - min(2.6, lot.setback / 2), np.pi / 2, 2.0)
     if width - gap > 5:
         depth = builder.between(7, 12)
         middle = lot.end - 0.7 - (width - gap) / 2
@@ -77,22 +87,21 @@ def _house(builder: Builder, side: Side, lot: Lot) -> None:
     gate_end = lot.drive[1] if drive else gate + 1.2
     for start, end in ((lot.start, gate), (gate_end, lot.end)):
         _close(builder, side, start, end, side.depth + builder.between(0.1, 0.4))
-    _scatter(builder, side, lot, vegetation.bush, (0.3, 1.1), lot.setback * width / 18)
+    _plant(builder, side, lot, lot.setback * width / 18)
     if builder.chance(0.75) and lot.setback > 2:
         kind = vegetation.tree if builder.chance(0.7) else vegetation.conifer
         _scatter(builder, side, lot, kind, (3.0, 8.0), 1.2)
-    if drive and builder.chance(0.55) and front > CAR_ROOM_M:
-        _park(builder, side, sum(lot.drive) / 2, front - min(2.6, lot.setback / 2), np.pi / 2, 2.0)
     if builder.chance(0.5):
         end = front + builder.between(2, 12)
         builder.put_outward(_boundary(builder), side, lot.end, side.depth + 0.3, end)
     _scatter(builder, side, lot, _clutter, (0, 1), 0.8)
+    _scatter(builder, side, lot, _motorcycle, (0, 1), 0.12)
 
 
 def _yard(builder: Builder, side: Side, lot: Lot) -> None:
     _close(builder, side, lot.start, lot.end, side.depth + 0.25, open_chance=0.0)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 9.0), 1.5, reach=15)
-    _scatter(builder, side, lot, vegetation.bush, (0.5, 1.5), 3, reach=12)
+    _plant(builder, side, lot, 4, reach=12)
     _scatter(builder, side, lot, _clutter, (0, 1), 1.5, reach=8)
     if builder.chance(0.35):
         _park(builder, side, builder.between(lot.start + 2, lot.end - 2), side.depth + 5, 0.3, 2.0)
@@ -105,7 +114,7 @@ def _green(builder: Builder, side: Side, lot: Lot) -> None:
     area = (lot.end - lot.start) / 8
     _scatter(builder, side, lot, vegetation.tree, (4.0, 11.0), 2.0 * area, reach=25)
     _scatter(builder, side, lot, vegetation.conifer, (3.0, 9.0), 0.5 * area, reach=25)
-    _scatter(builder, side, lot, vegetation.bush, (0.4, 1.6), 2.0 * area, reach=20)
+    _plant(builder, side, lot, 3.0 * area, reach=20)
     _scatter(builder, side, lot, vegetation.weeds, (0.5, 1.6), 2.0 * area, reach=15)
     _scatter(builder, side, lot, _person, (0, 1), 0.5 * area, reach=12)
     _scatter(builder, side, lot, _clutter, (0, 1), 0.5 * area, reach=6)
@@ -130,6 +139,8 @@ def _thicket(builder: Builder, side: Side, lot: Lot) -> None:
         _close(builder, side, lot.start, lot.end, side.depth + 0.2, open_chance=0.3)
     out = side.depth + builder.between(0.8, 4)
     builder.put_line(undergrowth, side, lot.start, lot.end, out)
+    if builder.chance(0.2):
+        _house_behind(builder, side, lot, out + builder.between(6, 16))
 
 
 def _scrub(builder: Builder, side: Side, lot: Lot) -> None:
@@ -137,7 +148,7 @@ def _scrub(builder: Builder, side: Side, lot: Lot) -> None:
     scrub = _hedge(builder) if builder.chance(0.55) else _undergrowth(builder, (1.5, 5), (1.5, 4))
     builder.put_line(scrub, side, lot.start, lot.end, out + 0.4)
     _scatter(builder, side, lot, vegetation.tree, (4.0, 10.0), 2.0, reach=12)
-    _house_behind(builder, side, lot, out + builder.between(4, 9))
+    _house_behind(builder, side, lot, out + builder.between(4, 14))
 
 
 def _house_behind(builder: Builder, side: Side, lot: Lot, out: float) -> None:
@@ -214,8 +225,20 @@ def _scatter(
         builder.put_if_free(mesh, side, s, out, 0.7, builder.between(0, 6.28))
 
 
+def _plant(
+    builder: Builder, side: Side, lot: Lot, count: float, reach: float | None = None
+) -> None:
+    """Scatter plants: low and high bushes and what covers the ground."""
+    for make, size, share in PLANTS:
+        _scatter(builder, side, lot, make, size, share * count, reach)
+
+
 def _clutter(rng: Rng, _size: float) -> Mesh:
     return furniture.clutter(rng)
+
+
+def _motorcycle(rng: Rng, _size: float) -> Mesh:
+    return cycles.motorcycle(rng)
 
 
 def _person(rng: Rng, _size: float) -> Mesh:
@@ -228,9 +251,14 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
     out = side.depth + lot.setback + builder.between(20, 30)
     if builder.plan.half + out > REACH_M - 14:
         return
-    if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.55):
+    if lot.kind not in ("field", "thicket") and width > 7 and builder.chance(0.4):
         mesh = buildings.house(rng, width * builder.between(0.7, 1), 10, int(rng.integers(2, 6)))
         builder.put(mesh, side, (lot.start + lot.end) / 2, out)
+        for _ in builder.count(width / 12):
+            tree = vegetation.tree(rng, builder.between(4, 10))
+            builder.put(
+                tree, side, builder.between(lot.start, lot.end), out - builder.between(2, 9)
+            )
     elif builder.chance(0.9):
         wood = partial(vegetation.thicket, rng, height=builder.between(4, 9), depth=4)
         builder.put_line(wood, side, lot.start, lot.end, out)
@@ -238,20 +266,23 @@ def _background(builder: Builder, side: Side, lot: Lot) -> None:
 
 def _boundary(builder: Builder) -> Maker:
     """Return a maker of pieces of a hedge, a fence or a wall."""
-    if builder.chance(0.52):
+    if builder.chance(0.4):
         return _hedge(builder)
     kind = str(builder.rng.choice(boundaries.FENCES))
     if kind in ("wall", "boards"):
-        height = builder.between(0.4, SOLID_M)
+        height = builder.between(0.3, SOLID_M)
     else:
-        height = builder.between(1.2, 2.4) if builder.chance(0.35) else builder.between(0.8, 1.3)
+        height = builder.between(*(1.1, 2.2) if builder.chance(0.25) else (0.5, 1.1))
     shade = builder.between(0.7, 1.5)
     return partial(boundaries.fence, builder.rng, kind=kind, height=height, shade=shade)
 
 
 def _hedge(builder: Builder) -> Maker:
-    height, depth = builder.between(0.7, 2.7), builder.between(0.5, 1.5)
-    ragged = builder.between(*(0.003, 0.03) if builder.chance(0.5) else (0.03, 0.2))
+    low = builder.chance(0.6)
+    height = builder.between(*(0.4, 1.2) if low else (0.7, 2.7))
+    depth = builder.between(0.4, 1.0 if low else 1.5)
+    clipped = builder.chance(0.75 if low else 0.5)
+    ragged = builder.between(*(0.003, boundaries.CLIPPED_M) if clipped else (0.03, 0.2))
     return partial(boundaries.hedge, builder.rng, height=height, depth=depth, ragged=ragged)
 
 
@@ -272,6 +303,12 @@ def _close(
         builder.put_line(bushes, side, start, end, out + builder.between(0.3, 0.9))
 
 
+PLANTS = (
+    (vegetation.bush, (0.12, 0.45), 0.5),
+    (vegetation.bush, (0.4, 1.3), 0.5),
+    (vegetation.ground_cover, (0.4, 1.8), 0.35),
+)
+"""Makers of plants of a lot, their sizes, and their number relative to that of all bushes."""
 KINDS: dict[str, Callable[[Builder, Side, Lot], None]] = {
     "terrace": _terrace, "house": _house, "yard": _yard, "green": _green, "field": _field,
     "thicket": _thicket, "carpark": _carpark, "scrub": _scrub,

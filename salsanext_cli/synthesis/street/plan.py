@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Ground plan of a street, road, pavements, lots and side streets, and its mesh.
+"""Ground plan of a street: road, pavements, lots and side streets.
 
 Positions are given along the street and across it: ``s`` metres along the centre line, ``t``
 metres to its left. Everything here is vectorised over s and t.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +13,8 @@ import numpy.typing as npt
 
 from salsanext_cli.records import Mask
 from salsanext_cli.synthesis import surfaces
-from salsanext_cli.synthesis.mesh import Array, Mesh, Rng
-from salsanext_cli.synthesis.presets import BRIGHTNESS, Numbers, weighted_choice
-from salsanext_cli.synthesis.surfaces import Material
+from salsanext_cli.synthesis.mesh import Array, Rng
+from salsanext_cli.synthesis.presets import Numbers, weighted_choice
 
 REACH_M = 62.0  # Extent of the world to either side of the centre line
 LEFT, RIGHT = 1, -1
@@ -25,8 +24,9 @@ RUN_OUT_M = 70.0  # Length of the street behind the first scan and beyond the la
 MULTILANE_HALF_WIDTH_M = 5.5
 """Half the width of a carriageway from which on it has more than a lane per direction."""
 GREEN = ("thicket", "scrub", "field", "green")  # Kinds of lot on an embankment
-PAVED = (Material.PAVING, Material.PAVING, Material.PAVING, Material.ASPHALT)
-"""Materials of paved ground, each as likely as it is listed."""
+ACROSS_M = 4.0
+"""Width of a strip of parking spaces from which on cars stand across it."""
+MAX_KERB_M = 0.14
 CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
 """Distances from the kerb of the grid lines that rounded corners need."""
 
@@ -72,6 +72,7 @@ class Side:
 
     sign: int  # LEFT or RIGHT
     parking: float
+    islands: tuple[tuple[float, float], ...]  # Intervals along s that interrupt the parking spaces
     verge: float
     strip: int  # Raw id of the verge
     sidewalk: float
@@ -121,7 +122,10 @@ class Side:
             label = np.where(inside, ground, label)
         label = np.where(beyond < self.depth, surfaces.SIDEWALK, label)
         label = np.where(beyond < self.parking + self.verge, self.strip, label)
-        label = np.where(beyond < self.parking, surfaces.PARKING, label)
+        on_island = np.zeros(np.shape(s), bool)
+        for low, high in self.islands:
+            on_island |= (s >= low) & (s < high)
+        label = np.where((beyond < self.parking) & ~on_island, surfaces.PARKING, label)
         for crossing in self.crossings:
             paved = np.abs(s - crossing.s) - crossing.half < crossing.pavement
             label = np.where(paved & (beyond > self.parking), surfaces.SIDEWALK, label)
@@ -205,6 +209,7 @@ class Plan:
         t = [-0.08, 0.08]
         for side in self.sides:
             s += [edge for lot in side.lots for edge in (lot.start, *lot.drive)]
+            s += [edge for island in side.islands for edge in island]
             strips = [0, side.parking, side.parking + side.verge, side.depth]
             strips += [side.depth + lot.setback for lot in side.lots]
             foot = side.depth + side.bank.start
@@ -262,10 +267,13 @@ def _crossings(rng: Rng, style: Numbers, length: float) -> tuple[Crossing, ...]:
 def _side(
     rng: Rng, style: Numbers, sign: int, length: float, crossings: tuple[Crossing, ...]
 ) -> Side:
-    parking = rng.uniform(1.7, 2.3) if rng.random() < style.parking else 0.0
+    width = (4.6, 5.6) if rng.random() < style.across else (1.7, 2.3)
+    parking = rng.uniform(*width) if rng.random() < style.parking else 0.0
+    islands = tuple(_islands(rng, length)) if parking and rng.random() < 0.5 else ()
     verge = rng.uniform(0.5, 2.6) if rng.random() < style.verge else 0.0
     sidewalk = rng.uniform(*style.sidewalk_width) if rng.random() < style.sidewalk else 0.0
-    kerb = rng.uniform(0.02, 0.14) if sidewalk and rng.random() >= style.flush else 0.0
+    low = MAX_KERB_M * rng.random() ** 1.3  # Most are lower than half of it
+    kerb = low if sidewalk and rng.random() >= style.flush else 0.0
     strip = surfaces.OTHER_GROUND if rng.random() < style.gravel else surfaces.TERRAIN
     bank = Bank(rng.uniform(-0.6, 1) * style.bank, 0.5, 14.0)
     kinds = style.lots
@@ -281,7 +289,19 @@ def _side(
         position = crossing.s + crossing.half + crossing.pavement
     lots += _lots(rng, style, kinds, position, length)
     raised = bool(rng.random() < 0.5)
-    return Side(sign, parking, verge, strip, sidewalk, kerb, raised, tuple(lots), here, bank)
+    return Side(
+        sign, parking, islands, verge, strip, sidewalk, kerb, raised, tuple(lots), here, bank
+    )
+
+
+def _islands(rng: Rng, length: float) -> Iterator[tuple[float, float]]:
+    """Yield intervals along s of planted ground between groups of parking spaces."""
+    gap = rng.uniform(8, 40)
+    s = rng.uniform(0, gap)
+    while s < length:
+        end = s + rng.uniform(0.8, 4)
+        yield s, end
+        s = end + gap * rng.uniform(0.7, 1.3)
 
 
 def _lots(
@@ -316,59 +336,3 @@ def _lot(rng: Rng, kind: str, start: float, end: float, setback: float) -> Lot:
     elif kind == "yard" and rng.random() < 0.3:
         front = surfaces.PARKING
     return Lot(kind, start, end, setback, front, back, drive)
-
-
-def ground(rng: Rng, plan: Plan) -> Mesh:
-    """Return the ground of a street; each cell has the label of its middle."""
-    s_edges, t_edges = plan.edges()
-    s = _lines(np.arange(0.0, plan.length + 1, 1.0), s_edges, 0.0, plan.length)
-    across = np.concatenate([np.arange(-10, 10.1, 0.5), np.linspace(10, REACH_M, 26)])
-    t = _lines(np.concatenate([across, -across]), t_edges, -REACH_M, REACH_M)
-    grid_s, grid_t = np.meshgrid(s, t, indexing="ij")
-    vertices = plan.world(grid_s, grid_t)
-    rough = (plan.label(grid_s, grid_t) == surfaces.TERRAIN) * rng.normal(0, 0.03, grid_s.shape)
-    vertices[..., 2] += rough
-    middle = plan.label(
-        (grid_s[:-1, :-1] + grid_s[1:, 1:]) / 2, (grid_t[:-1, :-1] + grid_t[1:, 1:]) / 2
-    )
-    patchwork = _patches(rng, (s[:-1] + s[1:]) / 2, (t[:-1] + t[1:]) / 2, plan.length)
-    labels = np.repeat(middle.ravel(), 2)
-    materials = np.zeros(len(labels), np.uint8)
-    shades = np.ones(len(labels), np.float32)
-    materials_of = {
-        surfaces.ROAD: Material.PAVING if rng.random() < 0.12 else Material.ASPHALT,
-        surfaces.MARKING: Material.MARKING,
-        surfaces.PARKING: PAVED[rng.integers(4)],
-        surfaces.SIDEWALK: PAVED[rng.integers(4)],
-        surfaces.OTHER_GROUND: (*PAVED, Material.GRASS)[rng.integers(5)],
-        surfaces.TERRAIN: Material.GRASS,
-    }
-    for label, material in materials_of.items():
-        materials[labels == label] = material
-        shades[labels == label] = rng.uniform(0.75, 1.25)
-    shades *= np.repeat(patchwork.ravel(), 2).astype(np.float32)
-    shades *= np.repeat(rng.normal(1, 0.03, middle.size), 2).astype(np.float32)
-    index = np.arange(grid_s.size).reshape(grid_s.shape)
-    a, b, c, d = index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]
-    faces = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], 2)
-    return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), labels, materials, shades)
-
-
-def _lines(regular: Array, edges: Array, low: float, high: float) -> Array:
-    lines: Array = np.unique(np.concatenate([regular, edges - KERB_M, edges + KERB_M]))
-    lines = lines[(lines >= low) & (lines <= high)]
-    return lines[np.concatenate([[True], np.diff(lines) > 0.01])]
-
-
-def _patches(rng: Rng, s: Array, t: Array, length: float) -> Array:
-    """Return the brightness of cells (s, t): mended asphalt, worn and wet places, tracks."""
-    shade = np.ones((len(s), len(t)))
-    for _ in range(int(length / 6)):
-        centre = rng.uniform([0, -12], [length, 12])
-        half = rng.uniform([0.4, 0.2], [9, 1.6]) * rng.choice([1, 1, 1, 3])
-        inside = (np.abs(s - centre[0]) < half[0])[:, None] & (np.abs(t - centre[1]) < half[1])
-        if rng.random() < BRIGHTNESS.wet_patch:
-            shade[inside] *= rng.uniform(*BRIGHTNESS.wet_brightness)
-        else:
-            shade[inside] *= np.exp(rng.normal(0, BRIGHTNESS.patch))
-    return np.clip(shade, BRIGHTNESS.least, BRIGHTNESS.most)

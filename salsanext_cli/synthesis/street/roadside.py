@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from salsanext_cli.synthesis.street.builder import Builder
-from salsanext_cli.synthesis.street.plan import Crossing, Side
+from salsanext_cli.synthesis.street.plan import ACROSS_M, Crossing, Side
 from salsanext_cli.synthesis.things import boundaries, cycles, furniture, people, vegetation
 from salsanext_cli.synthesis.things.vehicles import car, length_of, vehicle
 
@@ -19,7 +19,7 @@ IN_A_ROW_M = 1.95  # Distance between bicycles that stand one behind the other
 
 def furnish(builder: Builder, side: Side) -> None:
     """Fill the strips of one side: parked cars, trees, lamps, signs, people, clutter."""
-    for fill in (_road_works, _parked, _trees, _lamps, _signs, _crowd, _clutter):
+    for fill in (_road_works, _islands, _parked, _trees, _lamps, _signs, _crowd, _clutter):
         fill(builder, side)
     for crossing in side.crossings:
         _side_street(builder, side, crossing)
@@ -46,15 +46,32 @@ def _road_works(builder: Builder, side: Side) -> None:
         builder.put_if_free(piece, side, float(s), out + builder.rng.normal(0, 0.04), 0.45 * length)
 
 
+def _islands(builder: Builder, side: Side) -> None:
+    """Plant what lies between groups of parking spaces, and let nobody park there."""
+    for low, high in side.islands:
+        half, room = (high - low) / 2, side.parking / 2
+        s = (low + high) / 2
+        radius = min(half, room) * builder.between(0.6, 1)
+        make = vegetation.bush if builder.chance(0.5) else vegetation.ground_cover
+        planted = builder.put_if_free(make(builder.rng, radius), side, s, room, half)
+        if planted and builder.chance(0.4):
+            builder.put(vegetation.tree(builder.rng, builder.between(4, 10)), side, s, room)
+
+
 def _parked(builder: Builder, side: Side) -> None:
     out = side.parking / 2 if side.parking else 0.75
     share = builder.plan.style.parked * (1 if side.parking else 0.45)
     s, occupied = 2.5, builder.chance(share)
+    across = side.parking > ACROSS_M
     while s < builder.plan.length - 2.5:
         if builder.chance(0.35):
             occupied = builder.chance(share)
-        length = 5.2
-        if occupied:
+        length = builder.between(2.4, 2.8) if across else 5.2
+        if occupied and across:
+            yaw = np.pi * (builder.chance(0.5) - 0.5) + builder.rng.normal(0, 0.03)
+            beyond = out + builder.rng.normal(0, 0.15)
+            builder.put_if_free(car(builder.rng), side, s + length / 2, beyond, 1.1, yaw)
+        elif occupied:
             mesh = vehicle(builder.rng)
             length = length_of(mesh) + builder.between(0.6, 1.6)
             yaw = np.pi * (builder.chance(0.15) ^ (side.sign > 0)) + builder.rng.normal(0, 0.02)
@@ -73,13 +90,16 @@ def _trees(builder: Builder, side: Side) -> None:
     while s < builder.plan.length:
         mesh = vegetation.tree(builder.rng, height * builder.between(0.85, 1.15))
         builder.put_if_free(mesh, side, s, out + builder.rng.normal(0, 0.1), 0.5)
-        if side.verge and builder.chance(0.5):
-            weeds = vegetation.weeds(builder.rng, builder.between(0.3, 0.8))
-            builder.put(weeds, side, s + builder.between(1, 4), out)
+        if side.verge and builder.chance(0.7):
+            make = vegetation.weeds if builder.chance(0.4) else vegetation.ground_cover
+            plants = make(builder.rng, builder.between(0.3, 0.8))
+            builder.put(plants, side, s + builder.between(1, 4), out)
+        if builder.chance(0.015 * builder.plan.style.crowd):
+            _group(builder, side, s, out)
         s += builder.between(*builder.plan.style.tree_gap)
     if side.verge and builder.chance(0.3):
         for s in np.arange(3, builder.plan.length, builder.between(2, 8)):
-            radius = min(1.0, 0.5 * side.verge) * builder.between(0.5, 1)
+            radius = min(1.0, 0.5 * side.verge) * builder.between(0.2, 1)
             builder.put_if_free(vegetation.bush(builder.rng, radius), side, float(s), out, 0.8)
 
 

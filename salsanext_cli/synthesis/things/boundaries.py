@@ -17,9 +17,11 @@ from salsanext_cli.synthesis.mesh import (
 from salsanext_cli.synthesis.surfaces import FENCE, Material
 from salsanext_cli.synthesis.things.vegetation import FOOT_M, leaf_skin
 
-FENCES = ("pickets", "pickets", *["railing"] * 3, *["mesh"] * 3, "boards", "wall")
+FENCES = (*["pickets"] * 3, *["railing"] * 5, *["mesh"] * 4, "boards", "wall")
+PALE_SPREAD_M = 0.025  # Standard deviation of the upright pieces across a fence
+CLIPPED_M = 0.03  # Largest unevenness of a clipped hedge, whose leaves are small and dense
 PALES = {
-    "pickets": (Material.WOOD, 0.16, 0.09),
+    "pickets": (Material.WOOD, 0.2, 0.09),
     "boards": (Material.WOOD, 0.21, 0.2),
     "railing": (Material.METAL, 0.13, 0.035),
     "mesh": (Material.METAL, 0.1, 0.018),
@@ -56,20 +58,21 @@ def fence(rng: Rng, length: float, kind: str, height: float, shade: float) -> Me
     material, pitch, width = PALES[kind]
     skin = Skin(FENCE, material, shade)
     x = np.arange(0, length, pitch)
-    parts = [_strips(x, x + width, 0.03, height + rng.normal(0, 0.015, len(x)), skin=skin)]
+    top, y = height + rng.normal(0, 0.015, len(x)), rng.normal(0, PALE_SPREAD_M, len(x))
+    parts = [_strips(x, x + width, 0.03, top, y, skin=skin)]
     for post in np.arange(0, length, 2.2):
         parts.append(box((post, -0.05, FOOT_M), (post + 0.08, 0.05, height + 0.05), skin))
     for z in (0.2, height - 0.15):
         parts.append(box((0, 0.01, z - 0.04), (length, 0.05, z + 0.04), skin))
     if kind == "mesh":
         rows = np.arange(0.1, height, 0.12)
-        parts.append(_strips(0.0, length, rows, rows + 0.018, skin=skin))
+        parts.append(_strips(0.0, length, rows, rows + 0.018, 0.0, skin=skin))
     return merge(parts)
 
 
 def _strips(*edges: Array | float, skin: Skin) -> Mesh:
-    """Return upright rectangles in the plane y = 0: left, right, lower and upper edges."""
-    x0, x1, z0, z1, y = np.broadcast_arrays(*edges, 0.0)
+    """Return upright rectangles in planes y: left, right, lower and upper edges and y."""
+    x0, x1, z0, z1, y = np.broadcast_arrays(*edges)
     corners = [np.stack(c, -1) for c in ((x0, y, z0), (x1, y, z0), (x1, y, z1), (x0, y, z1))]
     return quads(np.stack(corners, 1), skin)
 
@@ -82,9 +85,10 @@ def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -
     section[[0, -1], 1] = FOOT_M
     sides = section + rng.normal(0, ragged, (len(stations), len(section), 2))
     core = extrusion(stations, sides, leaf)
-    count = int(length * (height + depth) * rng.uniform(15, 45))
+    clipped = ragged <= CLIPPED_M
+    count = int(length * (height + depth) * rng.uniform(15, 45) * (1 + 0.4 * clipped))
     centres = rng.uniform([0, -0.5, 0], [1, 0.5, 1], (count, 3)) * [length, depth, height]
-    outer, largest = rng.random(count), rng.uniform(0.04, 0.12)
+    outer, largest = rng.random(count), rng.uniform(*(0.025, 0.05) if clipped else (0.04, 0.12))
     centres[:, 1] = np.where(outer < 0.75, np.sign(centres[:, 1]) * depth * 0.48, centres[:, 1])
     centres[:, 2] = np.where(outer >= 0.75, height, centres[:, 2])
     centres += rng.normal(0, ragged, centres.shape)

@@ -10,6 +10,7 @@ from salsanext_cli.synthesis.things.vehicles import dark_paint
 
 TYRE_SHADE = 3.0  # Brighter than car tyres; in a street no shade exceeds 2.2
 WHEEL_M = 0.34  # Radius of a bicycle's wheel
+COVERED_SHARE = 0.2  # Of the parked motorcycles
 AXLE_M = 0.52  # Half the distance between the axles of a bicycle
 
 
@@ -54,7 +55,7 @@ def bicycle(rng: Rng, label: int = BICYCLE) -> Mesh:
 
 
 def motorcycle(rng: Rng, label: int = MOTORCYCLE) -> Mesh:
-    """Return a motorcycle or a scooter."""
+    """Return a motorcycle or a scooter; some that nobody rides are under a cover."""
     paint, iron = dark_paint(rng, label), Skin(label, Material.METAL, 0.6)
     tyre = Skin.random(rng, label, Material.RUBBER, 0.5, TYRE_SHADE)
     scooter = rng.random() < 0.4
@@ -73,6 +74,12 @@ def motorcycle(rng: Rng, label: int = MOTORCYCLE) -> Mesh:
         parts.append(box((0.42, -0.2, 0.95), (0.45, 0.2, 1.35), Skin(label, Material.GLASS)))
     if rng.random() < 0.4:
         parts.append(box((-0.9, -0.2, 0.85), (-0.55, 0.2, 1.15), paint))
+    if label == MOTORCYCLE and rng.random() < COVERED_SHARE:
+        cover = Skin.random(rng, label, Material.CLOTH, 0.2, 1.2)
+        parts += [
+            ellipsoid((-0.3, 0, 0.55), (0.72, 0.3, 0.45), cover),
+            ellipsoid((0.38, 0, 0.7), (0.42, 0.38, 0.45), cover),
+        ]
     return merge(parts).scaled(rng.uniform([0.9, 0.9, 0.92], [1.12, 1.1, 1.08]))
 
 

@@ -70,7 +70,7 @@ def _sitting_legs(cloth: Skin) -> list[Mesh]:
 
 
 def _luggage(rng: Rng) -> list[Mesh]:
-    """Return a rucksack, a bag, a box in the arms, or nothing."""
+    """Return up to two of: a rucksack, a bag on either side, a box in the arms."""
     bag = Skin.random(rng, PERSON, Material.CLOTH, 0.3, 1.2)
     corners = (
         ((-0.17, -0.09, 0.58), (-0.07, 0.09, 0.8)),
@@ -78,5 +78,5 @@ def _luggage(rng: Rng) -> list[Mesh]:
         ((0.08, -0.13, 0.55), (0.24, 0.13, 0.7)),
         ((-0.08, -0.19, 0.32), (0.08, -0.13, 0.5)),
     )
-    kind = rng.choice(5, p=(0.22, 0.12, 0.06, 0.1, 0.5))
-    return [box(*corners[kind], bag)] if kind < 4 else []
+    kinds = set(rng.choice(5, 2, p=(0.15, 0.1, 0.05, 0.1, 0.6)).tolist()) - {len(corners)}
+    return [box(*corners[kind], bag) for kind in kinds]

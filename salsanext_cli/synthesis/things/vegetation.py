@@ -10,9 +10,9 @@ THIN_M = 0.06  # Largest radius of a stem that is a branch, not a trunk
 FOOT_M = -0.4  # Height of the foot of trunks and stems, below the uneven ground
 
 
-def leaf_skin(rng: Rng) -> Skin:
-    """Draw the brightness of leaves."""
-    return Skin.random(rng, VEGETATION, Material.LEAF, 0.7, 1.25)
+def leaf_skin(rng: Rng, material: Material = Material.LEAF) -> Skin:
+    """Draw the brightness of leaves, dense as a hedge's or loose `Material.FOLIAGE`."""
+    return Skin.random(rng, VEGETATION, material, 0.7, 1.25)
 
 
 def _leaves(
@@ -35,7 +35,7 @@ def tree(rng: Rng, height: float) -> Mesh:
     branch = bark._replace(label=VEGETATION)
     radius = float(rng.uniform(0.018, 0.06) * height**0.75)
     clear = max(rng.uniform(0.2, 0.5) * height, 1.8 if rng.random() < 0.5 else 0.0)
-    dense = rng.random() < 0.5
+    dense = rng.random() < 0.4
     bend = rng.normal(0, 0.05 * height, (2,))
     heights = np.array([FOOT_M, 0.0, 0.4, clear * 0.5, clear, clear * 1.5])
     share = np.clip(heights / heights[-1], 0, 1)[:, None]
@@ -43,7 +43,7 @@ def tree(rng: Rng, height: float) -> Mesh:
     swell = np.array([1.7, 1.4, 1.1, 0.95, 0.85, 0.5])
     parts = [tube(path, radius * swell, bark, 9)]
     spread = height * rng.uniform(0.2, 0.34)
-    leaf = leaf_skin(rng)
+    leaf = leaf_skin(rng, Material.FOLIAGE)
     for _ in range(int(rng.integers(5, 9))):
         angle = rng.uniform(0, 2 * np.pi)
         out = np.array([np.cos(angle), np.sin(angle)]) * spread * rng.uniform(0.3, 1)
@@ -69,8 +69,9 @@ def conifer(rng: Rng, height: float) -> Mesh:
     reach = radius * (1 - share) * np.sqrt(rng.uniform(0.25, 1, count)) + rng.normal(0, 0.06, count)
     z = base + share * (height - base) - 0.25 * reach
     centres = np.stack([reach * np.cos(angle), reach * np.sin(angle), z], -1)
+    leaf = leaf_skin(rng, Material.FOLIAGE)
     trunk = tube([[0, 0, FOOT_M], [0, 0, height * 0.8]], [0.025 * height, 0.05], bark)
-    return merge([trunk, facets(centres, rng.uniform(0.1, 0.26, count), leaf_skin(rng), rng)])
+    return merge([trunk, facets(centres, rng.uniform(0.1, 0.26, count), leaf, rng)])
 
 
 def bush(rng: Rng, radius: float) -> Mesh:
@@ -87,16 +88,17 @@ def bush(rng: Rng, radius: float) -> Mesh:
 
 def thicket(rng: Rng, length: float, depth: float, height: float) -> Mesh:
     """Return undergrowth from x = 0 to x = length, y = 0 to y = depth: bushes, stems, crowns."""
-    leaf = leaf_skin(rng)
+    leaf = leaf_skin(rng, Material.FOLIAGE)
     bark = Skin(TRUNK, Material.BARK, 0.85)
-    parts = []
+    parts, dense = [], rng.choice([0.3, 0.9])
     for _ in range(max(2, int(length * depth / 5))):
         x, y = rng.uniform(0, length), rng.uniform(0, depth)
         low = rng.uniform(0.15, 0.55) * height * (0.5 + 0.5 * y / depth)
         size = np.array([*rng.uniform(0.7, 1.8, 2), low])
         centre = np.array([x, y, low * 0.6])
-        parts.append(ellipsoid(centre, size * 0.6, leaf, _lumps(rng, 0.2)))
-        parts.append(_leaves(rng, centre, size, int(rng.uniform(150, 330)), (0.06, 0.22), leaf))
+        if rng.random() < dense:
+            parts.append(ellipsoid(centre, size * 0.6, leaf, _lumps(rng, 0.2)))
+        parts.append(_leaves(rng, centre, size, int(rng.uniform(150, 330)), (0.04, 0.2), leaf))
     for _ in range(max(1, int(length / 4))):
         x, y = rng.uniform(0, length), rng.uniform(depth * 0.2, depth)
         lean = rng.normal(0, 0.5, 2)
@@ -106,6 +108,18 @@ def thicket(rng: Rng, length: float, depth: float, height: float) -> Mesh:
         parts.append(tube([np.array([x, y, FOOT_M]), top], [radius, 0.03], stem, 6))
         parts.append(_leaves(rng, top, np.array([2.0, 2.0, height * 0.3]), 260, (0.12, 0.32), leaf))
     return merge(parts)
+
+
+def ground_cover(rng: Rng, radius: float) -> Mesh:
+    """Return plants that cover the ground 0.05 to 0.5 m high, thinner towards their rim."""
+    leaf, height = leaf_skin(rng), rng.uniform(0.05, 0.5) * min(1.0, radius)
+    count = int(140 * radius**2)
+    places = rng.uniform(-1, 1, (count, 2))
+    rise = np.clip(1 - (places**2).sum(1), 0, 1) ** 0.4 * rng.uniform(0.4, 1.0, count)
+    centres = np.column_stack([places * radius, rise * height])[rise > 0]
+    size = rng.uniform(0.03, 0.12, len(centres))
+    core = ellipsoid((0, 0, 0), [0.9 * radius, 0.9 * radius, 0.6 * height], leaf, _lumps(rng, 0.15))
+    return merge([core, facets(centres, size, leaf, rng)])
 
 
 def weeds(rng: Rng, radius: float) -> Mesh:

@@ -15,6 +15,7 @@ from torch import Tensor
 from salsanext_cli.errors import NOTICE, TrainingError, WeightsError
 from salsanext_cli.measures.calibration import calibration_scores
 from salsanext_cli.measures.histograms import confidence_histogram, softmax_errors
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.error_model import TEMPERATURES
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.records import Float
@@ -85,19 +86,23 @@ def fit_temperature(scans: TuningScans) -> Tuned:
     if card.risk and card.risk["kind"] != "error":
         log.log(NOTICE, "the threshold is dropped: choose a new one with `salsanext tune risk`")
         card = replace(card, risk={})
-    if card.error:
+    return with_temperature(card, temperature, logits), report
+
+
+def with_temperature(card: WeightsCard, temperature: float, logits: Tensor) -> WeightsCard:
+    """Return a card with another temperature, and the same expected accuracy of logits (N, C)."""
+    error, accuracy = card.error, card.accuracy
+    if error:
         # Its features stay those of the old temperature.
-        own = card.error.temperature or card.temperature
-        card = replace(card, error=replace(card.error, temperature=own))
-    if card.accuracy:
+        error = replace(error, temperature=error.temperature or card.temperature)
+    if accuracy and len(logits):
         # The labels stay, so the same scans have the same expected accuracy at the new confidence.
         old, new = (
             (logits.double() / t).softmax(dim=1).amax(dim=1).mean().logit(1e-6).item()
             for t in (card.temperature, temperature)
         )
-        offset = card.accuracy["offset"] + card.accuracy["slope"] * (old - new)
-        card = replace(card, accuracy={**card.accuracy, "offset": offset})
-    return replace(card, temperature=temperature), report
+        accuracy = {**accuracy, "offset": accuracy["offset"] + accuracy["slope"] * (old - new)}
+    return replace(card, temperature=temperature, error=error, accuracy=accuracy)
 
 
 def _sample(scan: LabelledImage, logits: Float, most: int) -> Points:

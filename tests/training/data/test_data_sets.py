@@ -212,7 +212,7 @@ def test_scores_count_points_after_knn(tmp_path: Path, weights: Path) -> None:
         np.add.at(expected, (truth, predicted), 1)
     assert expected.sum() == 4500
     wanted = scores(expected, space)
-    row = validate(network, Source(files, space, network.sensor))
+    row, _ = validate(network, Source(files, space, network.sensor))
     assert (row["accuracy"], row["miou"]) == (wanted.accuracy, wanted.iou_mean_present)
     np.testing.assert_equal(
         [row[f"iou_{s.name}"] for s in wanted.classes], [s.iou for s in wanted.classes]
@@ -231,7 +231,7 @@ def test_validation_sees_each_sequence_by_its_own_sensor(tmp_path: Path, weights
             write_bin(file.path, Scan(scan.points * np.float32([1, sign, sign]), scan.intensity))
         fitted = {"00": replace(network.sensor, up=(0.0, 0.0, float(up)))}
         source = Source(files, network.card.space, network.sensor, fitted)
-        row = validate(network, source)
+        row, _ = validate(network, source)
         del row["temperature"]
         rows.append(row)
     np.testing.assert_equal(*rows)

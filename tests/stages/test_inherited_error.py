@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: MIT
+"""Error model and expected accuracy of weights that were trained from others without folds."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scans import SMALL, write_sequence
+from tiny_network import TinyNetwork
+from world import World
+
+from salsanext_cli import LabelSpace, label_space, load_network, project, read_labels, read_scan
+from salsanext_cli.errors import NOTICE
+from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.error_model import ErrorModel
+from salsanext_cli.network.weights import save_weights, save_with_card
+from salsanext_cli.options import ScanSelection
+from salsanext_cli.report.page.run_results import expected_of_run, facts_of_run
+from salsanext_cli.results.layout import ERROR, find_scans
+from salsanext_cli.stages.models import describe_weights
+from salsanext_cli.stages.predict import predict_scans
+from salsanext_cli.stages.train import TrainResult, train
+from salsanext_cli.stages.tune import tune
+from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.tuning import error
+from salsanext_cli.uncertainty.error_features import FEATURES
+
+MODEL = ErrorModel(FEATURES, [(np.full((9, 1), 0.1, "f4"), np.zeros(1, "f4"))], {"folds": 5})
+LINE = {"slope": 1.25, "offset": 0.5, "deviation": 0.04}
+ONCE = Recipe(epochs=1, batch=2, crop_width=32, learning_rate=1e-3, average=0.5)
+
+
+@pytest.fixture
+def start(tmp_path: Path, tiny_training: None) -> Path:
+    """Weights with a version, an error model and a line of the expected accuracy."""
+    path = tmp_path / "start.safetensors"
+    card = WeightsCard({"name": "salsanext", "class_count": 20}, label_space(), SMALL, version=5)
+    card = replace(card, temperature=1.3, error=MODEL, accuracy=LINE, risk={})
+    save_weights(path, TinyNetwork(), card)
+    return path
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """Three scans to train on and two to validate."""
+    write_sequence(tmp_path / "data/sequences/00", ["0", "1", "2"], count=600)
+    write_sequence(tmp_path / "data/sequences/08", ["0", "1"], count=600, seed=1)
+    return tmp_path / "data"
+
+
+def go(data: Path, run: Path, weights: Path, recipe: Recipe = ONCE) -> TrainResult:
+    return train(data, run, recipe=recipe, device="cpu", weights=weights)
+
+
+def mean_confidences(weights: Path, data: Path, *temperatures: float) -> list[float]:
+    """Return the mean largest probability of the labelled points of sequence 08."""
+    network, largest = load_network(weights, "cpu", engine="torch"), [[] for _ in temperatures]
+    space = label_space()
+    for file in find_scans(data, ["08"]):
+        image = project(read_scan(file.path), network.sensor)
+        logits = network.logits(image).reshape(20, -1)
+        scored = space.scored[space.to_train(read_labels(file.label_path))]
+        pixels = image.pixel_of_point[scored & (image.pixel_of_point >= 0)]
+        for values, temperature in zip(largest, temperatures, strict=True):
+            powers = np.exp(logits[:, pixels].astype("f8") / temperature)
+            values.append((powers / powers.sum(axis=0)).max(axis=0))
+    return [float(np.concatenate(values).mean()) for values in largest]
+
+
+def test_validated_weights_inherit_both_at_their_own_temperature(data, start, tmp_path, caplog):
+    caplog.set_level(NOTICE)
+    result = go(data, tmp_path / "run", start)
+    card, name = (
+        read_card(result.best),
+        f"default weights version 5 (SHA-256 {fingerprint(start)[:16]})",
+    )
+    assert card.version is None
+    assert card.recipe["initial"] == name
+    parts = f"error model and expected accuracy of {name}"
+    assert card.inherited() == parts
+    assert [text for text in caplog.messages if text.startswith("inherited: ")] == [
+        f"inherited: {parts}; fit a model by `salsanext tune error`"
+    ]
+    # The error model describes the softmax that it was fitted to.
+    marked = replace(MODEL, temperature=1.3, scores={"inherited_from": name, "folds": 5})
+    assert card.error is not None
+    assert card.error.to_dict() == marked.to_dict()
+    # At the confidence by the temperature of the validation, the line gives the same accuracy.
+    assert card.temperature == pytest.approx(result.rows[-1]["temperature"])
+    assert card.temperature != 1.3
+    old, new = mean_confidences(result.best, data, 1.3, card.temperature)
+    logits = [np.log(each / (1 - each)) for each in (old, new)]
+    assert card.accuracy["inherited_from"] == name
+    assert card.accuracy["slope"] == 1.25
+    expected = 1.25 * logits[0] + 0.5
+    assert 1.25 * logits[1] + card.accuracy["offset"] == pytest.approx(expected, abs=1e-4)
+    # What is trained from them names the weights that both were fitted to.
+    again = read_card(go(data, tmp_path / "again", result.best).best)
+    assert again.inherited() == parts
+    assert again.recipe["initial"] == f"best.safetensors (SHA-256 {fingerprint(result.best)[:16]})"
+
+
+def test_a_single_scan_leaves_the_temperature_and_the_line(data, start, tmp_path):
+    shutil.rmtree(data / "sequences/08")
+    for stem in ("1", "2"):
+        (data / f"sequences/00/velodyne/{stem}.bin").unlink()
+        (data / f"sequences/00/labels/{stem}.label").unlink()
+    card = read_card(go(data, tmp_path / "run", start, ONCE.with_changes(folds=2)).best)
+    assert card.temperature == 1.3
+    assert card.error is not None
+    assert card.error.temperature in (None, 1.3)
+    assert {**card.accuracy, **LINE} == card.accuracy
+
+
+def test_weights_for_other_classes_inherit_nothing(data, start, tmp_path, caplog):
+    caplog.set_level(NOTICE)
+    known = label_space().to_dict()
+    named = known | {"labels": {**known["labels"], 10: "automobile"}}
+    (data / "labels.yaml").write_text(json.dumps(LabelSpace.from_dict(named, "own").to_dict()))
+    card = read_card(go(data, tmp_path / "run", start).best)
+    assert (card.error, card.accuracy, card.inherited()) == (None, {}, "")
+    said = [text for text in caplog.messages if "inherited" in text]
+    assert [text.partition(":")[0] for text in said] == [
+        "not inherited, since classes or features differ"
+    ]
+    # Errors by other features cannot be used.
+    caplog.clear()
+    (data / "labels.yaml").unlink()
+    features = ("something else", *FEATURES[1:])
+    other = replace(read_card(start), error=replace(MODEL, features=features))
+    save_with_card(start, start, other)
+    assert read_card(go(data, tmp_path / "other", start).best).error is None
+    assert "not inherited" in caplog.text
+
+
+def test_weights_without_either_give_none_and_no_notice(data, start, tmp_path, caplog):
+    caplog.set_level(NOTICE)
+    save_with_card(start, start, replace(read_card(start), error=None, accuracy={}))
+    shutil.rmtree(data / "sequences/08")
+    recipe = ONCE.with_changes(folds=2)
+    card = read_card(go(data, tmp_path / "run", start, recipe).best)
+    assert (card.error, card.accuracy) == (None, {})
+    assert "inherited" not in caplog.text
+
+
+@pytest.fixture
+def heirs(world: World) -> World:
+    """Have the weights of a world inherit an error model and a line."""
+    path, mark = world.network.weights, {"inherited_from": "city (SHA-256 abc)"}
+    assert path is not None
+    card = replace(read_card(path), error=replace(MODEL, scores=mark), accuracy=LINE | mark)
+    own = world.out.parent / "heirs.safetensors"
+    save_with_card(path, own, card)
+    return replace(world, network=replace(world.network, weights=own))
+
+
+def test_a_run_says_once_what_is_not_fitted_to_its_weights(heirs, tmp_path, monkeypatch, caplog):
+    caplog.set_level(NOTICE)
+    world, both = heirs, "error model and expected accuracy of city (SHA-256 abc)"
+    predict_scans(world.data, world.out, settings=world.network, extras=(ERROR,))
+    assert [text for text in caplog.messages if "city" in text] == [
+        f"{both}; not fitted to these weights: `salsanext tune error`"
+    ]
+    assert (np.load(world.result(ERROR))[~np.isnan(np.load(world.result(ERROR)))] <= 1).all()
+    assert json.loads((world.out / "predict.json").read_text())["settings"]["inherited"] == both
+    facts = dict(facts_of_run(world.out, SMALL))
+    assert facts["Inherited"] == f"{both}, not fitted to these weights"
+    assert expected_of_run(world.out, []) is None
+    assert world.network.weights is not None
+    assert (
+        describe_weights(world.network.weights)["error"]["inherited_from"] == "city (SHA-256 abc)"
+    )
+    # A record that was damaged is no reason to show no page.
+    record = json.loads((world.out / "predict.json").read_text())
+    record["settings"]["inherited"] = ["<b>"]
+    (world.out / "predict.json").write_text(json.dumps(record))
+    assert "<b>" in dict(facts_of_run(world.out, SMALL))["Inherited"]
+    # A model that is fitted to the weights is their own; the line stays that of others.
+    monkeypatch.setattr(error, "MIN_STEPS", 1)
+    monkeypatch.setattr(error, "gains", lambda model: True)
+    tuned, every = tmp_path / "tuned.safetensors", ScanSelection(sequences=("00", "08"))
+    tune("error", world.data, tuned, settings=world.network, selection=every)
+    assert read_card(tuned).inherited() == "expected accuracy of city (SHA-256 abc)"
+    caplog.clear()
+    settings = replace(world.network, weights=tuned)
+    predict_scans(world.data, tmp_path / "tuned", settings=settings, extras=(ERROR,))
+    assert [text for text in caplog.messages if "city" in text] == [
+        "expected accuracy of city (SHA-256 abc); not fitted to these weights"
+    ]
+
+
+def test_weights_of_ones_own_are_not_said_to_inherit(world, caplog):
+    caplog.set_level(NOTICE)
+    predict_scans(world.data, world.out, settings=world.network)
+    assert "fitted" not in caplog.text
+    settings = json.loads((world.out / "predict.json").read_text())["settings"]
+    assert {"inherited", "weights_version"}.isdisjoint(settings)
+    assert "Inherited" not in dict(facts_of_run(world.out, SMALL))
