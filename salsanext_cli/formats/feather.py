@@ -39,7 +39,7 @@ def read_table(path: Path) -> Any:
     return table
 
 
-def feather_subset(table: Any, rows: Indices) -> bytes:
+def encode_feather(table: Any, rows: Indices) -> bytes:
     """Return a Feather file of some rows (M,) of a table."""
     from pyarrow.feather import write_feather
 

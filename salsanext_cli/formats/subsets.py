@@ -19,9 +19,18 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.reading import reading, refusing_damage
-from salsanext_cli.formats import kitti, las, numpy_scans, pcd, ply, scan_suffix, text
+from salsanext_cli.formats import (
+    errors_of_plug_ins,
+    format_of,
+    kitti,
+    las,
+    numpy_scans,
+    pcd,
+    ply,
+    text,
+)
 from salsanext_cli.formats.bags import EXPECTED, POINT_CLOUD2, REMEDY, Bag, columns_of
-from salsanext_cli.formats.feather import feather_subset, read_table
+from salsanext_cli.formats.feather import encode_feather, read_table
 from salsanext_cli.formats.npy import load_npy
 from salsanext_cli.records import Mask
 
@@ -32,49 +41,99 @@ COMPRESSED_PCD = re.compile(rb"(?mi)^(\s*DATA\s+binary)_compressed")
 END_OF_PLY = re.compile(rb"end_header(?:\r\n|\r|\n)")
 
 
-def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Callable[[Mask], bytes]:
-    """Read a scan file; return what gives its content with the points only that stay, (N,) bool.
+Subset = Callable[[Mask], bytes]
+"""Function from the points that stay, (N,) bool, to the content of a file with only these."""
+
+
+def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Subset:
+    """Read a scan file; return a function that gives its content with the points that stay.
 
     Header, order and values stay; an organised PCD cloud becomes one row, a compressed one binary.
     `names`: of the columns of files that do not name them.
     """
-    suffix = scan_suffix(path.name)
-    if suffix in (".las", ".laz"):
-        return partial(_las_subset, path, *las.read_points(path, further_records=True))
-    if suffix == ".npy":
-        return partial(_npy_subset, path, load_npy(path, numpy_scans.EXPECTED), len(names))
-    if suffix == ".npz":
-        return partial(_npz_subset, path, *numpy_scans.npz_arrays(path))
-    if suffix == ".feather":
-        table = read_table(path)
-        return lambda keep: feather_subset(table, _kept(np.arange(len(table)), keep, path))
-    number, width = NUMBERS, 0
-    with reading(path) as file, refusing_damage(path, f"a whole {suffix} file"):
-        head, body = b"", file.read()
-        match suffix:
-            case ".pcd":
-                head, body, width = _pcd_parts(body, path)
-            case ".ply":
-                head, body, width = _ply_parts(body, path)
-            case ".bin" | ".pcd.bin" | ".bin.gz" | ".pcd.bin.gz":
-                if suffix.endswith(kitti.GZIP_SUFFIX):
-                    body = kitti.decompressed(io.BytesIO(body), path)[0].getvalue()
-                width = 4 * (len(names) or kitti.usual_width(path))
-            case _:
-                mark = len(body) - len(body.removeprefix(text.BYTE_ORDER_MARK))
-                layout = text.layout_of(body[mark:], has_names=bool(names))
-                head, body = body[: mark + layout.start], body[mark + layout.start :]
-                number = NUMBER_ALONE if layout.count is not None else NUMBERS
+    form = format_of(path.name)
+    if form is None or form.subset is None:
+        remedy = "write masks with --indices"
+        raise FormatError(path, "a format that cannot be written", "another format", remedy)
+    with errors_of_plug_ins(path):
+        subset = form.subset(path, names)
+    return errors_of_plug_ins(path)(subset)
+
+
+def las_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read a LAS or LAZ file."""
+    return partial(_las_subset, path, *las.read_points(path, further_records=True))
+
+
+def npy_subset(path: Path, names: tuple[str, ...]) -> Subset:
+    """Read a `.npy` table."""
+    return partial(_npy_subset, path, load_npy(path, numpy_scans.EXPECTED), len(names))
+
+
+def npz_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read an archive of arrays."""
+    return partial(_npz_subset, path, *numpy_scans.npz_arrays(path))
+
+
+def feather_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read a Feather file."""
+    table = read_table(path)
+    return lambda keep: encode_feather(table, _kept(np.arange(len(table)), keep, path))
+
+
+def bin_subset(path: Path, names: tuple[str, ...]) -> Subset:
+    """Read a file of float32 values, which may be compressed by gzip."""
+    content, packed = _content(path), path.name.lower().endswith(kitti.GZIP_SUFFIX)
+    if packed:
+        content = kitti.decompressed(io.BytesIO(content), path)[0].getvalue()
+    subset = _rows_subset(path, b"", content, 4 * (len(names) or kitti.usual_width(path)))
+    return (lambda keep: gzip.compress(subset(keep))) if packed else subset
+
+
+def pcd_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read a PCD file."""
+    with refusing_damage(path, "a whole .pcd file"):
+        head, points, width = _pcd_parts(_content(path), path)
+    return _rows_subset(path, ROWS_OF_PCD.sub(rb"\g<1>1", head), points, width)
+
+
+def ply_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read a PLY file."""
+    with refusing_damage(path, "a whole .ply file"):
+        return _rows_subset(path, *_ply_parts(_content(path), path))
+
+
+def text_subset(path: Path, names: tuple[str, ...]) -> Subset:
+    """Read a text file of one point per line."""
+    content = _content(path)
+    mark = len(content) - len(content.removeprefix(text.BYTE_ORDER_MARK))
+    with refusing_damage(path, "a whole text file"):
+        layout = text.layout_of(content[mark:], has_names=bool(names))
+    start = mark + layout.start
+    number = NUMBERS if layout.count is None else NUMBER_ALONE
+    return _rows_subset(path, content[:start], content[start:], 0, number)
+
+
+def _content(path: Path) -> bytes:
+    with reading(path) as file:
+        return file.read()
+
+
+def _rows_subset(
+    path: Path, head: bytes, body: bytes, width: int, number: re.Pattern[bytes] = NUMBERS
+) -> Subset:
+    """Return the function for points of so many bytes, or lines if 0, after a header.
+
+    `number`: pattern of the header that ends with the number of points.
+    """
     lines = [] if width else [line for line in body.splitlines(keepends=True) if line.strip()]
     whole = len(body) // width * width if width else 0
     rows = np.frombuffer(body[:whole], f"V{width}") if width else np.empty(len(lines))
-    head = ROWS_OF_PCD.sub(rb"\g<1>1", head)
 
     def subset(keep: Mask) -> bytes:
         kept = _kept(rows, keep, path)
         points = kept.tobytes() if width else b"".join(compress(lines, keep.tolist()))
-        content = number.sub(rb"\g<1>%d" % len(kept), head) + points
-        return gzip.compress(content) if suffix.endswith(kitti.GZIP_SUFFIX) else content
+        return number.sub(rb"\g<1>%d" % len(kept), head) + points
 
     return subset
 

@@ -21,7 +21,7 @@ from salsanext_cli.files.reading import filled, is_folder, present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.bags import Bag
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.recordings import files_of, recorded_paths, recording_of
+from salsanext_cli.formats.recordings import files_of, is_bag, recorded_paths, recording_of
 from salsanext_cli.formats.subsets import subsets_of, write_bag_subset
 from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.geometry.projection import measured_ranges, without_ego
@@ -172,7 +172,7 @@ def filter_scans(
     recording = None if indices else recording_of(scans[0].path)
     if recording and (split or options.shard.count > 1):
         raise UsageError("--split, --shard", "a bag is written whole", "neither, or --indices")
-    if recording and recording.suffix.lower() in (".pcap", ".osf"):
+    if recording and not is_bag(recording):
         remedy = f"`salsanext convert {recording} DATA` first, or masks of it with --indices"
         raise UsageError(recording, "a recording, which is not written", "files of scans", remedy)
     if odd := [name for name in space.names if split and Path(name).name != name]:
