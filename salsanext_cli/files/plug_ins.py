@@ -3,13 +3,17 @@
 
 import hashlib
 import logging
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from importlib.util import find_spec
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
 from salsanext_cli.errors import error_text, warn_once
+
+DISTRIBUTION = "distribution"
+"""Key of the plug-in's distribution among what weights files state about their network."""
 
 log = logging.getLogger(__name__)
 
@@ -49,12 +53,10 @@ class PlugIn:
         return digest.hexdigest()
 
 
-Fault = Callable[[Any, Mapping[str, PlugIn]], str]
-"""Function of an object and the plug-ins accepted so far that returns what is wrong with it."""
-
-
-def load_plug_ins(kind: str, built_in: Collection[str], fault: Fault) -> dict[str, PlugIn]:
-    """Import the plug-ins of a kind; log one warning for each that cannot be used.
+def load_plug_ins(
+    kind: str, built_in: Collection[str], fault: Callable[[Any, Collection[PlugIn]], str]
+) -> dict[str, PlugIn]:
+    """Import the plug-ins of a kind, sorted by name; warn of each that cannot be used.
 
     Parameters
     ----------
@@ -63,36 +65,23 @@ def load_plug_ins(kind: str, built_in: Collection[str], fault: Fault) -> dict[st
     built_in : collection of str
         Names that a plug-in cannot have.
     fault : callable
-        Check of the objects.
-
-    Returns
-    -------
-    dict of str to PlugIn
-        By name, sorted.
+        Function of an object and the plug-ins before it that returns what is wrong with it, or "".
     """
     from importlib.metadata import entry_points
 
     accepted: dict[str, PlugIn] = {}
     points = entry_points(group=f"salsanext.{kind}")
-    for point in sorted(points, key=lambda point: (point.name, _distribution(point))):
-        plug_in, problem = None, ""
-        if point.name in built_in:
-            problem = "a built-in one has this name"
-        elif point.name in accepted:
-            problem = f"{accepted[point.name].distribution} has one of this name"
+    for point in sorted(points, key=attrgetter("name", "dist.name")):
+        dist: Any = point.dist
+        distribution = f"{dist.name} {dist.version}"
+        problem = "the name is taken" if point.name in {*built_in, *accepted} else ""
+        try:
+            target = problem or point.load()
+            problem = problem or fault(target, accepted.values())
+        except Exception as error:  # noqa: BLE001 - a module may raise anything
+            problem = f"{type(error).__name__}: {error_text(error)}"
+        if problem:
+            warn_once(log, f"plug-in {point.name} ({distribution}) is not used: {problem}")
         else:
-            try:
-                plug_in = PlugIn(point.name, _distribution(point), point.module, point.load())
-                problem = fault(plug_in.target, accepted)
-            except Exception as error:  # noqa: BLE001 - a module may raise anything
-                problem = f"its import fails: {type(error).__name__}: {error_text(error)}"
-        if problem or plug_in is None:
-            subject = f"{point.name} ({_distribution(point)}) in salsanext.{kind}"
-            warn_once(log, f"plug-in {subject} is not used: {problem}")
-        else:
-            accepted[plug_in.name] = plug_in
+            accepted[point.name] = PlugIn(point.name, distribution, point.module, target)
     return accepted
-
-
-def _distribution(point: Any) -> str:
-    return f"{point.dist.name} {point.dist.version}"

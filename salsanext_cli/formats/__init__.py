@@ -7,7 +7,7 @@ The functions of a format are imported when they are first used, so that this ta
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import import_module
@@ -65,84 +65,40 @@ def _call(function: str, *arguments: Any) -> Any:
     return getattr(import_module(f"{__name__}.{module}"), name)(*arguments)
 
 
-def _lazy(function: str) -> Callable[..., Any]:
-    return partial(_call, function)
+def _read_columns(function: str, path: Path, names: Names, intensity_scale: float) -> Scan:
+    return _call("columns:scan_of", _call(function, path, names), path, intensity_scale)
 
 
-def _of_columns(function: str, *, takes_names: bool = False) -> Callable[..., Scan]:
-    """Return a reader that makes a scan of the columns that a function returns."""
+def _built_in(
+    name: str, suffixes: str, reader: str, *magic: bytes, labels: str = "", **flags: Any
+) -> Format:
+    """Return a format by the names of the functions that read a scan, or its columns."""
+    return Format(
+        suffixes=tuple(suffixes.split()),
+        read=partial(_call if ":read_" in reader else _read_columns, reader),
+        magic=magic,
+        subset=partial(_call, f"subsets:{name}_subset"),
+        label_columns=partial(_call, labels) if labels else None,
+        **flags,
+    )
 
-    def read(path: Path, names: Names, intensity_scale: float) -> Scan:
-        columns = _call(function, path, *([names] if takes_names else []))
-        return _call("columns:scan_of", columns, path, intensity_scale)
 
-    return read
-
-
+UNNAMED: Mapping[str, Any] = {"names_columns": False}
+TABLE: Mapping[str, Any] = {"is_table": True}
 FORMATS: Mapping[str, Format] = {
-    "bin": Format(
-        suffixes=(".pcd.bin.gz", ".bin.gz", ".pcd.bin", ".bin"),
-        read=_lazy("kitti:read_bin"),
-        names_columns=False,
-        subset=_lazy("subsets:bin_subset"),
+    "bin": _built_in("bin", ".pcd.bin.gz .bin.gz .pcd.bin .bin", "kitti:read_bin", **UNNAMED),
+    "pcd": _built_in(
+        "pcd", ".pcd", "pcd:pcd_columns", b"# .PCD", b"VERSION ", labels="pcd:pcd_columns"
     ),
-    "pcd": Format(
-        suffixes=(".pcd",),
-        magic=(b"# .PCD", b"VERSION "),
-        read=_of_columns("pcd:pcd_columns"),
-        subset=_lazy("subsets:pcd_subset"),
-        label_columns=_lazy("pcd:pcd_columns"),
+    "ply": _built_in("ply", ".ply", "ply:ply_columns", b"ply", labels="ply:ply_columns"),
+    "las": _built_in("las", ".las .laz", "las:read_las", b"LASF", labels="las:las_columns"),
+    "xyz": _built_in("text", ".xyz", "text:text_columns", **UNNAMED),
+    "npy": _built_in("npy", ".npy", "numpy_scans:npy_columns", b"\x93NUMPY", **UNNAMED, **TABLE),
+    "npz": _built_in("npz", ".npz", "numpy_scans:npz_columns", b"PK\x03\x04", **UNNAMED, **TABLE),
+    "feather": _built_in(
+        "feather", ".feather", "feather:feather_columns", b"ARROW1", b"FEA1", **TABLE
     ),
-    "ply": Format(
-        suffixes=(".ply",),
-        magic=(b"ply",),
-        read=_of_columns("ply:ply_columns"),
-        subset=_lazy("subsets:ply_subset"),
-        label_columns=_lazy("ply:ply_columns"),
-    ),
-    "las": Format(
-        suffixes=(".las", ".laz"),
-        magic=(b"LASF",),
-        read=_lazy("las:read_las"),
-        subset=_lazy("subsets:las_subset"),
-        label_columns=_lazy("las:las_columns"),
-    ),
-    "xyz": Format(
-        suffixes=(".xyz",),
-        read=_of_columns("text:text_columns", takes_names=True),
-        names_columns=False,
-        subset=_lazy("subsets:text_subset"),
-    ),
-    "npy": Format(
-        suffixes=(".npy",),
-        magic=(b"\x93NUMPY",),
-        read=_of_columns("numpy_scans:npy_columns", takes_names=True),
-        names_columns=False,
-        is_table=True,
-        subset=_lazy("subsets:npy_subset"),
-    ),
-    "npz": Format(
-        suffixes=(".npz",),
-        magic=(b"PK\x03\x04",),
-        read=_of_columns("numpy_scans:npz_columns", takes_names=True),
-        names_columns=False,
-        is_table=True,
-        subset=_lazy("subsets:npz_subset"),
-    ),
-    "feather": Format(
-        suffixes=(".feather",),
-        magic=(b"ARROW1", b"FEA1"),
-        read=_of_columns("feather:feather_columns"),
-        is_table=True,
-        subset=_lazy("subsets:feather_subset"),
-    ),
-    "text": Format(
-        suffixes=(".csv", ".txt", ".asc", ".pts"),
-        read=_of_columns("text:text_columns", takes_names=True),
-        names_columns=False,
-        is_table=True,
-        subset=_lazy("subsets:text_subset"),
-    ),
+    "text": _built_in("text", ".csv .txt .asc .pts", "text:text_columns", **UNNAMED, **TABLE),
 }
 """Built-in formats by name, in the order in which a folder is searched; plug-ins come last."""
 SCAN_SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
@@ -159,26 +115,42 @@ def plugged_formats() -> Mapping[str, PlugIn]:
     return load_plug_ins("formats", FORMATS, _fault)
 
 
-def _fault(target: Any, others: Mapping[str, PlugIn]) -> str:
+def _fault(target: Any, others: Collection[PlugIn]) -> str:
     """Return why an object is no further format, empty if it is one."""
     if not isinstance(target, Format):
         return f"it is a {type(target).__name__}, not a Format"
-    taken = (*SCAN_SUFFIXES, *RECORDING_SUFFIXES)
-    taken += tuple(suffix for other in others.values() for suffix in other.target.suffixes)
-    for suffix in target.suffixes:
-        if not suffix.startswith(".") or suffix != suffix.lower():
-            return f"its suffix {suffix} is not in lower case, with a dot"
-        if suffix.endswith(taken):
-            return f"another format reads {suffix} files"
-    return ""
+    taken = (*SCAN_SUFFIXES, *RECORDING_SUFFIXES, *(s for o in others for s in o.target.suffixes))
+    wrong = [s for s in target.suffixes if s[:1] != "." or s != s.lower() or s.endswith(taken)]
+    return f"its suffix {wrong[0]} is taken, or not in lower case with a dot" if wrong else ""
 
 
-def _by_suffix() -> Iterator[tuple[str, Format]]:
-    """Yield suffixes and their formats; plug-ins are imported only if they are asked for."""
+def _find(name: str) -> tuple[str, Format | None]:
+    """Return suffix and format of a file name; import plug-ins only for one of no built-in."""
+    lower = name.lower()
     for form in FORMATS.values():
-        yield from ((suffix, form) for suffix in form.suffixes)
-    for plug_in in plugged_formats().values():
-        yield from ((suffix, plug_in.target) for suffix in plug_in.target.suffixes)
+        if suffix := next(filter(lower.endswith, form.suffixes), ""):
+            return suffix, form
+    # Scans of a recording have no suffix.
+    for plug_in in plugged_formats().values() if "." in lower else ():
+        if suffix := next(filter(lower.endswith, plug_in.target.suffixes), ""):
+            return suffix, plug_in.target
+    return "", None
+
+
+def scan_suffix(name: str) -> str:
+    """Return the suffix that makes a file a scan, in lower case; empty if it is none."""
+    return _find(name)[0]
+
+
+def format_of(name: str) -> Format | None:
+    """Return the format of a file of some name; None if its suffix is unknown."""
+    return _find(name)[1]
+
+
+def is_table(name: str) -> bool:
+    """Say whether a file of some name is a scan that often is something else."""
+    form = format_of(name)
+    return form is not None and form.is_table
 
 
 def suffixes_in_words(fits: Callable[[Format], object] = bool) -> str:
@@ -190,46 +162,15 @@ def suffixes_in_words(fits: Callable[[Format], object] = bool) -> str:
     return ", ".join(words)
 
 
-def _known(name: str) -> tuple[str, Format | None]:
-    lower = name.lower()
-    # Scans of a recording have no suffix.
-    pairs = _by_suffix() if "." in lower else ()
-    return next((pair for pair in pairs if lower.endswith(pair[0])), ("", None))
-
-
-def scan_suffix(name: str) -> str:
-    """Return the suffix that makes a file a scan, in lower case; empty if it is none."""
-    return _known(name)[0]
-
-
-def format_of(name: str) -> Format | None:
-    """Return the format of a file of some name; None if its suffix is unknown."""
-    return _known(name)[1]
-
-
-def is_table(name: str) -> bool:
-    """Say whether a file of some name is a scan that often is something else."""
-    form = format_of(name)
-    return form is not None and form.is_table
-
-
-def searched_suffixes(known: Collection[str]) -> Collection[str]:
-    """Choose among the suffixes in a folder those of scans: all clouds, else tables of one kind."""
-    in_order = [suffix for suffix in SCAN_SUFFIXES if suffix in known]
-    in_order += sorted({*known} - {*in_order})
-    return [suffix for suffix in in_order if not is_table(suffix)] or in_order[:1]
-
-
 @contextmanager
 def errors_of_plug_ins(path: Path) -> Iterator[None]:
     """Turn whatever a plug-in raises at a file into a `FormatError`."""
     from salsanext_cli.files.reading import refusing_damage
 
-    if (suffix := scan_suffix(path.name)) in SCAN_SUFFIXES:
+    suffix = scan_suffix(path.name)
+    guard = refusing_damage(path, f"a whole {suffix} file")
+    with nullcontext() if suffix in SCAN_SUFFIXES else guard:
         yield
-    else:
-        with refusing_damage(path, f"a whole {suffix} file"):
-            yield
 
 
 def _plugged_kind(path: Path) -> PlugIn | None:
@@ -268,7 +209,7 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     if form is None:
         if _call("recordings:recording_of", path) in (None, path):
             raise FormatError(path, "not a known scan format", f"a {suffixes_in_words()} file")
-        return _of_columns("recordings:recorded_columns")(path, names, scale)
+        return _read_columns("recordings:recorded_columns", path, names, scale)
     try:
         with errors_of_plug_ins(path):
             return form.read(path, names, scale)

@@ -12,7 +12,7 @@ from salsanext_cli.formats.columns import Columns
 from salsanext_cli.records import Indices
 
 
-def feather_columns(path: Path) -> Columns:
+def feather_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
     """Read the columns of a Feather file."""
     table = read_table(path)
     with refusing_damage(path, "columns of numbers"):

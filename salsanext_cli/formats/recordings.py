@@ -98,7 +98,7 @@ def _names(times: list[int]) -> list[str]:
     return names
 
 
-def recorded_columns(path: Path) -> Columns:
+def recorded_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
     """Read a scan of a recording, whose path is one of the `recorded_paths`."""
     folder, recording, clouds = _opened(path)
     topic = "/".join(path.parent.relative_to(folder).parts)

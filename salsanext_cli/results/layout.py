@@ -12,7 +12,7 @@ from typing import Any
 
 from salsanext_cli.errors import NoInputError, OutputError, first_few
 from salsanext_cli.files.reading import is_folder, present, reason
-from salsanext_cli.formats import is_table, scan_suffix, searched_suffixes, suffixes_in_words
+from salsanext_cli.formats import SCAN_SUFFIXES, is_table, scan_suffix, suffixes_in_words
 from salsanext_cli.formats.recordings import is_recording, recorded_paths, recording_of, sequence_of
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
@@ -177,7 +177,10 @@ def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
 def _scans_in(folder: Path) -> Iterator[ScanFile]:
     names = names_in(folder) if folder.is_dir() else []
     suffix_of = {name: scan_suffix(name) for name in names if name not in OWN_TABLES}
-    suffixes, sequence = searched_suffixes({*suffix_of.values()} - {""}), _sequence_of(folder)
+    known, sequence = {*suffix_of.values()} - {""}, _sequence_of(folder)
+    # Tables are often something else: they count where there are no clouds, and of one kind only.
+    tables = [*(s for s in SCAN_SUFFIXES if s in known), *sorted(known)][:1]
+    suffixes = [suffix for suffix in known if not is_table(suffix)] or tables
     for name, suffix in suffix_of.items():
         if suffix in suffixes:
             yield ScanFile(sequence, name[: -len(suffix)], folder / name)
