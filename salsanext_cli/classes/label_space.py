@@ -104,18 +104,18 @@ class LabelSpace:
     def movable(self) -> npt.NDArray[np.bool_]:
         """Mask of the train ids of movable objects, (C,) bool.
 
-        Where they are not stated, the classes with a raw id of the same number and name as one of
-        a movable class of SemanticKITTI are movable.
+        Without a statement they are those with the movable raw ids of SemanticKITTI, if most raw
+        ids have its names, else none.
         """
         ids = self._usual_movable_ids() if self.movable_ids is None else self.movable_ids
         return np.isin(np.arange(self.class_count), ids)
 
     def _usual_movable_ids(self) -> tuple[int, ...]:
         usual = _built_in(BUILT_IN[0])
-        movable = usual.movable_ids or ()
+        same = [self.labels[i] == usual.labels[i] for i in self.labels.keys() & usual.labels]
+        movable = (usual.movable_ids or ()) if 2 * sum(same) > len(same) else ()
         raw_ids = (i for i, train in usual.learning_map.items() if train in movable)
-        same = [i for i in raw_ids if self.labels.get(i) == usual.labels[i]]
-        return tuple(sorted({self.learning_map.get(i, 0) for i in same} - {0}))
+        return tuple(sorted({self.learning_map.get(i, 0) for i in raw_ids} - {0}))
 
     def require_movable(self, subject: str) -> None:
         """Raise `UsageError` for an option that needs movable classes if there are none."""

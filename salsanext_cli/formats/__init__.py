@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Names = tuple[str, ...]  # Of columns
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Format:
     """Format of files of one scan each.
 

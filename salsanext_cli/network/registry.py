@@ -48,8 +48,8 @@ def plugged_networks() -> Mapping[str, PlugIn]:
 
 def plug_in_of(architecture: Mapping[str, Any]) -> PlugIn | None:
     """Return the plug-in that an architecture is of; None for a built-in or unknown one."""
-    name = architecture.get("name")
-    return None if name in ARCHITECTURES else plugged_networks().get(str(name))
+    name = str(architecture.get("name"))
+    return None if name in ARCHITECTURES else plugged_networks().get(name)
 
 
 def described(name: str, **numbers: float) -> dict[str, Any]:
