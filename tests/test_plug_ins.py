@@ -260,7 +260,7 @@ MISTAKES: dict[str, tuple[str, dict[str, dict[str, str]], str]] = {
     ),
     "no suffix": (GOOD.replace(".odd", "odd"), {"formats": {"odd": "odd_plug_in:FORMAT"}}, "dot"),
     "no format": ("FORMAT = 1", {"formats": {"odd": "odd_plug_in:FORMAT"}}, "int"),
-    "no network": ("Net = 1", {"networks": {"odd": "odd_plug_in:Net"}}, "called"),
+    "no network": ("Net = 1", {"networks": {"odd": "odd_plug_in:Net"}}, "int"),
     "no label space": ("S = {}", {"label_spaces": {"odd": "odd_plug_in:S"}}, "dict"),
     "one of the page": (GOOD, {"formats": {"radian": "odd_plug_in:FORMAT"}}, "taken"),
     "a suffix of the page": (

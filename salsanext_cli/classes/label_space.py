@@ -317,12 +317,7 @@ def _built_in(name: str) -> LabelSpace:
 @cache
 def plugged_label_spaces() -> dict[str, PlugIn]:
     """Return the label spaces of plug-ins by name."""
-
-    def fault(target: Any, _: object) -> str:
-        is_one = isinstance(target, LabelSpace)
-        return "" if is_one else f"it is a {type(target).__name__}, not a LabelSpace"
-
-    return load_plug_ins("label_spaces", BUILT_IN, fault)
+    return load_plug_ins("label_spaces", BUILT_IN, LabelSpace)
 
 
 def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:

@@ -54,7 +54,10 @@ class PlugIn:
 
 
 def load_plug_ins(
-    kind: str, built_in: Collection[str], fault: Callable[[Any, Collection[PlugIn]], str]
+    kind: str,
+    built_in: Collection[str],
+    expected: Any,
+    fault: Callable[[Any, Collection[PlugIn]], str] = lambda *_: "",
 ) -> dict[str, PlugIn]:
     """Import the plug-ins of a kind, sorted by name; warn of each that cannot be used.
 
@@ -64,6 +67,8 @@ def load_plug_ins(
         Group of entry points without ``salsanext.``: formats, networks or label_spaces.
     built_in : collection of str
         Names that a plug-in cannot have.
+    expected : type
+        Type of the objects.
     fault : callable
         Function of an object and the plug-ins before it that returns what is wrong with it, or "".
     """
@@ -76,8 +81,11 @@ def load_plug_ins(
         distribution = f"{dist.name} {dist.version}"
         problem = "the name is taken" if point.name in {*built_in, *accepted} else ""
         try:
-            target = problem or point.load()
-            problem = problem or fault(target, accepted.values())
+            if not problem:
+                target = point.load()
+                is_one, kind_of = isinstance(target, expected), type(target).__name__
+                found = f"it is a {kind_of}, not a {expected.__name__}"
+                problem = fault(target, accepted.values()) if is_one else found
         except Exception as error:  # noqa: BLE001 - a module may raise anything
             problem = f"{type(error).__name__}: {error_text(error)}"
         if problem:

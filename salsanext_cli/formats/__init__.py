@@ -112,13 +112,11 @@ MAX_MAGIC_BYTES = 64
 @cache
 def plugged_formats() -> Mapping[str, PlugIn]:
     """Return the formats of plug-ins by name."""
-    return load_plug_ins("formats", FORMATS, _fault)
+    return load_plug_ins("formats", FORMATS, Format, _fault)
 
 
-def _fault(target: Any, others: Collection[PlugIn]) -> str:
-    """Return why an object is no further format, empty if it is one."""
-    if not isinstance(target, Format):
-        return f"it is a {type(target).__name__}, not a Format"
+def _fault(target: Format, others: Collection[PlugIn]) -> str:
+    """Return why a format cannot be added to others, empty if it can."""
     taken = (*SCAN_SUFFIXES, *RECORDING_SUFFIXES, *(s for o in others for s in o.target.suffixes))
     wrong = [s for s in target.suffixes if s[:1] != "." or s != s.lower() or s.endswith(taken)]
     return f"its suffix {wrong[0]} is taken, or not in lower case with a dot" if wrong else ""

@@ -109,7 +109,7 @@ class MapTask:
     ) -> npt.NDArray[np.bool_]:
         """Return which points (N,) are of what stands still.
 
-        Of a class that may move, no scan sees through their place, or more see something there; of
+        Of a movable class, no scan sees through their place, or more see something there; of
         others, whose labels may be wrong, at most twice as many see through it.
         """
         places = np.stack([columns[axis] for axis in "xyz"], axis=1)

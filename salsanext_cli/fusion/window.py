@@ -95,7 +95,7 @@ class PlacedScan(NamedTuple):
 
 
 class FusionWindow:
-    """Votes of the scans around one of a drive; `movable` (C,): which classes may move."""
+    """Votes of the scans around one of a drive; `movable` (C,): movable classes."""
 
     def __init__(
         self, drive: Drive, read: ReadScan, reach: FusionReach, movable: npt.NDArray[np.bool_]
@@ -122,7 +122,7 @@ class FusionWindow:
     def _stands(
         self, view: VoxelVotes, own: PlacedScan, others: Mapping[int, PlacedScan]
     ) -> npt.NDArray[np.uint8]:
-        """Return in which voxels (V,), of what may move, more scans see something than through."""
+        """Return in which voxels (V,), of movable objects, more scans see something than see through."""
         stands = np.zeros(len(view.keys), np.uint8)
         movable = view.votes[:, self.movable].sum(axis=1, dtype=np.uint32)
         asked = np.flatnonzero(movable > MOVABLE_SHARE * SCALE)

@@ -39,11 +39,7 @@ ARCHITECTURES: dict[str, Callable[..., SegmentationNetwork]] = {
 @cache
 def plugged_networks() -> Mapping[str, PlugIn]:
     """Return the networks of plug-ins by name."""
-    return load_plug_ins(
-        "networks",
-        ARCHITECTURES,
-        lambda target, _: "" if callable(target) else "it cannot be called",
-    )
+    return load_plug_ins("networks", ARCHITECTURES, Callable)
 
 
 def plug_in_of(architecture: Mapping[str, Any]) -> PlugIn | None:
