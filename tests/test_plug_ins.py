@@ -198,6 +198,7 @@ def test_processes_of_a_run_see_plug_ins(weights, site, tmp_path):
     network = ("--weights", weights, "--device", "cpu", "--json")
     assert run("predict", tmp_path / "rad", tmp_path / "here", *network).exit_code == 0
     workers = ("--jobs", "2", "--backend", "loky")
+    install(site, {}, {"salsanext.formats": {"odd": "odd_absent:FORMAT"}}, "zz-odd")
     command = [sys.executable, "-m", "salsanext_cli", "predict", tmp_path / "rad"]
     done = subprocess.run(
         [*map(str, (*command, tmp_path / "out", *network, *workers))],
@@ -209,6 +210,7 @@ def test_processes_of_a_run_see_plug_ins(weights, site, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["done"] == 3
+    assert done.stderr.count("zz-odd") == 1  # Not once in each process
     assert labels_below(tmp_path / "out") == labels_below(tmp_path / "here")
 
 

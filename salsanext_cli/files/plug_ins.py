@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from importlib.util import find_spec
+from multiprocessing import current_process
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -88,8 +89,8 @@ def load_plug_ins(
                 problem = fault(target, accepted.values()) if is_one else found
         except Exception as error:  # noqa: BLE001 - a module may raise anything
             problem = f"{type(error).__name__}: {error_text(error)}"
-        if problem:
+        if problem and current_process().name == "MainProcess":  # Once a run, not in each worker
             warn_once(log, f"plug-in {point.name} ({distribution}) is not used: {problem}")
-        else:
+        elif not problem:
             accepted[point.name] = PlugIn(point.name, distribution, point.module, target)
     return accepted

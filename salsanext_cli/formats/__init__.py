@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.files.plug_ins import PlugIn, load_plug_ins
 
 if TYPE_CHECKING:
+    from salsanext_cli.files.plug_ins import PlugIn
     from salsanext_cli.formats.columns import Columns
     from salsanext_cli.records import Mask, Scan
     from salsanext_cli.sensors.sensor import Sensor
@@ -112,6 +112,8 @@ MAX_MAGIC_BYTES = 64
 @cache
 def plugged_formats() -> Mapping[str, PlugIn]:
     """Return the formats of plug-ins by name."""
+    from salsanext_cli.files.plug_ins import load_plug_ins
+
     return load_plug_ins("formats", FORMATS, Format, _fault)
 
 

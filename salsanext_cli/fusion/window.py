@@ -122,7 +122,7 @@ class FusionWindow:
     def _stands(
         self, view: VoxelVotes, own: PlacedScan, others: Mapping[int, PlacedScan]
     ) -> npt.NDArray[np.uint8]:
-        """Return in which voxels (V,), of movable objects, more scans see something than see through."""
+        """Return in which voxels (V,) of movable objects more scans see something than nothing."""
         stands = np.zeros(len(view.keys), np.uint8)
         movable = view.votes[:, self.movable].sum(axis=1, dtype=np.uint32)
         asked = np.flatnonzero(movable > MOVABLE_SHARE * SCALE)
