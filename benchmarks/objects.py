@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli import label_space, project, read_labels, read_scan, sensor
-from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.geometry.objects import MIN_OBJECT_POINTS, find_objects
 from salsanext_cli.measures.panoptic import count_segments, panoptic_quality
 from salsanext_cli.records import Scan
@@ -28,7 +27,7 @@ from salsanext_cli.results.result_folder import ResultFolder
 EPS_M = (0.3, 0.5, 0.8, 1.2)
 CORE_POINTS = 5
 SPACE = label_space()
-THINGS = movable_classes(SPACE)
+THINGS = SPACE.movable
 
 
 def dbscan(scan: Scan, _: Any, labels: Any, eps: float) -> Any:

@@ -174,6 +174,7 @@ READERS: dict[tuple[str, str], Callable[[str], object]] = {
     ("models.md", "toml"): lambda body: Recipe.from_dict(tomllib.loads(body)),
     ("label-spaces.md", "yaml"): lambda body: LabelSpace.from_dict(yaml.safe_load(body)),
     ("json.md", "json"): json.loads,
+    ("plug-ins.md", "toml"): lambda body: tomllib.loads(body)["project"]["entry-points"],
 }
 
 

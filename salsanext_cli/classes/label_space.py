@@ -20,6 +20,7 @@ import numpy.typing as npt
 import yaml
 
 from salsanext_cli.errors import LabelError, UsageError, first_few, shortened
+from salsanext_cli.files.plug_ins import PlugIn, load_plug_ins
 from salsanext_cli.files.yaml_toml import read_yaml
 
 TrainIds = npt.NDArray[np.uint8]
@@ -32,7 +33,7 @@ SHOWN_DIGITS = 20  # Of an id in an error
 ALTERNATIVES = "learning_alternatives"
 KEYS = (
     *("labels", "learning_map", "learning_map_inv", "learning_ignore", "color_map", "split"),
-    ALTERNATIVES,
+    *(ALTERNATIVES, "movable"),
 )
 MAX_UNKNOWN_SHARE = 0.1
 """Largest tolerated share of points of unknown ids; other data sets had 0.4 or more."""
@@ -62,6 +63,8 @@ class LabelSpace:
     alternatives : dict of int to tuple of int
         Raw ids that do not tell some classes apart: all train ids that a point of each may have.
         Only training takes them into account.
+    movable_ids : tuple of int, optional
+        Train ids of movable objects; None if the label space does not state them.
     """
 
     name: str
@@ -72,6 +75,7 @@ class LabelSpace:
     colours: npt.NDArray[np.uint8]
     splits: dict[str, tuple[str, ...]]
     alternatives: dict[int, tuple[int, ...]] = field(default_factory=dict)
+    movable_ids: tuple[int, ...] | None = None
     _train_of_raw: TrainIds = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -95,6 +99,30 @@ class LabelSpace:
     def scored(self) -> npt.NDArray[np.bool_]:
         """Mask of the train ids that count, (C,) bool."""
         return ~np.array(self.ignored)
+
+    @property
+    def movable(self) -> npt.NDArray[np.bool_]:
+        """Mask of the train ids of movable objects, (C,) bool.
+
+        Without a statement they are those with the movable raw ids of SemanticKITTI, if most raw
+        ids have its names, else none.
+        """
+        ids = self._usual_movable_ids() if self.movable_ids is None else self.movable_ids
+        return np.isin(np.arange(self.class_count), ids)
+
+    def _usual_movable_ids(self) -> tuple[int, ...]:
+        usual = _built_in(BUILT_IN[0])
+        same = [self.labels[i] == usual.labels[i] for i in self.labels.keys() & usual.labels]
+        movable = (usual.movable_ids or ()) if 2 * sum(same) > len(same) else ()
+        raw_ids = (i for i, train in usual.learning_map.items() if train in movable)
+        return tuple(sorted({self.learning_map.get(i, 0) for i in raw_ids} - {0}))
+
+    def require_movable(self, subject: str) -> None:
+        """Raise `UsageError` for an option that needs movable classes if there are none."""
+        if not self.movable.any():
+            remedy = "state their train ids in its yaml file, as `movable: [1, 2]`, and predict"
+            found = f"label space {self.name} has no movable classes"
+            raise UsageError(subject, found, "at least one", f"{remedy} with --classes FILE")
 
     def unknown_ids(self, raw: RawIds) -> dict[int, int]:
         """Return the number of points of each raw id (without instance) that is unknown here."""
@@ -154,7 +182,12 @@ class LabelSpace:
     def differences(self, other: LabelSpace) -> list[str]:
         """Name what another label space has otherwise, the classes first."""
         tables = [
-            {"train id": dict(enumerate(each.names)), **each.to_dict(), "name": {"": each.name}}
+            {
+                "train id": dict(enumerate(each.names)),
+                **each.to_dict(),
+                "name": {"": each.name},
+                "movable": dict(enumerate(each.movable.tolist())),
+            }
             for each in (self, other)
         ]
         return [
@@ -169,6 +202,7 @@ class LabelSpace:
         """Return plain data in the form of SemanticKITTI's yaml, which `from_dict` accepts."""
         raw_ids = [self.learning_map_inv[i] for i in range(self.class_count)]
         alternatives = {i: list(several) for i, several in self.alternatives.items()}
+        is_stated = self.movable_ids not in (None, self._usual_movable_ids())
         return {
             "name": self.name,
             "labels": self.labels,
@@ -178,6 +212,7 @@ class LabelSpace:
             "learning_ignore": dict(enumerate(self.ignored)),
             "split": {name: list(members) for name, members in self.splits.items()},
             **({ALTERNATIVES: alternatives} if alternatives else {}),
+            **({"movable": list(self.movable_ids or ())} if is_stated else {}),
         }
 
     @classmethod
@@ -195,6 +230,8 @@ class LabelSpace:
                 int(i): tuple(sorted({int(train) for train in _list(several)}))
                 for i, several in data.get(ALTERNATIVES, {}).items()
             }
+            stated = data.get("movable")
+            movable = None if stated is None else tuple(sorted({int(i) for i in _list(stated)}))
             colours = {int(i): _colour(bgr) for i, bgr in data.get("color_map", {}).items()}
             splits = {
                 str(name): tuple(
@@ -205,7 +242,7 @@ class LabelSpace:
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             found = f"not a label space: {shortened(error)}"
             raise UsageError(source, found, f"keys {', '.join(KEYS)}") from error
-        if problem := _contradiction(labels, learning_map, inverse, alternatives):
+        if problem := _contradiction(labels, learning_map, inverse, alternatives, movable or ()):
             raise UsageError(source, problem, "a consistent label space")
         ids = range(len(inverse))
         bgr = [colours.get(inverse[i], _spare_colour(i)) for i in ids]
@@ -218,6 +255,7 @@ class LabelSpace:
             np.array([colour[::-1] for colour in bgr], np.uint8),
             splits,
             alternatives,
+            movable,
         )
 
 
@@ -226,6 +264,7 @@ def _contradiction(
     learning_map: dict[int, int],
     inverse: dict[int, int],
     alternatives: dict[int, tuple[int, ...]],
+    movable: tuple[int, ...],
 ) -> str:
     """Return a description of an inconsistency, empty without one."""
     if not inverse or sorted(inverse) != list(range(len(inverse))) or len(inverse) > UNKNOWN:
@@ -238,6 +277,8 @@ def _contradiction(
         return f"raw ids {_some(bad)} have no name in labels"
     if bad := sorted({*chain(*alternatives.values())} - set(inverse)):
         return f"{ALTERNATIVES} lead to train ids {_some(bad)} that learning_map_inv lacks"
+    if bad := sorted({*movable} - ({*inverse} - {0})):
+        return f"movable has train ids {_some(bad)}, which are none of 1…C-1"
     if bad := [i for i, several in alternatives.items() if learning_map.get(i) not in several]:
         return f"{ALTERNATIVES} of raw ids {_some(bad)} lack the train id of their learning_map"
     return ""
@@ -273,8 +314,14 @@ def _built_in(name: str) -> LabelSpace:
     return LabelSpace.from_dict(yaml.safe_load(file.read_text("utf-8")), name)
 
 
+@cache
+def plugged_label_spaces() -> dict[str, PlugIn]:
+    """Return the label spaces of plug-ins by name."""
+    return load_plug_ins("label_spaces", BUILT_IN, LabelSpace)
+
+
 def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
-    """Return a built-in label space by name, or read one from a SemanticKITTI-style yaml.
+    """Return a label space: a built-in one, one of a SemanticKITTI-style yaml, or of a plug-in.
 
     Raises
     ------
@@ -287,8 +334,12 @@ def label_space(name_or_file: str | Path = "semantic-kitti") -> LabelSpace:
     try:
         data = read_yaml(path, "a yaml file in SemanticKITTI's form")
     except FileNotFoundError as error:
-        expected = f"a .yaml file or one of {', '.join(BUILT_IN)}"
-        raise UsageError(path, "no such file", expected) from error
+        plug_ins = plugged_label_spaces()
+        if str(name_or_file) in plug_ins:
+            target: LabelSpace = plug_ins[str(name_or_file)].target
+            return target
+        names = ", ".join((*BUILT_IN, *map(str, plug_ins.values())))
+        raise UsageError(path, "no such file", f"a .yaml file or one of {names}") from error
     if not isinstance(data, dict):
         expected = f"a mapping with the keys {', '.join(KEYS)}"
         raise UsageError(path, f"a {type(data).__name__}", expected)

@@ -46,10 +46,13 @@ class ClassMerging:
     @classmethod
     def needed(cls, own: LabelSpace, merged: LabelSpace | None) -> ClassMerging | None:
         """Merge classes as `between`; None if no others are given or they are the same."""
-        if merged is None or (own.fits(merged) and own.learning_map == merged.learning_map):
+        if merged is None:
+            return None
+        is_same = own.fits(merged) and np.array_equal(own.movable, merged.movable)
+        if is_same and own.learning_map == merged.learning_map:
             return None
         merging = cls.between(own, merged)
-        return None if own.fits(merged) else merging
+        return None if is_same else merging
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:

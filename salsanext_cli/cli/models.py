@@ -20,22 +20,26 @@ def models(
     *,
     output: console.Output,
 ) -> None:
-    """List the networks with their cost and the papers' figures; describe weights files.
+    """List the networks with their cost and the papers' figures, and plug-ins; describe weights.
 
     Example: salsanext models runs/street/best.safetensors
     """
     from rich.console import Group
 
-    from salsanext_cli.report.tables import card_table, network_table
-    from salsanext_cli.stages.models import describe_weights
+    from salsanext_cli.report.tables import card_table, network_table, table_of
+    from salsanext_cli.stages.models import describe_weights, plug_ins
     from salsanext_cli.stages.models import models as stage
 
-    listed = stage()
+    listed, plugged = stage(), plug_ins()
     described = [describe_weights(weights_file(path)) for path in weights or [DEFAULT_WEIGHTS]]
     cards = map(card_table, described)
-    networks = network_table(listed)
-    tables = Group(*cards, networks) if weights else Group(networks, *cards)
-    output.result({"stage": "models", "models": listed, "weights": described}, tables)
+    networks = [network_table(listed)]
+    if plugged:
+        rows = [[*each.values()] for each in plugged]
+        networks.append(table_of([*plugged[0]], rows, texts=[*plugged[0]], title="Plug-ins"))
+    tables = Group(*cards, *networks) if weights else Group(*networks, *cards)
+    result = {"stage": "models", "models": listed, "plug_ins": plugged, "weights": described}
+    output.result(result, tables)
 
 
 def import_weights(

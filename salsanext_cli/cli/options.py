@@ -12,7 +12,7 @@ import typer
 from salsanext_cli.cli.option_groups import Default, Shown, Without
 from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, NetworkSettings
 from salsanext_cli.errors import UsageError
-from salsanext_cli.files.suffixes import RECORDING_SUFFIXES, SCAN_SUFFIXES
+from salsanext_cli.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.options import ScanSelection, argument, option, option_group
 from salsanext_cli.parallel.options import RunOptions
 from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery

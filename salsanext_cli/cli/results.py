@@ -64,7 +64,7 @@ class PointChoice:
 
     drop: tuple[str, ...] = own_option(
         "Leave out these classes, such as person,vehicle; coarse names too, and moving for all "
-        "that may move, with the sensor's own vehicle and points without a measurement.",
+        "movable ones, with the sensor's own vehicle and points without a measurement.",
         parse=partial(names_in, option="--drop", example="car,person"),
     )
     keep: tuple[str, ...] = own_option(

@@ -19,6 +19,7 @@ from salsanext_cli.engines.device import (
 from salsanext_cli.engines.network import Engine, Graph, Network
 from salsanext_cli.errors import MissingDependency, UsageError, WeightsError, error_text
 from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.plug_ins import DISTRIBUTION
 from salsanext_cli.files.user_cache import check_once
 from salsanext_cli.network.card import ONNX_SUFFIX, WeightsCard, default_weights, read_card
 from salsanext_cli.records import CHANNELS
@@ -81,8 +82,9 @@ def load_network(
         choose_engine(engine, own_device),
         "default weights" if path is None else str(path),
         sha256,
+        code=_code_of_plug_in(card),
     )
-    if loaded.library == "torch":
+    if loaded.library == "torch" or DISTRIBUTION in card.architecture:
         _ = loaded.module
     else:
         check_once(sha256, lambda: loaded.module)  # what was read once needs no torch
@@ -93,6 +95,16 @@ def network_of_module(module: "SegmentationNetwork", card: WeightsCard, device: 
     """Return the network of a module that is on a device already, computed by torch."""
     size = (card.sensor.height, card.sensor.width)
     return Network(Engine(lambda: module, card, size, device), card.sensor)
+
+
+def _code_of_plug_in(card: WeightsCard) -> str:
+    """Return a digest of the code of a plug-in's network, empty for a built-in one."""
+    if DISTRIBUTION not in card.architecture:
+        return ""
+    from salsanext_cli.network.registry import plug_in_of
+
+    plug_in = plug_in_of(card.architecture)
+    return plug_in.digest() if plug_in else ""
 
 
 def _read_module(file: Path, device: str, sha256: str) -> "SegmentationNetwork":

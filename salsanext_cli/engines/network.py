@@ -80,6 +80,7 @@ class Engine:
     library: str = "torch"  # "openvino", which needs `sha256`, or "torch"
     name: str = "the weights"  # Of the weights file, for errors
     sha256: str | None = None  # Of the weights file; None for weights that no file holds
+    code: str = ""  # Digest of the code of a plug-in's network
     graphs: dict[Any, Graph] = field(default_factory=dict, repr=False)  # Compiled so far
     # Number of items by name that there was room for at once; empty until memory runs out
     batch_sizes: dict[str, int] = field(default_factory=dict, repr=False)
@@ -127,7 +128,8 @@ class Engine:
         settings = (precision, thread_count(), streams)
         key = (name, settings, threading.get_ident())
         if key not in self.graphs:
-            model = compiled_graph(make, (name, self.sha256, *self.size), *settings)
+            depends = (name, self.sha256, *self.size, *filter(None, [self.code]))
+            model = compiled_graph(make, depends, *settings)
             self.graphs[key] = Graph(model)
         return self.graphs[key]
 

@@ -23,7 +23,7 @@ from salsanext_cli.fitting.mounting_fit import (
     UPSIDE_DOWN_DEG,
     ground_of,
 )
-from salsanext_cli.formats import NAMING_SUFFIXES, scan_suffix
+from salsanext_cli.formats import format_of
 from salsanext_cli.geometry.network_input import (
     BRIGHT,
     INTENSITY_FACTOR,
@@ -178,7 +178,8 @@ def check_scan(
     some = Scan(some.points[measured], some.intensity[measured])
     sines = sines_of(some.points)
     reason = why_no_intensity(some.points, some.intensity)
-    is_named = scan_suffix(path.name) in NAMING_SUFFIXES
+    form = format_of(path.name)
+    is_named = form is None or form.names_columns  # Recordings name their columns too.
     fit = fit or (FIT if sensor is trained else ALONE)
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         fit = AUTO

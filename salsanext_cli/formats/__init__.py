@@ -1,29 +1,186 @@
 # SPDX-License-Identifier: MIT
-"""Readers and encoders of point files; scans are read by their suffixes."""
+"""Formats of scan files by suffix: the built-in ones, and those of plug-ins.
 
+The functions of a format are imported when they are first used, so that this table costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from salsanext_cli.errors import FormatError
-from salsanext_cli.files.suffixes import SCAN_SUFFIXES
-from salsanext_cli.formats.columns import scan_of
-from salsanext_cli.formats.feather import feather_columns
-from salsanext_cli.formats.kitti import read_bin
-from salsanext_cli.formats.las import read_las
-from salsanext_cli.formats.numpy_scans import npy_columns, npz_columns
-from salsanext_cli.formats.pcd import pcd_columns
-from salsanext_cli.formats.ply import ply_columns
-from salsanext_cli.formats.recordings import recorded_columns, recording_of
-from salsanext_cli.formats.text import text_columns
-from salsanext_cli.records import Scan
-from salsanext_cli.sensors.sensor import Sensor
 
-NAMING_SUFFIXES = ("", ".pcd", ".ply", ".las", ".laz", ".feather")
-"""Suffixes of formats with names of fields, which --columns does not change; of recordings none."""
+if TYPE_CHECKING:
+    from salsanext_cli.files.plug_ins import PlugIn
+    from salsanext_cli.formats.columns import Columns
+    from salsanext_cli.records import Mask, Scan
+    from salsanext_cli.sensors.sensor import Sensor
+
+Names = tuple[str, ...]  # Of columns
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """Format of files of one scan each.
+
+    Attributes
+    ----------
+    suffixes : tuple of str
+        Suffixes of the files, in lower case, such as ``.pcd``; longer ones first.
+    read : callable
+        Reader: path, names of the columns (``--columns``, may be empty) and divisor of the
+        intensity to `Scan`. It raises `FormatError` for a file that is not of the format.
+    magic : tuple of bytes
+        What the files begin with; empty if that varies.
+    names_columns : bool
+        Whether the files name their columns, so that ``--columns`` does not apply.
+    is_table : bool
+        Whether files with these suffixes often hold something else. Such files in a folder are
+        scans only if there are no others.
+    subset : callable, optional
+        Writer of some points, for `filter`: path and names of the columns to a function from a
+        mask (N,) bool to the content, bytes, of a file with the points that stay.
+    label_columns : callable, optional
+        Reader for `import-labels`: path to all columns, (N,) each, by name; x, y, z in metres.
+    """
+
+    suffixes: tuple[str, ...]
+    read: Callable[[Path, Names, float], Scan]
+    magic: tuple[bytes, ...] = ()
+    names_columns: bool = True
+    is_table: bool = False
+    subset: Callable[[Path, Names], Callable[[Mask], bytes]] | None = None
+    label_columns: Callable[[Path], Columns] | None = None
+
+
+def _call(function: str, *arguments: Any) -> Any:
+    """Import a function of this package, such as ``kitti:read_bin``, and call it."""
+    module, _, name = function.partition(":")
+    return getattr(import_module(f"{__name__}.{module}"), name)(*arguments)
+
+
+def _read_columns(function: str, path: Path, names: Names, intensity_scale: float) -> Scan:
+    return _call("columns:scan_of", _call(function, path, names), path, intensity_scale)
+
+
+def _built_in(
+    name: str, suffixes: str, reader: str, *magic: bytes, labels: str = "", **flags: Any
+) -> Format:
+    """Return a format by the names of the functions that read a scan, or its columns."""
+    return Format(
+        suffixes=tuple(suffixes.split()),
+        read=partial(_call if ":read_" in reader else _read_columns, reader),
+        magic=magic,
+        subset=partial(_call, f"subsets:{name}_subset"),
+        label_columns=partial(_call, labels) if labels else None,
+        **flags,
+    )
+
+
+UNNAMED: Mapping[str, Any] = {"names_columns": False}
+TABLE: Mapping[str, Any] = {"is_table": True}
+FORMATS: Mapping[str, Format] = {
+    "bin": _built_in("bin", ".pcd.bin.gz .bin.gz .pcd.bin .bin", "kitti:read_bin", **UNNAMED),
+    "pcd": _built_in(
+        "pcd", ".pcd", "pcd:pcd_columns", b"# .PCD", b"VERSION ", labels="pcd:pcd_columns"
+    ),
+    "ply": _built_in("ply", ".ply", "ply:ply_columns", b"ply", labels="ply:ply_columns"),
+    "las": _built_in("las", ".las .laz", "las:read_las", b"LASF", labels="las:las_columns"),
+    "xyz": _built_in("text", ".xyz", "text:text_columns", **UNNAMED),
+    "npy": _built_in("npy", ".npy", "numpy_scans:npy_columns", b"\x93NUMPY", **UNNAMED, **TABLE),
+    "npz": _built_in("npz", ".npz", "numpy_scans:npz_columns", b"PK\x03\x04", **UNNAMED, **TABLE),
+    "feather": _built_in(
+        "feather", ".feather", "feather:feather_columns", b"ARROW1", b"FEA1", **TABLE
+    ),
+    "text": _built_in("text", ".csv .txt .asc .pts", "text:text_columns", **UNNAMED, **TABLE),
+}
+"""Built-in formats by name, in the order in which a folder is searched; plug-ins come last."""
+SCAN_SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
+"""Suffixes of the built-in formats."""
+BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf")
+"""Suffixes of recordings that are files."""
+MAX_MAGIC_BYTES = 64
+
+
+@cache
+def plugged_formats() -> Mapping[str, PlugIn]:
+    """Return the formats of plug-ins by name."""
+    from salsanext_cli.files.plug_ins import load_plug_ins
+
+    return load_plug_ins("formats", FORMATS, Format, _fault)
+
+
+def _fault(target: Format, others: Collection[PlugIn]) -> str:
+    """Return why a format cannot be added to others, empty if it can."""
+    taken = (*SCAN_SUFFIXES, *RECORDING_SUFFIXES, *(s for o in others for s in o.target.suffixes))
+    wrong = [s for s in target.suffixes if s[:1] != "." or s != s.lower() or s.endswith(taken)]
+    return f"its suffix {wrong[0]} is taken, or not in lower case with a dot" if wrong else ""
+
+
+def _find(name: str) -> tuple[str, Format | None]:
+    """Return suffix and format of a file name; import plug-ins only for one of no built-in."""
+    lower = name.lower()
+    for form in FORMATS.values():
+        if suffix := next(filter(lower.endswith, form.suffixes), ""):
+            return suffix, form
+    # Scans of a recording have no suffix.
+    for plug_in in plugged_formats().values() if "." in lower else ():
+        if suffix := next(filter(lower.endswith, plug_in.target.suffixes), ""):
+            return suffix, plug_in.target
+    return "", None
 
 
 def scan_suffix(name: str) -> str:
     """Return the suffix that makes a file a scan, in lower case; empty if it is none."""
-    return next((suffix for suffix in SCAN_SUFFIXES if name.lower().endswith(suffix)), "")
+    return _find(name)[0]
+
+
+def format_of(name: str) -> Format | None:
+    """Return the format of a file of some name; None if its suffix is unknown."""
+    return _find(name)[1]
+
+
+def is_table(name: str) -> bool:
+    """Say whether a file of some name is a scan that often is something else."""
+    form = format_of(name)
+    return form is not None and form.is_table
+
+
+def suffixes_in_words(fits: Callable[[Format], object] = bool) -> str:
+    """Return the suffixes of the formats that fit, those of plug-ins with their distribution."""
+    words = [suffix for form in FORMATS.values() if fits(form) for suffix in form.suffixes]
+    for plug_in in plugged_formats().values():
+        suffixes = plug_in.target.suffixes if fits(plug_in.target) else ()
+        words += [f"{suffix} ({plug_in.distribution})" for suffix in suffixes]
+    return ", ".join(words)
+
+
+@contextmanager
+def errors_of_plug_ins(path: Path) -> Iterator[None]:
+    """Turn whatever a plug-in raises at a file into a `FormatError`."""
+    from salsanext_cli.files.reading import refusing_damage
+
+    suffix = scan_suffix(path.name)
+    guard = refusing_damage(path, f"a whole {suffix} file")
+    with nullcontext() if suffix in SCAN_SUFFIXES else guard:
+        yield
+
+
+def _plugged_kind(path: Path) -> PlugIn | None:
+    """Return the format of a plug-in whose files begin as a file does, None if there is none."""
+    from salsanext_cli.files.reading import reading
+
+    with reading(path) as file:
+        start = file.read(MAX_MAGIC_BYTES)
+    plug_ins = plugged_formats().values()
+    return next((each for each in plug_ins if start.startswith(each.target.magic)), None)
 
 
 def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
@@ -32,7 +189,7 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     Parameters
     ----------
     path : Path or str
-        A file with one of the `SCAN_SUFFIXES`, or a scan of a recording as `find_scans` names it.
+        A file with the suffix of a format, or a scan of a recording as `find_scans` names it.
     sensor : Sensor, optional
         Its `intensity_scale` divides the intensity, except where the type of the values tells
         their range: bytes are divided by 255, those of LAS by 65535. Its `columns` name the
@@ -48,25 +205,17 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     path = Path(path)
     scale = 1.0 if sensor is None else sensor.intensity_scale
     names = () if sensor is None else sensor.columns
-    match scan_suffix(path.name):
-        case ".bin" | ".pcd.bin" | ".bin.gz" | ".pcd.bin.gz":
-            return read_bin(path, names, scale)
-        case ".las" | ".laz":
-            return read_las(path)
-        case ".pcd":
-            columns = pcd_columns(path)
-        case ".ply":
-            columns = ply_columns(path)
-        case ".npy":
-            columns = npy_columns(path, names)
-        case ".npz":
-            columns = npz_columns(path, names)
-        case ".feather":
-            columns = feather_columns(path)
-        case ".xyz" | ".csv" | ".txt" | ".asc" | ".pts":
-            columns = text_columns(path, names)
-        case _ if recording_of(path) not in (None, path):
-            columns = recorded_columns(path)
-        case _:
-            raise FormatError(path, "not a known scan format", f"a {', '.join(SCAN_SUFFIXES)} file")
-    return scan_of(columns, path, scale)
+    form = format_of(path.name)
+    if form is None:
+        if _call("recordings:recording_of", path) in (None, path):
+            raise FormatError(path, "not a known scan format", f"a {suffixes_in_words()} file")
+        return _read_columns("recordings:recorded_columns", path, names, scale)
+    try:
+        with errors_of_plug_ins(path):
+            return form.read(path, names, scale)
+    except FormatError as error:
+        other = _plugged_kind(path)
+        if other and other.target is not form:
+            remedy = f"rename it to {other.target.suffixes[0]}"
+            raise FormatError(path, f"is a file of {other}", remedy=remedy) from error
+        raise

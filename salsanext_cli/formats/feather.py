@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Feather files, such as the scans of Argoverse 2, through pyarrow, which is imported when used."""
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +8,9 @@ from salsanext_cli.errors import FormatError, notice_once
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.files.reading import reading, refusing_damage
 from salsanext_cli.formats.columns import Columns
-from salsanext_cli.records import Indices
 
 
-def feather_columns(path: Path) -> Columns:
+def feather_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
     """Read the columns of a Feather file."""
     table = read_table(path)
     with refusing_damage(path, "columns of numbers"):
@@ -37,12 +35,3 @@ def read_table(path: Path) -> Any:
             raise ValueError(str(error)) from error
         table.validate(full=True)
     return table
-
-
-def feather_subset(table: Any, rows: Indices) -> bytes:
-    """Return a Feather file of some rows (M,) of a table."""
-    from pyarrow.feather import write_feather
-
-    with io.BytesIO() as buffer:
-        write_feather(table.take(rows), buffer)
-        return buffer.getvalue()

@@ -19,6 +19,7 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import read_values, reading, refusing_damage, size_of
+from salsanext_cli.formats import FORMATS
 from salsanext_cli.formats.columns import USUAL_COLUMNS, require_no_matrix, scan_of, unnamed_columns
 from salsanext_cli.records import Double, Float, Mask, Scan, normalised_intensity
 from salsanext_cli.sensors.sensor import UNUSED_COLUMN
@@ -171,16 +172,10 @@ def write_labels(path: Path, raw: RawIds) -> None:
 
 
 MAGIC = {
-    b"ply": ".ply",
-    b"# .PCD": ".pcd",
-    b"VERSION ": ".pcd",
-    b"LASF": ".las",
-    b"\x93NUMPY": ".npy",
-    b"PK\x03\x04": ".npz",
+    **{magic: form.suffixes[0] for form in FORMATS.values() for magic in form.magic},
     b"\x1f\x8b": ".bin.gz",
     b"#ROSBAG": ".bag",
     b"\x89MCAP0": ".mcap",
-    **dict.fromkeys((b"ARROW1", b"FEA1"), ".feather"),
     b"ASTM-E57": "an E57 file",
     b"\x00\x01\x00\x00": "a message of ROS 2",  # in CDR, little endian
 }

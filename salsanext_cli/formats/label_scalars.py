@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +15,12 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.errors import FormatError, LabelError, UsageError, quoted, shortened
 from salsanext_cli.files.yaml_toml import read_yaml
+from salsanext_cli.formats import errors_of_plug_ins, format_of, suffixes_in_words
 from salsanext_cli.formats.columns import Columns, coordinates, listed
-from salsanext_cli.formats.las import LAST_STANDARD_CLASS, UNASSIGNED, las_columns
-from salsanext_cli.formats.pcd import pcd_columns
-from salsanext_cli.formats.ply import ply_columns
+from salsanext_cli.formats.las import LAST_STANDARD_CLASS, UNASSIGNED
 from salsanext_cli.records import Float
 
-READERS: dict[str, Callable[[Path], Columns]] = {
-    ".ply": ply_columns,
-    ".pcd": pcd_columns,
-    ".las": las_columns,
-    ".laz": las_columns,
-}
-"""Readers of all columns of a cloud by the suffix of its file, in lower case."""
+LABEL_READER = attrgetter("label_columns")  # Of a format; None without one
 LABEL_NAMES = (
     *("label", "labels", "class", "classes", "class_id", "classification", "category"),
     *("semantic", "semantics", "semantic_label", "sem_class", "sem_label", "segmentation"),
@@ -51,8 +45,13 @@ class LabelledCloud:
 
 
 def read_labelled_cloud(path: Path, scalar: str | None = None) -> LabelledCloud:
-    """Read coordinates and labels, by default those of `LABEL_NAMES`, of a PLY, PCD, LAS or LAZ."""
-    columns = READERS[path.suffix.lower()](path)
+    """Read coordinates and labels, by default those of `LABEL_NAMES`, of a cloud."""
+    form = format_of(path.name)
+    if form is None or form.label_columns is None:
+        expected = f"a {suffixes_in_words(LABEL_READER)} file"
+        raise FormatError(path, "not a cloud with labels", expected)
+    with errors_of_plug_ins(path):
+        columns = form.label_columns(path)
     columns = {name: values for name, values in columns.items() if values.dtype.kind in "iuf"}
     points = coordinates(columns, path)
     name = _label_column(columns, scalar, path)

@@ -39,8 +39,11 @@ FORMAT, VERSION = 7, "1.4"  # Point format with colours and 256 classes
 COLOURS = ("red", "green", "blue")
 
 
-def read_las(path: Path) -> Scan:
-    """Read the points of a LAS or LAZ file; 16-bit intensities are divided by 65535."""
+def read_las(path: Path, *_: object) -> Scan:
+    """Read the points of a LAS or LAZ file; 16-bit intensities are divided by 65535.
+
+    A sensor's names of columns and its scale of the intensity do not apply.
+    """
     columns = las_columns(path)
     intensity = columns.get(EXACT_INTENSITY, columns["intensity"] / np.float32(INTENSITY_RANGE))
     used = {axis: columns[axis] for axis in "xyz"}

@@ -62,7 +62,7 @@ class Header(NamedTuple):
         ).encode()
 
 
-def pcd_columns(path: Path) -> Columns:
+def pcd_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
     """Read the fields of a PCD file with one value per point, and the rows of an organised one."""
     with reading(path) as file, refusing_damage(path, "a whole PCD file"):
         header = read_header(file)

@@ -23,7 +23,7 @@ VERTICES = re.compile(rb"(?:^|[\r\n])\s*element\s+vertex\s")
 BLANKS = re.compile(rb"[ \t]+(?=[\r\n])")  # Blanks at the end of a line, which plyfile refuses
 
 
-def ply_columns(path: Path) -> Columns:
+def ply_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
     """Read the properties of the vertices of a PLY file."""
     with reading(path) as file:
         data = read_ply(path, file.read())

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from salsanext_cli.errors import FormatError, NoInputError, UsageError, shortened
 from salsanext_cli.files.reading import is_folder, present
-from salsanext_cli.files.suffixes import BAG_SUFFIXES, RECORDING_SUFFIXES
+from salsanext_cli.formats import BAG_SUFFIXES, RECORDING_SUFFIXES
 from salsanext_cli.formats.bags import Bag
 from salsanext_cli.formats.columns import Columns
 from salsanext_cli.formats.ouster import OusterRecording
@@ -27,6 +27,11 @@ def is_recording(path: Path) -> bool:
     if is_folder(path):
         return present(path / METADATA) and bool(storages(path))
     return path.suffix.lower() in RECORDING_SUFFIXES and present(path)
+
+
+def is_bag(recording: Path) -> bool:
+    """Say whether a recording is a ROS bag."""
+    return is_folder(recording) or recording.suffix.lower() in BAG_SUFFIXES
 
 
 def storages(folder: Path) -> list[Path]:
@@ -93,7 +98,7 @@ def _names(times: list[int]) -> list[str]:
     return names
 
 
-def recorded_columns(path: Path) -> Columns:
+def recorded_columns(path: Path, _: tuple[str, ...] = ()) -> Columns:
     """Read a scan of a recording, whose path is one of the `recorded_paths`."""
     folder, recording, clouds = _opened(path)
     topic = "/".join(path.parent.relative_to(folder).parts)
@@ -119,6 +124,4 @@ def _opened(path: Path) -> tuple[Path, Recording, dict[str, str]]:
 
 @lru_cache(maxsize=1)
 def _kept(folder: Path, version: tuple[int, ...]) -> Recording:
-    if folder.is_dir() or folder.suffix.lower() in BAG_SUFFIXES:
-        return Bag(folder, files_of(folder))
-    return OusterRecording(folder)
+    return Bag(folder, files_of(folder)) if is_bag(folder) else OusterRecording(folder)

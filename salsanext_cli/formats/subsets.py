@@ -9,7 +9,6 @@ import re
 import sqlite3
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,18 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, LabelError, counted
 from salsanext_cli.files.reading import reading, refusing_damage
-from salsanext_cli.formats import kitti, las, numpy_scans, pcd, ply, scan_suffix, text
+from salsanext_cli.formats import (
+    errors_of_plug_ins,
+    format_of,
+    kitti,
+    las,
+    numpy_scans,
+    pcd,
+    ply,
+    text,
+)
 from salsanext_cli.formats.bags import EXPECTED, POINT_CLOUD2, REMEDY, Bag, columns_of
-from salsanext_cli.formats.feather import feather_subset, read_table
+from salsanext_cli.formats.feather import read_table
 from salsanext_cli.formats.npy import load_npy
 from salsanext_cli.records import Mask
 
@@ -30,51 +38,137 @@ NUMBER_ALONE = re.compile(rb"(?m)^(\s*)\d+(?=\s*$)")
 ROWS_OF_PCD = re.compile(rb"(?m)^(\s*HEIGHT\s+)\d+")
 COMPRESSED_PCD = re.compile(rb"(?mi)^(\s*DATA\s+binary)_compressed")
 END_OF_PLY = re.compile(rb"end_header(?:\r\n|\r|\n)")
+Subset = Callable[[Mask], bytes]
+"""Function from the points that stay, (N,) bool, to the content of a file with only these."""
 
 
-def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Callable[[Mask], bytes]:
-    """Read a scan file; return what gives its content with the points only that stay, (N,) bool.
+def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Subset:
+    """Read a scan file; return a function that gives its content with the points that stay.
 
     Header, order and values stay; an organised PCD cloud becomes one row, a compressed one binary.
     `names`: of the columns of files that do not name them.
     """
-    suffix = scan_suffix(path.name)
-    if suffix in (".las", ".laz"):
-        return partial(_las_subset, path, *las.read_points(path, further_records=True))
-    if suffix == ".npy":
-        return partial(_npy_subset, path, load_npy(path, numpy_scans.EXPECTED), len(names))
-    if suffix == ".npz":
-        return partial(_npz_subset, path, *numpy_scans.npz_arrays(path))
-    if suffix == ".feather":
-        table = read_table(path)
-        return lambda keep: feather_subset(table, _kept(np.arange(len(table)), keep, path))
-    number, width = NUMBERS, 0
-    with reading(path) as file, refusing_damage(path, f"a whole {suffix} file"):
-        head, body = b"", file.read()
-        match suffix:
-            case ".pcd":
-                head, body, width = _pcd_parts(body, path)
-            case ".ply":
-                head, body, width = _ply_parts(body, path)
-            case ".bin" | ".pcd.bin" | ".bin.gz" | ".pcd.bin.gz":
-                if suffix.endswith(kitti.GZIP_SUFFIX):
-                    body = kitti.decompressed(io.BytesIO(body), path)[0].getvalue()
-                width = 4 * (len(names) or kitti.usual_width(path))
-            case _:
-                mark = len(body) - len(body.removeprefix(text.BYTE_ORDER_MARK))
-                layout = text.layout_of(body[mark:], has_names=bool(names))
-                head, body = body[: mark + layout.start], body[mark + layout.start :]
-                number = NUMBER_ALONE if layout.count is not None else NUMBERS
+    form = format_of(path.name)
+    if form is None or form.subset is None:
+        remedy = "write masks with --indices"
+        raise FormatError(path, "a format that cannot be written", "another format", remedy)
+    with errors_of_plug_ins(path):
+        subset = form.subset(path, names)
+    return errors_of_plug_ins(path)(subset)
+
+
+def las_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read a LAS or LAZ file."""
+    header, points = las.read_points(path, further_records=True)
+    compressed = header.are_points_compressed
+
+    def subset(keep: Mask) -> bytes:
+        _kept(points.array, keep, path)
+        laspy = las.import_laspy(path, compressed=compressed)
+        backend = laspy.LazBackend.Lazrs if compressed else None
+        cloud = laspy.LasData(copy.deepcopy(header), points[keep])
+        return _written(cloud.write, do_compress=compressed, laz_backend=backend)
+
+    return subset
+
+
+def npy_subset(path: Path, names: tuple[str, ...]) -> Subset:
+    """Read a `.npy` table."""
+    table = load_npy(path, numpy_scans.EXPECTED)
+    if numpy_scans.is_transposed(table, len(names)):
+        return lambda keep: _written(np.save, _kept(table.T, keep, path).T)
+    return lambda keep: _written(np.save, _kept(table, keep, path))
+
+
+def npz_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read an archive; all its arrays of N rows or columns are of the points."""
+    arrays, compressed = numpy_scans.npz_arrays(path)
+
+    def subset(keep: Mask) -> bytes:
+        of_points = {n: each[keep] for n, each in arrays.items() if each.shape[:1] == keep.shape}
+        of_points |= {
+            name: each[:, keep]
+            for name, each in arrays.items()
+            if each.ndim == 2 and each.shape[1:] == keep.shape != each.shape[:1]
+        }
+        _kept(keep[: len(keep) * bool(of_points)], keep, path)
+        return _written(np.savez_compressed if compressed else np.savez, **arrays | of_points)
+
+    return subset
+
+
+def feather_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read a Feather file."""
+    table = read_table(path)
+
+    def subset(keep: Mask) -> bytes:
+        from pyarrow.feather import write_feather
+
+        rows = table.take(_kept(np.arange(len(table)), keep, path))
+        return _written(lambda buffer: write_feather(rows, buffer))
+
+    return subset
+
+
+def _written(write: Callable[..., object], *arguments: Any, **options: Any) -> bytes:
+    """Return what a function writes into its first argument, a file."""
+    with io.BytesIO() as buffer:
+        write(buffer, *arguments, **options)
+        return buffer.getvalue()
+
+
+def bin_subset(path: Path, names: tuple[str, ...]) -> Subset:
+    """Read a file of float32 values, which may be compressed by gzip."""
+    content, packed = _content(path), path.name.lower().endswith(kitti.GZIP_SUFFIX)
+    if packed:
+        content = kitti.decompressed(io.BytesIO(content), path)[0].getvalue()
+    subset = _rows_subset(path, b"", content, 4 * (len(names) or kitti.usual_width(path)))
+    return (lambda keep: gzip.compress(subset(keep))) if packed else subset
+
+
+def pcd_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read a PCD file."""
+    with refusing_damage(path, "a whole .pcd file"):
+        return _rows_subset(path, *_pcd_parts(_content(path), path))
+
+
+def ply_subset(path: Path, _: tuple[str, ...]) -> Subset:
+    """Read a PLY file."""
+    with refusing_damage(path, "a whole .ply file"):
+        return _rows_subset(path, *_ply_parts(_content(path), path))
+
+
+def text_subset(path: Path, names: tuple[str, ...]) -> Subset:
+    """Read a text file of one point per line."""
+    content = _content(path)
+    mark = len(content) - len(content.removeprefix(text.BYTE_ORDER_MARK))
+    with refusing_damage(path, "a whole text file"):
+        layout = text.layout_of(content[mark:], has_names=bool(names))
+    start = mark + layout.start
+    number = NUMBERS if layout.count is None else NUMBER_ALONE
+    return _rows_subset(path, content[:start], content[start:], 0, number)
+
+
+def _content(path: Path) -> bytes:
+    with reading(path) as file:
+        return file.read()
+
+
+def _rows_subset(
+    path: Path, head: bytes, body: bytes, width: int, number: re.Pattern[bytes] = NUMBERS
+) -> Subset:
+    """Return the function for points of so many bytes, or lines if 0, after a header.
+
+    `number`: pattern of the header that ends with the number of points.
+    """
     lines = [] if width else [line for line in body.splitlines(keepends=True) if line.strip()]
     whole = len(body) // width * width if width else 0
     rows = np.frombuffer(body[:whole], f"V{width}") if width else np.empty(len(lines))
-    head = ROWS_OF_PCD.sub(rb"\g<1>1", head)
 
     def subset(keep: Mask) -> bytes:
         kept = _kept(rows, keep, path)
         points = kept.tobytes() if width else b"".join(compress(lines, keep.tolist()))
-        content = number.sub(rb"\g<1>%d" % len(kept), head) + points
-        return gzip.compress(content) if suffix.endswith(kitti.GZIP_SUFFIX) else content
+        return number.sub(rb"\g<1>%d" % len(kept), head) + points
 
     return subset
 
@@ -91,10 +185,11 @@ def _pcd_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
     file = io.BytesIO(content)
     header = pcd.read_header(file)
     start, width = file.tell(), header.point.itemsize
+    head = ROWS_OF_PCD.sub(rb"\g<1>1", content[:start])
     if header.kind == "ascii":
-        return content[:start], content[start:], 0
+        return head, content[start:], 0
     if header.kind == "binary":
-        return content[:start], content[start : start + header.point_count * width], width
+        return head, content[start : start + header.point_count * width], width
     columns = pcd.read_compressed(file, header)
     points = np.zeros(header.point_count, header.point)
     for name in header.scalars:
@@ -103,7 +198,7 @@ def _pcd_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
             remedy = "write it as binary, by pcl_convert_pcd_ascii_binary for example"
             raise FormatError(path, found, "binary or ascii", remedy)
         points[name] = columns[name]
-    return COMPRESSED_PCD.sub(rb"\1", content[:start]), points.tobytes(), width
+    return COMPRESSED_PCD.sub(rb"\1", head), points.tobytes(), width
 
 
 def _ply_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
@@ -117,41 +212,6 @@ def _ply_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
     width = 0 if data.text else vertices.data.itemsize
     body = content[end.end() :]
     return content[: end.end()], body[: width * vertices.count] if width else body, width
-
-
-def _npy_subset(path: Path, table: npt.NDArray[Any], columns: int, keep: Mask) -> bytes:
-    transposed = numpy_scans.is_transposed(table, columns)
-    with io.BytesIO() as buffer:
-        np.save(buffer, _kept(table.T, keep, path).T if transposed else _kept(table, keep, path))
-        return buffer.getvalue()
-
-
-def _npz_subset(
-    path: Path, arrays: dict[str, npt.NDArray[Any]], compressed: bool, keep: Mask
-) -> bytes:
-    """Return an archive in which all arrays of N rows or columns are of the points that stay."""
-    of_points = {name: each[keep] for name, each in arrays.items() if each.shape[:1] == keep.shape}
-    of_points |= {
-        name: each[:, keep]
-        for name, each in arrays.items()
-        if each.ndim == 2 and each.shape[1:] == keep.shape != each.shape[:1]
-    }
-    _kept(keep[: len(keep) * bool(of_points)], keep, path)
-    save: Any = np.savez_compressed if compressed else np.savez
-    with io.BytesIO() as buffer:
-        save(buffer, **arrays | of_points)
-        return buffer.getvalue()
-
-
-def _las_subset(path: Path, header: Any, points: Any, keep: Mask) -> bytes:
-    _kept(points.array, keep, path)
-    compressed = header.are_points_compressed
-    laspy = las.import_laspy(path, compressed=compressed)
-    backend = laspy.LazBackend.Lazrs if compressed else None
-    with io.BytesIO() as buffer:
-        cloud = laspy.LasData(copy.deepcopy(header), points[keep])
-        cloud.write(buffer, do_compress=compressed, laz_backend=backend)
-        return buffer.getvalue()
 
 
 def write_bag_subset(bag: Bag, target: Path, topic: str, masks: Iterator[tuple[int, Mask]]) -> None:

@@ -16,7 +16,7 @@ from salsanext_cli.fusion.drive import DRIVE, Drive, recorded_drive
 from salsanext_cli.fusion.poses import POSES
 from salsanext_cli.fusion.visibility import GRAZING, SAME_PLACE_M
 from salsanext_cli.fusion.votes import keys_of
-from salsanext_cli.fusion.window import DriveWindow, in_drive, movable_classes
+from salsanext_cli.fusion.window import DriveWindow, in_drive
 from salsanext_cli.geometry.projection import measured_ranges, project
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
@@ -108,7 +108,7 @@ class MapTask:
     ) -> npt.NDArray[np.bool_]:
         """Return which points (N,) are of what stands still.
 
-        Of a class that may move, no scan sees through their place, or more see something there; of
+        Of a movable class, no scan sees through their place, or more see something there; of
         others, whose labels may be wrong, at most twice as many see through it.
         """
         places = np.stack([columns[axis] for axis in "xyz"], axis=1)
@@ -123,7 +123,7 @@ class MapTask:
             there += np.abs(behind) <= SAME_PLACE_M
             through += behind > SAME_PLACE_M + GRAZING * image.point_range
         labels = self.space.to_train(columns["label"], strict=False)
-        movable = movable_classes(self.space)[labels]
+        movable = self.space.movable[labels]
         most = np.where(movable, there, 2 * there + 1)
         return (through == 0) | (through < most)
 

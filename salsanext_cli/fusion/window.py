@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Fusion of the softmax of scans that see the same places, in a window along the drive."""
 
-import re
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from typing import Generic, NamedTuple, TypeVar
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds, label_space
-from salsanext_cli.errors import SalsanextError, UsageError, counted
+from salsanext_cli.errors import SalsanextError, UsageError, counted, warn_once
 from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.pose_checks import MAX_MISFIT, Parts, fitting_parts
 from salsanext_cli.fusion.poses import MAX_PLACE_M, Poses, is_rigid
@@ -26,20 +26,10 @@ from salsanext_cli.fusion.votes import (
 from salsanext_cli.options import FusionReach
 from salsanext_cli.records import Float, Scan
 
-MOVABLE_WORDS = {
-    *("car", "truck", "bus", "van", "trailer", "vehicle", "train", "tram", "rails", "animal"),
-    *("bicycle", "motorcycle", "cycle", "bike", "motorbike", "scooter", "wheeler", "tractor"),
-    *("person", "pedestrian", "people", "human", "rider", "cyclist", "bicyclist", "motorcyclist"),
-}
-"""Words in the names of classes of what may move, in the singular or the plural."""
-STATIC_WORDS = {
-    *("park", "parking", "rack", "stop", "station", "shelter", "sign", "light", "guard"),
-    *("lane", "path", "way", "crossing", "track", "bridge"),
-}
-"""Words that make of such a name that of a place: a bus stop stands."""
 MOVABLE_SHARE = 0.2  # Share of votes for movable classes from which others are asked
 SCAN_M = 500.0  # Least reach of the voxels around the farthest scan of a drive
 ROUNDING = 1e-3  # By which a probability may be above 1
+log = logging.getLogger(__name__)
 Content = TypeVar("Content")
 ReadScan = Callable[[int], tuple[Float, Float, npt.NDArray[np.bool_]]]
 """Function from the number of a scan in its drive to its points (N, 3), their softmax (N, C)
@@ -47,16 +37,11 @@ float32, and which of them vote (N,)."""
 
 
 def movable_classes(space: LabelSpace) -> npt.NDArray[np.bool_]:
-    """Return which train ids (C,) are of what may move, by the names of their raw ids."""
-    movable = np.zeros(space.class_count, bool)
-    for raw, train in space.learning_map.items():
-        found = re.findall("[A-Z]?[a-z]+|[A-Z]+", space.labels.get(raw, ""))
-        words = {word.lower() for word in found}
-        single = words | {word.removesuffix(end) for word in words for end in ("s", "es")}
-        is_thing = MOVABLE_WORDS & single and not STATIC_WORDS & single
-        movable[train] |= "moving" in words or bool(is_thing)
-    movable[0] = False
-    return movable
+    """Return the mask (C,) of movable classes; warn of a label space that states none."""
+    if space.movable_ids is None and not space.movable.any():
+        found = f"label space {space.name} does not state which classes are movable"
+        warn_once(log, f"{found}: moving objects are fused as if they stood still")
+    return space.movable
 
 
 def in_drive(points: Float, rotation: Poses, place: Poses) -> npt.NDArray[np.float64]:
@@ -110,7 +95,7 @@ class PlacedScan(NamedTuple):
 
 
 class FusionWindow:
-    """Votes of the scans around one of a drive; `movable` (C,): which classes may move."""
+    """Votes of the scans around one of a drive; `movable` (C,): movable classes."""
 
     def __init__(
         self, drive: Drive, read: ReadScan, reach: FusionReach, movable: npt.NDArray[np.bool_]
@@ -137,7 +122,7 @@ class FusionWindow:
     def _stands(
         self, view: VoxelVotes, own: PlacedScan, others: Mapping[int, PlacedScan]
     ) -> npt.NDArray[np.uint8]:
-        """Return in which voxels (V,), of what may move, more scans see something than through."""
+        """Return in which voxels (V,) of movable objects more scans see something than nothing."""
         stands = np.zeros(len(view.keys), np.uint8)
         movable = view.votes[:, self.movable].sum(axis=1, dtype=np.uint32)
         asked = np.flatnonzero(movable > MOVABLE_SHARE * SCALE)
@@ -187,7 +172,7 @@ def fuse(
     reach : FusionReach
         How many scans before and after each vote, of those whose poses bring them to lie on it.
     space : LabelSpace
-        Classes, which tell what may move; the built-in ones by default.
+        Classes, some of them movable; SemanticKITTI's by default.
 
     Returns
     -------

@@ -13,9 +13,10 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
 from salsanext_cli.errors import LabelError, NoInputError, counted, first_few
 from salsanext_cli.files.reading import is_folder, present
+from salsanext_cli.formats import format_of, suffixes_in_words
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.label_scalars import (
-    READERS,
+    LABEL_READER,
     LabelIds,
     LabelledCloud,
     read_labelled_cloud,
@@ -31,14 +32,14 @@ from salsanext_cli.geometry.label_transfer import (
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, counted_by_suffix
 
-EDITED_SUFFIXES = (*READERS, ".label", ".npy")
+LABEL_SUFFIXES = (".label", ".npy")  # Of files of labels alone, one for each point
 MAX_UNMATCHED = 0.01  # Largest share of the points of a cloud that are none of the scan's
 ROUNDED_M = 0.05  # Nearer coordinates were probably rounded; other scans are farther away
 
 
 def find_edited(source: Path) -> list[Path]:
     """Return a file with labels, or those in a folder and below it that are not hidden, sorted."""
-    expected = f"labels: {', '.join(EDITED_SUFFIXES)} files"
+    expected = f"labels: {suffixes_in_words(LABEL_READER)}, {', '.join(LABEL_SUFFIXES)} files"
     if not present(source):
         raise NoInputError(source, "no such file or folder", expected)
     if not is_folder(source):
@@ -57,7 +58,12 @@ def find_edited(source: Path) -> list[Path]:
 
 
 def _is_edited(path: Path) -> bool:
-    return path.suffix.lower() in EDITED_SUFFIXES
+    return path.suffix.lower() in LABEL_SUFFIXES or _has_points(path)
+
+
+def _has_points(path: Path) -> bool:
+    form = format_of(path.name)
+    return form is not None and form.label_columns is not None
 
 
 def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanFile:
@@ -109,7 +115,7 @@ def read_file_labels(
     path: Path, points: Float, meanings: LabelIds, scalar: str | None = None
 ) -> tuple[LabelTransfer, str]:
     """Read the labels of points (N, 3), matched by place or order, and the name of their scalar."""
-    has_points = path.suffix.lower() in READERS
+    has_points = _has_points(path)
     cloud = read_labelled_cloud(path, scalar) if has_points else _of_all_points(path, points)
     if unknown := meanings.unknown(cloud.ids):
         listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))

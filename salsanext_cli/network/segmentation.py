@@ -12,12 +12,19 @@ from torch import Tensor, nn
 class SegmentationNetwork(nn.Module):
     """Base class of networks in two parts: `trunk`, up to the first dropout, and the `rest`.
 
-    The rest ends with the layer `logits`, which takes what `decoded` returns. Sizes are multiples
-    of `stride`; only functions of torch are used, so that Gaussians can take the tensors' place.
+    A network uses functions of torch only, so that Gaussians can take the place of tensors. Its
+    constructor takes `class_count` and `dropout`.
+
+    Attributes
+    ----------
+    stride : tuple of int
+        Divisors of height and width at the coarsest level; images are padded to multiples of them.
+    logits : Conv2d
+        The last layer, which takes what `decoded` returns.
     """
 
-    stride: tuple[int, int]  # (int, int): divisors of height and width at the coarsest level
-    logits: nn.Conv2d  # The last layer
+    stride: tuple[int, int]
+    logits: nn.Conv2d
 
     @abstractmethod
     def trunk(self, image: Tensor) -> tuple[Tensor, ...]:

@@ -12,8 +12,7 @@ from typing import Any
 
 from salsanext_cli.errors import NoInputError, OutputError, first_few
 from salsanext_cli.files.reading import is_folder, present, reason
-from salsanext_cli.files.suffixes import CLOUD_SUFFIXES, SCAN_SUFFIXES, TABLE_SUFFIXES
-from salsanext_cli.formats import scan_suffix
+from salsanext_cli.formats import SCAN_SUFFIXES, is_table, scan_suffix, suffixes_in_words
 from salsanext_cli.formats.recordings import is_recording, recorded_paths, recording_of, sequence_of
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
@@ -62,7 +61,7 @@ def counted_by_suffix(paths: Iterable[Path]) -> str:
 
 def _nothing_in(source: Path, others: list[Path]) -> NoInputError:
     """Return the error of a source without scans, which says what else it holds."""
-    expected = f"{', '.join(SCAN_SUFFIXES)} files, or sequences/*/velodyne"
+    expected = f"{suffixes_in_words()} files, or sequences/*/velodyne"
     inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
     if inside:
         found = f"holds no scans, but recordings: {first_few([each.name for each in inside])}"
@@ -107,12 +106,12 @@ def find_scans(
     """Find the scans of a file, folder, data set or recording, sorted; of `unique` names."""
     try:
         is_file = present(source) and not source.is_dir()
-        if is_file and not scan_suffix(source.name) and not recording_of(_absolute(source)):
+        if is_file and not recording_of(_absolute(source)) and not scan_suffix(source.name):
             kind = (
                 f"a {source.suffix} file, which is not read" if source.suffix else "has no suffix"
             )
             remedy = "convert it to .ply or .las, with CloudCompare or PDAL for example"
-            raise NoInputError(source, kind, f"one of {', '.join(SCAN_SUFFIXES)}", remedy)
+            raise NoInputError(source, kind, f"one of {suffixes_in_words()}", remedy)
         scans = sorted(_scans_of(_absolute(source)))
         others = names_in(source) if not scans and source.is_dir() else []
     except OSError as error:
@@ -150,7 +149,7 @@ def require_none_hidden(root: Path) -> None:
     """Refuse to write sequences with scans into a folder in which other scans are found."""
     place = _absolute(root)
     first = next(_scans_of(place), None) if place.is_dir() else None
-    if first is None or scan_suffix(first.path.name) in TABLE_SUFFIXES:
+    if first is None or is_table(first.path.name):
         return
     if place / "sequences" not in first.path.parents:
         found = f"holds scans, such as {first.path.name}, which `sequences` there would hide"
@@ -161,7 +160,7 @@ def require_none_hidden(root: Path) -> None:
 def _scans_at(path: Path) -> list[ScanFile]:
     """Return the scans in a folder itself, else in folders of sequences."""
     scans = [*_scans_in(path)]
-    clouds = any(scan_suffix(scan.path.name) in CLOUD_SUFFIXES for scan in scans[:1])
+    clouds = any(not is_table(scan.path.name) for scan in scans[:1])
     # Tables beside the folders of sequences are something else.
     return scans if clouds else [*_scans_of_sequences(path)] or scans
 
@@ -178,12 +177,12 @@ def _scans_of_sequences(folder: Path) -> Iterator[ScanFile]:
 def _scans_in(folder: Path) -> Iterator[ScanFile]:
     names = names_in(folder) if folder.is_dir() else []
     suffix_of = {name: scan_suffix(name) for name in names if name not in OWN_TABLES}
-    known, sequence = {*suffix_of.values()}, _sequence_of(folder)
+    known, sequence = {*suffix_of.values()} - {""}, _sequence_of(folder)
     # Tables are often something else: they count where there are no clouds, and of one kind only.
-    table = next((suffix for suffix in TABLE_SUFFIXES if suffix in known), "")
-    suffixes = (table,) if known.isdisjoint(CLOUD_SUFFIXES) else CLOUD_SUFFIXES
+    tables = [*(s for s in SCAN_SUFFIXES if s in known), *sorted(known)][:1]
+    suffixes = [suffix for suffix in known if not is_table(suffix)] or tables
     for name, suffix in suffix_of.items():
-        if suffix and suffix in suffixes:
+        if suffix in suffixes:
             yield ScanFile(sequence, name[: -len(suffix)], folder / name)
 
 

@@ -15,7 +15,6 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import LabelError, NoInputError, counted, escaped
 from salsanext_cli.files.json_files import encode_json
 from salsanext_cli.files.reading import present
-from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.panoptic import panoptic_quality
 from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED, KeptLabels, RiskBoundCheck
@@ -144,7 +143,7 @@ def evaluate(
         raise NoInputError(out, found, remedy=remedy)
     panoptic = None
     if counts.segments[:, -1].any():
-        panoptic = panoptic_quality(counts.segments, space, movable_classes(space))
+        panoptic = panoptic_quality(counts.segments, space, space.movable)
     bands = zip(BAND_NAMES, counts.bands, strict=by_distance)
     evaluation = Evaluation(
         space=space,

@@ -21,9 +21,8 @@ from salsanext_cli.files.reading import filled, is_folder, present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.bags import Bag
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.recordings import files_of, recorded_paths, recording_of
+from salsanext_cli.formats.recordings import files_of, is_bag, recorded_paths, recording_of
 from salsanext_cli.formats.subsets import subsets_of, write_bag_subset
-from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.geometry.projection import measured_ranges, without_ego
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -45,7 +44,7 @@ from salsanext_cli.sensors.sensor import Sensor
 
 MASKS = "masks"  # Folder of a sequence with masks of its scans' points
 MOVING = "moving"
-"""Name of all classes that may move, and where they are dropped, of all that is not the scene."""
+"""Name of all movable classes, and where they are dropped, of all that is not the scene."""
 Count = tuple[str, int, int]  # Name of a scan, number of its points, and of those that stay
 
 log = logging.getLogger(__name__)
@@ -53,7 +52,9 @@ log = logging.getLogger(__name__)
 
 def named_classes(names: Collection[str], space: LabelSpace) -> Mask:
     """Return the train ids (C,) that names mean: classes, coarse ones, or `MOVING` for a group."""
-    known: dict[str, Mask] = {MOVING: movable_classes(space)}
+    known: dict[str, Mask] = {MOVING: space.movable}
+    if MOVING in names:
+        space.require_movable(f"class {MOVING}")
     coarse = label_space("coarse")
     if not contradiction(space, coarse):
         groups = zip(coarse.names, ClassMerging.between(space, coarse).groups, strict=True)
@@ -172,7 +173,7 @@ def filter_scans(
     recording = None if indices else recording_of(scans[0].path)
     if recording and (split or options.shard.count > 1):
         raise UsageError("--split, --shard", "a bag is written whole", "neither, or --indices")
-    if recording and recording.suffix.lower() in (".pcap", ".osf"):
+    if recording and not is_bag(recording):
         remedy = f"`salsanext convert {recording} DATA` first, or masks of it with --indices"
         raise UsageError(recording, "a recording, which is not written", "files of scans", remedy)
     if odd := [name for name in space.names if split and Path(name).name != name]:

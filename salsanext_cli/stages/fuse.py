@@ -114,7 +114,7 @@ class FuseTask:
             softmax = kept_softmax(self.single.root, file, len(points), self.space)
             return points, softmax, voting(softmax)
 
-        return FusionWindow(drive, read, self.reach, movable_classes(self.space))
+        return FusionWindow(drive, read, self.reach, self.space.movable)
 
     def _fuse(self, file: ScanFile, number: int, window: FusionWindow) -> ScanSummary:
         self.single.require_replaceable(file)
@@ -194,6 +194,7 @@ def fuse_results(
         found = f"one file for {counted(len(chosen), 'sequence')}"
         raise UsageError("--poses", found, remedy="choose one of them with --sequences")
     sensor = results.sensor()
+    movable_classes(space)  # Warns here, not in each worker.
 
     def given_of(name: str) -> Drive | None:
         files, path = members[name], poses or _beside(members[name])

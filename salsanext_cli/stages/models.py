@@ -8,7 +8,9 @@ from typing import Any
 
 import torch
 
+from salsanext_cli.classes.label_space import plugged_label_spaces
 from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.formats import plugged_formats
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.complexity import (
     agrees,
@@ -16,7 +18,7 @@ from salsanext_cli.network.complexity import (
     paper_figures,
     parameter_count,
 )
-from salsanext_cli.network.registry import ARCHITECTURES, build
+from salsanext_cli.network.registry import ARCHITECTURES, build, plugged_networks
 
 HEIGHT, WIDTH = 64, 2048
 
@@ -39,6 +41,20 @@ def models() -> list[dict[str, Any]]:
             }
         )
     return costs
+
+
+def plug_ins() -> list[dict[str, str]]:
+    """Return kind, name and distribution of all plug-ins as plain data."""
+    kinds = {
+        "format": plugged_formats(),
+        "network": plugged_networks(),
+        "label space": plugged_label_spaces(),
+    }
+    return [
+        {"kind": kind, "name": each.name, "distribution": each.distribution}
+        for kind, by_name in kinds.items()
+        for each in by_name.values()
+    ]
 
 
 def describe_weights(path: Path) -> Mapping[str, Any]:

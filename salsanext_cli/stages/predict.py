@@ -35,7 +35,6 @@ from salsanext_cli.fitting.scan_fit import (
 )
 from salsanext_cli.formats import read_scan
 from salsanext_cli.fusion.top_classes import top_classes
-from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.geometry.scan_traits import sensor_of
@@ -100,7 +99,7 @@ class LabelWriter:
         labels[rejected] = 0
         raw = space.to_raw(labels)
         if "objects" in output.folders:
-            objects = find_objects(image, labels, movable_classes(space))
+            objects = find_objects(image, labels, space.movable)
             output.write(output.path(file, "objects"), object_table(scan, objects, space))
             raw |= objects.astype(np.uint32) << 16
         output.write_labels(file, raw)
@@ -178,6 +177,8 @@ def predict_scans(
             extras = tuple(dict.fromkeys((*extras, ERROR)))
     if ERROR in extras:
         error_model(network)
+    if "objects" in extras:
+        network.space.require_movable("--objects")
     network = network_of_run(settings, network, found, out, overwrite=options.overwrite)
     views = [risk["view"], *risk.get("other_views", ())] if "view" in risk else []
     others = (all(is_other_view(view, s) for view in views) for s in network.sensor.members)

@@ -22,7 +22,7 @@ from salsanext_cli.errors import NOTICE, WeightsError, first_few
 from salsanext_cli.fitting.label_scan import softmax_of
 from salsanext_cli.network.card import INHERITED, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
-from salsanext_cli.network.registry import build
+from salsanext_cli.network.registry import build, described
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.parallel.job import Steps
@@ -65,11 +65,9 @@ def initial_network(
     """Return the network before training, and its card: architecture, classes, sensor, scans."""
     # Without weights it is random; where they are of other classes, so are the outputs of classes
     # without one of the same name. The sensor is `own`, else that of the weights, else the default.
-    architecture = {
-        "name": recipe.architecture,
-        "class_count": space.class_count,
-        "dropout": recipe.dropout,
-    }
+    architecture = described(
+        recipe.architecture, class_count=space.class_count, dropout=recipe.dropout
+    )
     with torch.random.fork_rng([]):
         torch.manual_seed(recipe.seed)  # noqa: TID251
         module = build(architecture, "recipe key architecture")

@@ -140,6 +140,7 @@ MALFORMED = {
     "learning_map_inv": ({}, {0: 0, 2: 7}, dict.fromkeys(range(300), 0), {0: 0, 1: 5, 2: 8}),
     "color_map": ({5: "red"}, {5: [1, 2]}, {5: [1, 2, 256]}),
     "split": ({"valid": 8}, [8]),
+    "movable": ([0], [3], [-1], ["wall"], "wall", {1: True}, 1),
 }
 
 
@@ -148,6 +149,58 @@ def test_malformed_spaces(key, value):
     with pytest.raises(UsageError) as caught:
         LabelSpace.from_dict(changed(**{key: value}), "small")
     assert caught.value.subject == "small"
+
+
+def names_of_movable(space):
+    return {name for name, moves in zip(space.names, space.movable, strict=True) if moves}
+
+
+KITTI_MOVABLE = set(NAMES.split()[1:9])
+CAR_AND_STREET = {
+    "labels": {0: "none", 10: "vehicle", 252: "moving-car", 40: "street", 30: "pedestrian"},
+    "learning_map": {0: 0, 10: 1, 252: 1, 40: 2, 30: 3},
+    "learning_map_inv": {0: 0, 1: 10, 2: 40, 3: 30},
+}
+
+
+def test_movable_classes_are_stated_or_those_of_semantic_kittis_raw_ids():
+    assert names_of_movable(label_space()) == KITTI_MOVABLE
+    assert names_of_movable(label_space("coarse")) == {"vehicle", "person-or-cycle"}
+    for space in (label_space(), label_space("coarse")):
+        # Weights and records of before, and the file of the data set, state nothing.
+        data = space.to_dict()
+        assert "movable" not in data
+        assert names_of_movable(LabelSpace.from_dict(data)) == names_of_movable(space)
+        data["labels"] = data["labels"] | {15: "Motorrad"}
+        renamed = LabelSpace.from_dict(data)
+        np.testing.assert_array_equal(renamed.movable, space.movable)
+    # Words of names are no statement.
+    own = LabelSpace.from_dict(CAR_AND_STREET)
+    assert names_of_movable(own) == set()
+    stated = LabelSpace.from_dict(CAR_AND_STREET | {"movable": [3, 1]})
+    assert names_of_movable(stated) == {"vehicle", "pedestrian"}
+    of_kitti = LabelSpace.from_dict(label_space().to_dict() | {"movable": []})
+    for space, names in ((stated, {"vehicle", "pedestrian"}), (of_kitti, set())):
+        back = LabelSpace.from_dict(json.loads(json.dumps(space.to_dict())))
+        assert names_of_movable(back) == names
+    assert own.differences(stated) == ["movable 1: False ≠ True", "movable 3: False ≠ True"]
+
+
+def test_what_needs_movable_classes_says_how_to_state_them(small):
+    label_space("coarse").require_movable("--objects")
+    with pytest.raises(UsageError) as caught:
+        small.require_movable("--objects")
+    assert "movable: [1, 2]" in caught.value.remedy
+
+
+def test_a_label_space_of_the_same_classes_states_what_is_movable():
+    own = LabelSpace.from_dict(CAR_AND_STREET)
+    assert ClassMerging.needed(own, LabelSpace.from_dict(CAR_AND_STREET | {"movable": []})) is None
+    stated = LabelSpace.from_dict(CAR_AND_STREET | {"movable": [3]})
+    merging = ClassMerging.needed(own, stated)
+    assert names_of_movable(merging.space) == {"pedestrian"}
+    softmax = np.float32([[0.1], [0.2], [0.3], [0.4]])
+    np.testing.assert_array_equal(merging.add(softmax), softmax)
 
 
 def test_file(tmp_path, small):

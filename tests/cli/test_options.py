@@ -15,7 +15,7 @@ from scans import SMALL, labels_below, write_weights
 from salsanext_cli.cli.app import app
 from salsanext_cli.cli.option_groups import Default, Shown, Without, expanded
 from salsanext_cli.engines.settings import NetworkSettings, weights_file
-from salsanext_cli.files.suffixes import RECORDING_SUFFIXES, SCAN_SUFFIXES
+from salsanext_cli.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.network.card import default_weights
 from salsanext_cli.options import KnnParameters, ScanSelection
 

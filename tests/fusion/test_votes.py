@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from test_poses import SEEN, WAY
 
 from salsanext_cli import LabelSpace, Scan, label_space
-from salsanext_cli.errors import UsageError
+from salsanext_cli.errors import UsageError, warn_once
 from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.drive_map import one_per_voxel
 from salsanext_cli.fusion.top_classes import KEPT, LEVELS, softmax_of, top_classes
@@ -21,7 +21,6 @@ from salsanext_cli.fusion.window import (
     disagreement,
     fuse,
     fused_labels,
-    movable_classes,
 )
 from salsanext_cli.options import FusionReach
 
@@ -124,7 +123,7 @@ def slowly(scans, softmax, poses, reach, movable):
 def test_votes_are_those_of_a_slow_loop(seed, reach, movable_reach):
     scans, softmax, poses = drive(seed)
     reaches = FusionReach(reach, min(reach, movable_reach))
-    movable = movable_classes(label_space())
+    movable = label_space().movable
     expected = slowly(scans, softmax, poses, reaches, movable)
     for tally, (shares, views) in zip(fuse(scans, softmax, poses, reaches), expected, strict=True):
         np.testing.assert_array_equal(tally.views, views)
@@ -143,6 +142,20 @@ def test_a_label_changes_only_where_another_scan_sees_the_place():
     np.testing.assert_allclose(disagreement(tally, labels), [2 / 3, 1], atol=1e-4)
 
 
+def test_a_label_space_without_movable_classes_is_a_warning(caplog):
+    labels = {0: "none", **{i: f"class {i}" for i in range(1, CLASSES)}}
+    same = {i: i for i in labels}
+    data = {"name": "silent", "labels": labels, "learning_map": same, "learning_map_inv": same}
+    scan = Scan(np.zeros((1, 3), np.float32), np.zeros(1, np.float32))
+    softmax = np.eye(CLASSES, dtype=np.float32)[[ROAD]]
+    warn_once.cache_clear()
+    for stated in ({"movable": []}, {"movable": [1]}, {}):
+        assert not caplog.records
+        fuse([scan], [softmax], np.eye(4)[None], space=LabelSpace.from_dict(data | stated))
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "silent" in caplog.text
+
+
 def test_points_without_a_label_neither_vote_nor_are_judged():
     scan = Scan(np.zeros((2, 3), np.float32), np.zeros(2, np.float32))
     softmax = np.eye(CLASSES, dtype=np.float32)[[0, ROAD]]
@@ -150,32 +163,6 @@ def test_points_without_a_label_neither_vote_nor_are_judged():
     assert tally.views.tolist() == [0, 1]
     assert np.isnan(disagreement(tally, np.uint8([0, ROAD]))).tolist() == [True, False]
     assert fused_labels(tally, np.uint8([0, ROAD])).tolist() == [0, ROAD]
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"), [("semantic-kitti", range(1, 9)), ("coarse", (1, 2))]
-)
-def test_what_may_move_is_told_by_the_names(name, expected):
-    assert np.flatnonzero(movable_classes(label_space(name))).tolist() == list(expected)
-
-
-MOVABLE_NAMES = """
-    car cars Trucks people pedestrians bicycles cyclists riders motorcyclist bicyclist
-    scooter tram bus buses person-or-cycle two-wheeler on-rails moving-other vehicle.car vehicle_bus
-    human.pedestrian.adult vehicle.bus.rigid PickupTruck TYPE_CYCLIST"""
-STATIC_NAMES = """
-    carriageway pole trailer-park bus_stop static_object.bicycle_rack bike-lane building
-    TrafficSign guard-rails busy-road scarf manmade pedestrian-crossing"""
-
-
-@pytest.mark.parametrize(("names", "expected"), [(MOVABLE_NAMES, True), (STATIC_NAMES, False)])
-def test_what_may_move_in_the_words_of_other_data_sets(names, expected):
-    labels = dict(enumerate(["unlabeled", *names.split()]))
-    same = {i: i for i in labels}
-    colours = np.zeros((len(labels), 3), np.uint8)
-    space = LabelSpace("own", labels, same, same, (False,) * len(labels), colours, {})
-    found = movable_classes(space)
-    assert [labels[i] for i in same if i and found[i] != expected] == []
 
 
 def test_keys_tell_voxels_apart_and_what_is_outside_has_none():

@@ -193,7 +193,7 @@ def test_nothing_to_import_is_an_error(tmp_path):
     (tmp_path / "1.bin").touch()
     (tmp_path / "none").touch()
     for name, found in {
-        "": "holds no labels, but 1 without a suffix, 1 .bin · expected labels: .ply, .pcd",
+        "": "holds no labels, but 1 without a suffix, 1 .bin · expected labels: .pcd, .ply",
         "1.bin": "a .bin file",
         "none": "has no suffix",
         "absent.ply": "no such file or folder",

@@ -6,7 +6,6 @@ import pytest
 from evaluated import small_space
 
 from salsanext_cli.classes.label_space import label_space
-from salsanext_cli.fusion.window import movable_classes
 from salsanext_cli.measures.panoptic import COLUMNS, count_segments, panoptic_quality
 
 SCENE = small_space("none", "road", "car", "person")
@@ -48,7 +47,7 @@ def test_qualities_are_those_of_the_official_program():
     for raw in scans_of_segments():
         truth, predicted = ((space.to_train(labels), labels) for labels in raw)
         counts = counts + count_segments(truth, predicted, space.scored)
-    found = panoptic_quality(counts, space, movable_classes(space))
+    found = panoptic_quality(counts, space, space.movable)
     found |= found.pop("classes")
     for name, qualities in OFFICIAL.items():
         assert [found[name][key] for key in COLUMNS[:3]] == pytest.approx(qualities, rel=1e-12)

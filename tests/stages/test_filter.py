@@ -11,7 +11,7 @@ from bags import KINDS, START, STEP, TOPIC, cloud, structured, text, write_bag
 from evaluated import World
 from scans import files_below, make_scan, write_array, write_bin
 
-from salsanext_cli import Scan, label_space, read_scan, sensor, write_labels
+from salsanext_cli import LabelSpace, Scan, label_space, read_scan, sensor, write_labels
 from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError
 from salsanext_cli.geometry.scan_traits import traits_of
 from salsanext_cli.parallel.options import Shard
@@ -363,6 +363,13 @@ def test_merged_classes_have_their_own_names():
     assert named_classes(["moving"], coarse)[1:3].all()
     with pytest.raises(UsageError, match="class car"):
         named_classes(["car"], coarse)
+
+
+def test_moving_needs_a_label_space_with_movable_classes():
+    silent = LabelSpace.from_dict(SPACE.to_dict() | {"movable": []})
+    assert named_classes(["car"], silent).tolist() == [i == 1 for i in range(20)]
+    with pytest.raises(UsageError, match="movable"):
+        named_classes(["moving"], silent)
 
 
 def test_labels_of_another_number_of_points_are_a_failure(apply, world, tmp_path):

@@ -201,6 +201,15 @@ def test_logits_that_are_not_finite_are_an_error_of_weights_and_scan(world, tmp_
     assert not labels_below(world.out)
 
 
+def test_objects_need_movable_classes(world):
+    silent = LabelSpace.from_dict(label_space().to_dict() | {"movable": []})
+    settings = replace(world.network, classes=silent)
+    with pytest.raises(UsageError, match="movable") as caught:
+        predict_scans(world.data, world.out, settings=settings, extras=("objects",))
+    assert caught.value.subject == "--objects"
+    assert not world.out.exists()
+
+
 def test_objects_are_numbered_in_the_upper_bits_and_have_a_row_each(world):
     run(world)
     plain = world.labels()

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: MIT
+"""Plug-ins: objects of other distributions, which their entry points name."""
+
+import hashlib
+import logging
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from importlib.util import find_spec
+from multiprocessing import current_process
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+from salsanext_cli.errors import error_text, warn_once
+
+DISTRIBUTION = "distribution"
+"""Key of the plug-in's distribution among what weights files state about their network."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class PlugIn:
+    """Object of another distribution.
+
+    Attributes
+    ----------
+    name : str
+        Name of the entry point.
+    distribution : str
+        Name and version of the distribution, such as ``radian-lidar 1.0``.
+    module : str
+        Module that the entry point names.
+    target : Any
+        The object.
+    """
+
+    name: str
+    distribution: str
+    module: str
+    target: Any
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.distribution})"
+
+    def digest(self) -> str:
+        """Return a digest of the source files of the plug-in's package."""
+        spec = find_spec(self.module.partition(".")[0])
+        folders = (spec and spec.submodule_search_locations) or ()
+        files = sorted(file for folder in folders for file in Path(folder).rglob("*.py"))
+        digest = hashlib.sha256()
+        for file in files or ([Path(spec.origin)] if spec and spec.origin else []):
+            digest.update(file.read_bytes())
+        return digest.hexdigest()
+
+
+def load_plug_ins(
+    kind: str,
+    built_in: Collection[str],
+    expected: Any,
+    fault: Callable[[Any, Collection[PlugIn]], str] = lambda *_: "",
+) -> dict[str, PlugIn]:
+    """Import the plug-ins of a kind, sorted by name; warn of each that cannot be used.
+
+    Parameters
+    ----------
+    kind : str
+        Group of entry points without ``salsanext.``: formats, networks or label_spaces.
+    built_in : collection of str
+        Names that a plug-in cannot have.
+    expected : type
+        Type of the objects.
+    fault : callable
+        Function of an object and the plug-ins before it that returns what is wrong with it, or "".
+    """
+    from importlib.metadata import entry_points
+
+    accepted: dict[str, PlugIn] = {}
+    points = entry_points(group=f"salsanext.{kind}")
+    for point in sorted(points, key=attrgetter("name", "dist.name")):
+        dist: Any = point.dist
+        distribution = f"{dist.name} {dist.version}"
+        problem = "the name is taken" if point.name in {*built_in, *accepted} else ""
+        try:
+            if not problem:
+                target = point.load()
+                is_one, kind_of = isinstance(target, expected), type(target).__name__
+                found = f"it is a {kind_of}, not a {expected.__name__}"
+                problem = fault(target, accepted.values()) if is_one else found
+        except Exception as error:  # noqa: BLE001 - a module may raise anything
+            problem = f"{type(error).__name__}: {error_text(error)}"
+        if problem and current_process().name == "MainProcess":  # Once a run, not in each worker
+            warn_once(log, f"plug-in {point.name} ({distribution}) is not used: {problem}")
+        elif not problem:
+            accepted[point.name] = PlugIn(point.name, distribution, point.module, target)
+    return accepted
