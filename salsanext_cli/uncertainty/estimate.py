@@ -4,13 +4,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
+from salsanext_cli.engines.moments import entropy
 from salsanext_cli.records import Double, Float
-
-Values = TypeVar("Values", Float, Double)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +49,3 @@ class Estimate:
                 mutual_information=information.astype(np.float32),
             ),
         )
-
-
-def entropy(probabilities: Values) -> Values:
-    """Return the entropy over the first dimension in nats, (C, …) to (…) of the same type."""
-    # The logarithm of the smallest stands for that of 0, which counts 0 times.
-    logarithms = np.log(np.maximum(probabilities, np.finfo(probabilities.dtype).tiny))
-    # A softmax rounded up to above 1 would have a negative one.
-    return np.maximum(-(probabilities * logarithms).sum(axis=0), 0)
