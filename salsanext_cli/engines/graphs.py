@@ -48,15 +48,10 @@ class Graph:
         """Shapes of the inputs."""
         return [tuple(port.shape) for port in self.compiled.inputs]
 
-    def __call__(self, *inputs: Float) -> list[Float]:
-        """Compute once."""
-        outputs = self.request.infer(dict(enumerate(inputs)), share_inputs=True)
-        return list(outputs.values())
-
-    def shared(self, *inputs: Float) -> list[Float]:
-        """Compute once; the next call of this graph overwrites the outputs."""
+    def __call__(self, *inputs: Float, share: bool = False) -> list[Float]:
+        """Compute once; shared outputs are overwritten by the next call of this graph."""
         given = dict(enumerate(inputs))
-        outputs = self.request.infer(given, share_inputs=True, share_outputs=True)
+        outputs = self.request.infer(given, share_inputs=True, share_outputs=share)
         return list(outputs.values())
 
     def each(self, calls: Sequence[Sequence[Float]]) -> list[list[Float]]:

@@ -42,7 +42,9 @@ class OpenVinoBackend(Backend):
     ) -> list[PixelPrediction]:
         """Predict the pixels of images, their logits divided by a temperature."""
         graph = self.output_graph(temperature)
-        return [PixelPrediction.of(graph.shared(image)[0][0], keep=softmax) for image in images]
+        return [
+            PixelPrediction.of(graph(image, share=True)[0][0], keep=softmax) for image in images
+        ]
 
     def logits(self, images: Sequence[Float]) -> list[Float]:
         """Return the logits (C, H, W) float32 of images."""
@@ -66,7 +68,7 @@ class OpenVinoBackend(Backend):
         """Return the moments of the softmax over images; the entropies are left out."""
         graph, moments = self.output_graph(1.0), self._no_moments(merging)
         for image in images:
-            moments.add(graph.shared(image)[0][0], None, merging)
+            moments.add(graph(image, share=True)[0][0], None, merging)
         return moments
 
     def run(

@@ -18,7 +18,7 @@ from salsanext_cli.engines.moments import entropy
 from salsanext_cli.engines.network import Network
 from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.records import RangeImage
+from salsanext_cli.records import Double, RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian
 from salsanext_cli.uncertainty.estimate import Estimate
 
@@ -124,9 +124,11 @@ def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
     moments = network.backend.run(name, _moments, given, exact=True)
     logits = ChannelCorrelatedGaussian(*moments)[..., : image.height, : image.width]
     softmax = logits.softmax(dim=1, groups=network.groups)
-    mean, variance = (t[0].double().cpu().numpy() for t in (softmax.mean, softmax.variance))
+    mean: Double = softmax.mean[0].double().cpu().numpy()
+    variance: Double = softmax.variance[0].double().cpu().numpy()
     information = (variance / np.maximum(2 * mean, MIN_MEAN)).sum(axis=0)
-    return Estimate.of(mean, variance, np.minimum(information, entropy(mean)))
+    total: Double = entropy(mean)
+    return Estimate.of(mean, variance, total, np.minimum(information, total))
 
 
 def _moments(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor, Tensor]:

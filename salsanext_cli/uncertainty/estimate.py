@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from salsanext_cli.engines.moments import entropy
 from salsanext_cli.records import Double, Float
 
 
@@ -38,14 +37,14 @@ class Estimate:
     uncertainty: Uncertainty  # Every pixel's, occupied or not
 
     @classmethod
-    def of(cls, mean: Double, variance: Double, information: Double) -> Estimate:
-        """Gather mean and variance (C, H, W) and mutual information (H, W), float64."""
+    def of(cls, mean: Double, variance: Double, total: Double, information: Double) -> Estimate:
+        """Gather mean and variance (C, H, W), entropy and mutual information (H, W), float64."""
         return cls(
             probabilities=mean.astype(np.float32),
             variance=variance.astype(np.float32),
             uncertainty=Uncertainty(
                 epistemic=variance.mean(axis=0).astype(np.float32),
-                entropy=entropy(mean).astype(np.float32),
+                entropy=total.astype(np.float32),
                 mutual_information=information.astype(np.float32),
             ),
         )

@@ -44,8 +44,9 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     given = network.input(image.channels)
     moments = network.backend.sample(given, seeds, network.merging)
     mean = moments.mean()
-    information = entropy(mean) - moments.sum_of_entropies / moments.count
-    return Estimate.of(mean, moments.variance(), np.maximum(information, 0))
+    total = entropy(mean)
+    information = np.maximum(total - moments.sum_of_entropies / moments.count, 0)
+    return Estimate.of(mean, moments.variance(), total, information)
 
 
 def require_sampling(network: Network, samples: int) -> None:
