@@ -27,8 +27,8 @@ from speed_hardware import seconds_of
 import salsanext_cli as sn
 from salsanext_cli.compiled import thread_count
 from salsanext_cli.engines.device import bfloat16_instructions, openvino_core
-from salsanext_cli.engines.graphs import HINTS
-from salsanext_cli.engines.network import Graph, Network
+from salsanext_cli.engines.graphs import HINTS, Graph
+from salsanext_cli.engines.network import Network
 
 KINDS = ("float32", "bfloat16") if bfloat16_instructions() else ("float32",)
 Engine = Callable[[np.ndarray], np.ndarray]
@@ -58,7 +58,7 @@ def by_onnx_runtime(module: torch.nn.Module, image: np.ndarray) -> Engine:
 
 
 def by_openvino(network: Network) -> Engine:
-    graph = network.engine.output_graph(None)
+    graph = network.backend.output_graph(None)
     return lambda image: graph(image)[0]
 
 
@@ -68,7 +68,7 @@ def by_openvino_in_int8(network: Network, image: np.ndarray) -> Engine:
 
     card = replace(network.card, sensor=network.sensor)
     content = quantised(exported(network.module, card), [image], lambda given: given)
-    model = read_onnx(content.SerializeToString(), "int8", card, network.engine.size)
+    model = read_onnx(content.SerializeToString(), "int8", card, network.backend.size)
     hints = {"INFERENCE_PRECISION_HINT": HINTS[KINDS[-1]], "INFERENCE_NUM_THREADS": thread_count()}
     graph = Graph(openvino_core().compile_model(model, "CPU", hints))
     return lambda image: graph(image)[0]
@@ -79,7 +79,7 @@ def engines(load: Callable[[str, str], Network], image: np.ndarray) -> dict[str,
     plain = load("torch", "float32").module
     found = {"eager float32": by_torch(plain, torch.contiguous_format)}
     for kind in KINDS:
-        module = load("torch", kind).engine.torch_module
+        module = load("torch", kind).backend.torch_module
         found[f"channels last {kind}"] = by_torch(module, torch.channels_last)
     if find_spec("onnx") and find_spec("onnxruntime"):
         found["ONNX Runtime float32"] = by_onnx_runtime(plain, image)

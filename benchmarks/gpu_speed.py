@@ -18,7 +18,6 @@ from scene_pool import KINDS, SPACING_M, write_scene
 from salsanext_cli.engines.device import choose_precision
 from salsanext_cli.engines.loading import load_network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.network.card import read_card
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.sensors.sensor import Sensor
@@ -90,8 +89,8 @@ def measure_network(figures: Figures, weights: Path, sensor: Sensor) -> None:
                 return
             images = torch.randn(batch, 5, sensor.height, sensor.width, device=figures.device)
             images = images.to(memory_format=torch.channels_last)
-            with inference_mode(figures.device), figures.peak_memory() as peak:
-                seconds = figures.seconds(forward(network.engine.torch_module, images), 10)
+            with torch.inference_mode(), figures.peak_memory() as peak:
+                seconds = figures.seconds(forward(network.backend.torch_module, images), 10)
                 figures.add(name, 1e3 * seconds / batch, f"ms a scan{peak()}")
 
 

@@ -32,7 +32,7 @@ def prepare(part: str, path: Path, task: Mapping[str, Any]) -> Callable[[], Any]
     scan, count = sn.read_scan(path), network.space.class_count
     image, file = sn.project(scan, sensor), ScanFile("", path.stem, path)
     work: dict[str, Callable[[], Any]] = {
-        "hardware": lambda: describe(network.device, network.engine.precision),
+        "hardware": lambda: describe(network.device, network.backend.precision),
         "projection": lambda: sn.project(scan, sensor),
         "network": lambda: network.probabilities(image),
         "predict": lambda: predict(path, path.with_suffix(".label"), network),

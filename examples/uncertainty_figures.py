@@ -32,7 +32,8 @@ PASSES = (2, 3, 5, 10, 20, 30, 50, 100)
 def deviation_of_copies(image: RangeImage, network: Network, count: int) -> Values:
     """Return every pixel's standard deviation over noisy copies, √ of the mean over classes."""
     copies = islice(noisy_copies(image, network.sensor, 0), count)
-    passes = (network.pixel_probabilities([copy])[0] for copy in copies)
+    given = (network.input(copy) for copy in copies)
+    passes = (network.predict([each], softmax=True)[0].softmax for each in given)
     first = next(passes).astype(np.float64)
     # Differences from the first copy keep the digits of small variances.
     total, squares = np.zeros_like(first), np.zeros_like(first)
@@ -58,7 +59,7 @@ def main(scan: str, folder: str, copies: str = "256", passes: str = "200", *weig
     network = sn.load_network(*weights, device="cpu")
     # Uncertainties are those of the plain softmax.
     card = replace(network.card, temperature=1.0)
-    network = replace(network, engine=replace(network.engine, card=card))
+    network = replace(network, backend=replace(network.backend, card=card))
     image = sn.project(sn.read_scan(scan), network.sensor)
     seen = image.point_of_pixel >= 0
 

@@ -4,7 +4,7 @@
 import logging
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -81,8 +81,8 @@ def label(
         network = fit_network(load_network(weights), [scan])  # type: ignore[arg-type]
     prepared = prepared_for(network, IN_MEMORY, scan)
     network = prepared.network
-    (softmax,) = network.softmax([prepared.input])
-    done = labelled(prepared, softmax, KnnParameters())
+    (pixels,) = network.predict([prepared.input], softmax=True)
+    done, softmax = labelled(prepared, pixels, KnnParameters()), cast(Float, pixels.softmax)
     RunSummary(network.sensor).add(ScanSummary.of_scan(done, network.space))
     none = np.eye(1, network.space.class_count)
     of_points = points_from_pixels(softmax, done.image.pixel_of_point, none)

@@ -298,7 +298,7 @@ def test_the_documented_way_of_one_scan_visits_these_files_in_order(world, monke
         seen.discard("errors.py")
     loop = {"parallel/run.py", "parallel/pipeline.py", "parallel/job.py", "engines/batches.py"}
     assert seen == {*steps, *others, "stages/predict.py", *loop}
-    assert len(seen) == 21
+    assert len(seen) == 27
 
 
 def test_every_link_leads_somewhere():

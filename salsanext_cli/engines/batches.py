@@ -2,7 +2,7 @@
 """Batches of scans, passes or noisy copies that are computed together, as far as memory allows."""
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -22,14 +22,14 @@ class BatchSize:
     name: str  # Of the items, in the plural
 
     def in_batches(
-        self, function: Callable[[Sequence[Item]], Iterable[Result]], items: Sequence[Item]
-    ) -> list[Result]:
-        """Return the results of a function of batches; `MemoryError` if one item does not fit."""
-        results: list[Result] = []
-        while len(results) < len(items):
-            batch = items[len(results) : len(results) + self.most]
+        self, function: Callable[[Sequence[Item]], Result], items: Sequence[Item]
+    ) -> Iterator[Result]:
+        """Yield the result of each batch; `MemoryError` if there is no room for one item."""
+        done = 0
+        while done < len(items):
+            batch = items[done : done + self.most]
             try:
-                results.extend(function(batch))
+                result = function(batch)
             except (MemoryError, RuntimeError) as error:
                 if not out_of_memory(error):
                     raise
@@ -38,4 +38,6 @@ class BatchSize:
                 self.most = len(batch) // 2
                 text = "not enough memory for %d %s at once: %d now"
                 log.warning(text, len(batch), self.name, self.most)
-        return results
+            else:
+                done += len(batch)
+                yield result

@@ -10,11 +10,8 @@ import re
 import threading
 import warnings
 from collections.abc import Callable, Sequence
-from functools import cache
 from io import BytesIO
-from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -22,10 +19,14 @@ from salsanext_cli.engines.device import openvino_core, processor
 from salsanext_cli.errors import OutputError, error_text, out_of_memory
 from salsanext_cli.files.locks import temporary_folder
 from salsanext_cli.files.user_cache import cached, store
-from salsanext_cli.records import CHANNELS
+from salsanext_cli.records import CHANNELS, Float
+from salsanext_cli.version import __version__
 
+GRAPH_VERSION = 1  # Raise it when the code that makes graphs makes other ones
 HINTS = {"float32": "f32", "bfloat16": "bf16"}
 LOGITS = "logits"  # Name of the last convolution, in every architecture
+PRECISE = "precise_0"  # Mark of a layer that stays float32
+NO_LAYERS = ("Constant", "Parameter", "Result")
 OF_LOGITS = re.compile(rf"[./]{LOGITS}/")  # Part of the names of its layers
 ERFC = (
     *(0.17087277, -0.82215223, 1.48851587, -1.13520398, 0.27886807),
@@ -33,6 +34,41 @@ ERFC = (
 )
 """ln(erfc(x)/t) + x² in t = 1/(1 + x/2), highest power first (Numerical Recipes, 1992, 6.2)."""
 _COMPILING = threading.Lock()  # Held while a thread traces and compiles: torch has global state
+
+
+class Graph:
+    """Compiled part of a network: float32 arrays in, float32 arrays out, the same bits always."""
+
+    def __init__(self, compiled: Any) -> None:
+        self.compiled = compiled
+        self.request = compiled.create_infer_request()
+
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Shapes of the inputs."""
+        return [tuple(port.shape) for port in self.compiled.inputs]
+
+    def __call__(self, *inputs: Float, share: bool = False) -> list[Float]:
+        """Compute once; shared outputs are overwritten by the next call of this graph."""
+        given = dict(enumerate(inputs))
+        outputs = self.request.infer(given, share_inputs=True, share_outputs=share)
+        return list(outputs.values())
+
+    def each(self, calls: Sequence[Sequence[Float]]) -> list[list[Float]]:
+        """Compute several times side by side; return the outputs in the order of the calls."""
+        from openvino import AsyncInferQueue
+
+        outputs: list[list[Float]] = [[]] * len(calls)
+
+        def keep(request: Any, number: int) -> None:
+            outputs[number] = [tensor.data.copy() for tensor in request.output_tensors]
+
+        queue = AsyncInferQueue(self.compiled)
+        queue.set_callback(keep)
+        for number, inputs in enumerate(calls):
+            queue.start_async(dict(enumerate(inputs)), number, share_inputs=True)
+        queue.wait_all()
+        return outputs
 
 
 def compiled_graph(
@@ -64,7 +100,8 @@ def compiled_graph(
         blob: BytesIO = core.compile_model(model, "CPU", hints).export_model()
         return blob.getvalue()
 
-    depends = repr((key, precision, openvino.__version__, processor(), _sources()))
+    made_by = (__version__, GRAPH_VERSION, openvino.__version__)
+    depends = repr((key, precision, *made_by, processor()))
     name = f"graphs/{hashlib.sha256(depends.encode()).hexdigest()[:32]}.blob"
     with _COMPILING:
         content = cached(name, compile_anew)
@@ -75,16 +112,6 @@ def compiled_graph(
                 raise
             # Made by a build of the same version that compiles otherwise.
             return core.import_model(store(name, compile_anew()), "CPU", hints)
-
-
-@cache
-def _sources() -> str:
-    """Return a digest of the code that graphs are made of."""
-    package, digest = Path(__file__).parents[1], hashlib.sha256()
-    for room in ("engines", "network", "uncertainty"):
-        for path in sorted((package / room).glob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def converted(module: Any, function: Callable[..., Any], inputs: Sequence[Any]) -> Any:
@@ -130,31 +157,27 @@ def _erfc(node: Any) -> Any:
 
 
 def partly_float32(core: Any, model: Any) -> Any:
-    """Mark layers of the range image, logits and what follows as float32, in OpenVINO's XML."""
+    """Return a model whose layers of the range image, of the logits and after them are float32."""
+    # Without the marks, bfloat16 would round ranges to the metre. OpenVINO obeys them in a model
+    # that it reads, not in one that is in memory.
     import openvino
 
+    after_logits = False
+    for node in model.get_ordered_ops():
+        if node.get_type_name() in ("Convolution", "GroupConvolution"):
+            is_logits = bool(OF_LOGITS.search(node.get_friendly_name()))
+            after_logits |= is_logits
+            channels = node.input(0).get_partial_shape()[1].get_length()
+            precise = is_logits or channels == len(CHANNELS)
+        else:
+            precise = after_logits and node.get_type_name() not in NO_LAYERS
+        if precise:
+            node.get_rt_info()[PRECISE] = ""
     try:
         with temporary_folder() as folder:
             file = folder / "model.xml"
             openvino.save_model(model, file, compress_to_fp16=False)
-            root = ElementTree.parse(file).getroot()
-            weights = file.with_suffix(".bin").read_bytes()
+            return core.read_model(file.read_bytes(), file.with_suffix(".bin").read_bytes())
     except (OSError, RuntimeError) as error:
         full = f"cannot hold the network for a moment: {error_text(error)}"
         raise OutputError("folder for temporary files", full, "room for weights") from error
-    after_logits = False
-    for layer in root.iter("layer"):
-        if layer.get("type") in ("Convolution", "GroupConvolution"):
-            is_logits = bool(OF_LOGITS.search(str(layer.get("name"))))
-            channels = int(layer.findall("input/port")[0].findall("dim")[1].text or 0)
-            after_logits |= is_logits
-            precise = is_logits or channels == len(CHANNELS)
-        else:
-            precise = after_logits and layer.get("type") not in ("Const", "Parameter", "Result")
-        if precise:
-            info = layer.find("rt_info")
-            if info is None:
-                info = ElementTree.Element("rt_info")
-                layer.insert(1 if layer.find("data") is not None else 0, info)
-            ElementTree.SubElement(info, "attribute", name="precise", version="0")
-    return core.read_model(ElementTree.tostring(root), weights)

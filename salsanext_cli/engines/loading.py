@@ -2,21 +2,21 @@
 """Networks from weights files and ONNX files: on which device, by which engine and number type."""
 
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging
+from salsanext_cli.engines.backend import Backend
 from salsanext_cli.engines.device import (
     choose_device,
     choose_engine,
     choose_precision,
     openvino_core,
 )
-from salsanext_cli.engines.network import Engine, Graph, Network
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.openvino_backend import OpenVinoBackend
 from salsanext_cli.errors import MissingDependency, UsageError, WeightsError, error_text
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.plug_ins import DISTRIBUTION
@@ -73,28 +73,36 @@ def load_network(
     if file.suffix == ONNX_SUFFIX:
         return Network(_load_onnx(file, card, size, device, precision, engine), sensor, merging)
     sha256, own_device = fingerprint(file), choose_device(device)
-    loaded = Engine(
+    backend = _backend_class(choose_engine(engine, own_device))(
         lambda: _read_module(file, own_device, sha256),
         card,
         size,
         own_device,
         choose_precision(precision, own_device),
-        choose_engine(engine, own_device),
         "default weights" if path is None else str(path),
         sha256,
         code=_code_of_plug_in(card),
     )
-    if loaded.library == "torch" or DISTRIBUTION in card.architecture:
-        _ = loaded.module
+    if backend.library == "torch" or DISTRIBUTION in card.architecture:
+        _ = backend.module
     else:
-        check_once(sha256, lambda: loaded.module)  # what was read once needs no torch
-    return Network(loaded, sensor, merging)
+        check_once(sha256, lambda: backend.module)  # what was read once needs no torch
+    return Network(backend, sensor, merging)
+
+
+def _backend_class(library: str) -> type[Backend]:
+    """Return the backend that computes with a library."""
+    if library == "openvino":
+        return OpenVinoBackend
+    from salsanext_cli.engines.torch_backend import TorchBackend
+
+    return TorchBackend
 
 
 def network_of_module(module: "SegmentationNetwork", card: WeightsCard, device: str) -> Network:
     """Return the network of a module that is on a device already, computed by torch."""
     size = (card.sensor.height, card.sensor.width)
-    return Network(Engine(lambda: module, card, size, device), card.sensor)
+    return Network(_backend_class("torch")(lambda: module, card, size, device), card.sensor)
 
 
 def _code_of_plug_in(card: WeightsCard) -> str:
@@ -138,43 +146,19 @@ def with_dropout(network: Network, rate: float) -> Network:
         module = build(architecture)
     module.load_state_dict(network.module.state_dict(), assign=True)
     card = replace(network.card, architecture=architecture)
-    return replace(network, engine=replace(network.engine, load_module=module.eval, card=card))
-
-
-@dataclass(frozen=True, eq=False)
-class OnnxEngine(Engine):
-    """Engine of an ONNX file: labels and probabilities, without torch."""
-
-    path: Path = Path()
-
-    def model(self, temperature: float | None = None) -> Any:
-        """Read the file; with a temperature, for the softmax of the logits divided by it."""
-        try:
-            content = self.path.read_bytes()
-        except OSError as error:
-            raise WeightsError(self.path, f"cannot be read: {error_text(error)}") from error
-        if hashlib.sha256(content).hexdigest() != self.sha256:
-            raise replaced(self.path)
-        model = read_onnx(content, self.path, self.card, self.size)
-        return model if temperature is None else _with_softmax(model, temperature)
-
-    def output_graph(self, temperature: float | None) -> Graph:
-        """Return the graph of the softmax at a temperature, or of the logits."""
-        return self.compiled(
-            f"ONNX at {temperature}", lambda: self.model(temperature), self.precision
-        )
+    return replace(network, backend=replace(network.backend, load_module=module.eval, card=card))
 
 
 def _load_onnx(
     path: Path, card: WeightsCard, size: tuple[int, int], device: str, precision: str, engine: str
-) -> OnnxEngine:
+) -> OpenVinoBackend:
     if device not in ("auto", "cpu"):
         raise UsageError("--device", f"{device} for an ONNX model", "cpu, or .safetensors weights")
     if engine == "torch":
         raise UsageError("--engine", "torch for an ONNX model", "openvino, or .safetensors weights")
     number_type = choose_precision(precision, "cpu")
     try:
-        library = choose_engine("openvino", "cpu")
+        choose_engine("openvino", "cpu")
     except MissingDependency as error:
         remedy = "install it again, or give the .safetensors weights"
         raise MissingDependency(error.subject, error.found, remedy=remedy) from error
@@ -183,14 +167,22 @@ def _load_onnx(
     def no_module() -> "SegmentationNetwork":
         return _read_module(path, "cpu", sha256)  # raises what is to be said
 
-    loaded = OnnxEngine(
-        no_module, card, size, "cpu", number_type, library, str(path), sha256, path=path
-    )
+    def read_model() -> Any:
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise WeightsError(path, f"cannot be read: {error_text(error)}") from error
+        if hashlib.sha256(content).hexdigest() != sha256:
+            raise replaced(path)
+        return read_onnx(content, path, card, size)
+
     import openvino
 
     shape = "x".join(map(str, size))
-    check_once(f"{sha256}.{shape}-{openvino.__version__}", loaded.model)
-    return loaded
+    check_once(f"{sha256}.{shape}-{openvino.__version__}", read_model)
+    return OpenVinoBackend(
+        no_module, card, size, "cpu", number_type, str(path), sha256, read_model=read_model
+    )
 
 
 def read_onnx(content: bytes, source: object, card: WeightsCard, size: tuple[int, int]) -> Any:
@@ -216,13 +208,3 @@ def read_onnx(content: bytes, source: object, card: WeightsCard, size: tuple[int
     if logits != openvino.PartialShape(expected):
         raise WeightsError(source, f"its logits are {logits}", f"{expected}, as its card says")
     return model
-
-
-def _with_softmax(model: Any, temperature: float) -> Any:
-    """Return the model that ends with the softmax of its logits divided by a temperature."""
-    import openvino
-    from openvino import opset13 as ops
-
-    logits = model.output(0).get_node().input_value(0)
-    scaled = ops.divide(logits, ops.constant(np.float32(temperature)))
-    return openvino.Model([ops.softmax(scaled, 1)], model.get_parameters(), "softmax")

@@ -139,7 +139,9 @@ class NetworkSettings:
         default = self.weights in (None, DEFAULT_WEIGHTS)
         name = network.card.title(self.path) if default else self.weights
         merged = f", merged into the classes of {network.space.name}" if network.merging else ""
-        computing = f"on {network.device} by {network.engine.library} in {network.engine.precision}"
+        computing = (
+            f"on {network.device} by {network.backend.library} in {network.backend.precision}"
+        )
         log.log(NOTICE, "%s %s%s", name, computing, merged)
         if inherited := network.card.inherited():
             remedy = ": `salsanext tune error`" if inherited.startswith("error") else ""
@@ -154,22 +156,22 @@ class NetworkSettings:
             self,
             device="cpu" if network.device == "cpu" else self.device,
             sensor=network.sensor,
-            precision=network.engine.precision,
-            engine=network.engine.library,
-            sha256=network.engine.sha256,
+            precision=network.backend.precision,
+            engine=network.backend.library,
+            sha256=network.backend.sha256,
         )
 
     def record(self, network: "Network") -> dict[str, Any]:
         """Return what the results of a stage depend on, as plain data for its record."""
-        engine, card = network.engine, network.card
+        backend, card = network.backend, network.card
         known: dict[str, Any] = {"weights_version": card.version, "inherited": card.inherited()}
         known["trained_on"] = "".join(sorted(card.trained_on))
         return {key: value for key, value in known.items() if value} | {
-            "weights": engine.sha256,
+            "weights": backend.sha256,
             "label_space": network.space.to_dict(),
             "sensor": recorded_view(network.sensor),
-            "precision": engine.precision,
-            "engine": engine.library,
+            "precision": backend.precision,
+            "engine": backend.library,
         }
 
 

@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: MIT
 """The way of a scan: read, checked, projected, through the network, refined on the points."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import starmap
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from salsanext_cli.classes.label_space import TrainIds
+from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
 from salsanext_cli.fitting.scan_checks import FIT_CODES, WRONG, ScanCheck, check_scan
 from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
+from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.options import KnnParameters
@@ -46,7 +47,7 @@ class PreparedScan(NamedTuple):
 class LabelledScan(ProjectedScan):
     """Scan with the labels that a network gives it."""
 
-    softmax: Float  # (C, H, W) float32: of the pixels
+    pixels: PixelPrediction
     labels: TrainIds  # (N,) uint8: of the points, refined by kNN
 
 
@@ -55,23 +56,6 @@ def prepared_for(network: Network, file: ScanFile, scan: Scan | None = None) -> 
     projected = project_scan(file, network.sensor, network.card.sensor, scan)
     network = network.for_sensor(projected.sensor)
     return PreparedScan(projected, network, network.input(projected.image.channels))
-
-
-class NetworkInput(Protocol):
-    """Scan of which a network takes an input."""
-
-    @property
-    def network(self) -> Network:
-        """Network for the sensor of the scan."""
-
-    @property
-    def input(self) -> Float:
-        """Input of the network, (1, 5, H, W) float32, normalised."""
-
-
-def softmax_of(scans: Sequence[NetworkInput]) -> list[Float]:
-    """Return the softmax (C, H, W) float32 of the pixels of each scan."""
-    return scans[0].network.softmax([scan.input for scan in scans])
 
 
 def project_scan(
@@ -96,13 +80,13 @@ def check_with_remedy(
     return replace(check, findings=tuple(changed))
 
 
-def labelled(scan: PreparedScan, softmax: Float, knn: KnnParameters) -> LabelledScan:
-    """Return a scan with the labels that follow from the softmax (C, H, W) of its pixels."""
-    given = scan.projected
-    scan.network.engine.require_finite(softmax, given.file.path)
-    labels = scan.network.labels(given.image, softmax, knn)
+def labelled(scan: PreparedScan, pixels: PixelPrediction, knn: KnnParameters) -> LabelledScan:
+    """Return a scan with the labels that follow from the prediction for its pixels."""
+    given, network = scan.projected, scan.network
+    network.backend.require_finite(pixels.confidence, given.file.path)
+    labels = knn_refine(given.image, pixels.labels, network.space.class_count, knn)
     return LabelledScan(
-        *(given.file, given.scan, given.image, given.check, given.sensor, softmax, labels)
+        *(given.file, given.scan, given.image, given.check, given.sensor, pixels, labels)
     )
 
 

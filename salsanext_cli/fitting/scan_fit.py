@@ -253,7 +253,7 @@ def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, A
         "--min-range": view.pop("min_range", None),
         "--ego": view.pop("ego_box", None),
         "--intensity": _method(settings, network),
-        "--precision": network.engine.precision,
+        "--precision": network.backend.precision,
         "--sensor": {key: value for key, value in view.items() if key != "columns"},
     }
     return dict(as_json(asked))
@@ -285,6 +285,6 @@ def network_of_run(
 ) -> Network:
     """Return a network fitted to a run's scans, as earlier results in its folder were made."""
     made = [] if overwrite else map(StageRecords(out).settings, ("predict", "uncertainty"))
-    earlier = next((s for s in made if s and s.get("weights") == network.engine.sha256), None)
+    earlier = next((s for s in made if s and s.get("weights") == network.backend.sha256), None)
     sample = ScanSample(files, network.sensor, image_of)
     return fit_scans(settings, network, sample, recorded_sensor(earlier))

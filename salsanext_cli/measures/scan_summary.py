@@ -74,7 +74,7 @@ class ScanSummary:
         cls, scan: LabelledScan, space: LabelSpace, rejected_points: int = 0
     ) -> ScanSummary:
         """Summarise a labelled scan; doubt labels of a low probability."""
-        confidence = scan.softmax.max(axis=0)[scan.image.channels[0] > 0]
+        confidence = scan.pixels.confidence[scan.image.channels[0] > 0]
         mean = float(confidence.mean()) if len(confidence) else 1.0
         return cls.of_labels(scan.file, scan.labels, space, scan.check, rejected_points, mean)
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, Generic, TypeVar
 
 from salsanext_cli.engines.batches import BatchSize
@@ -98,7 +98,7 @@ class Pipeline(Generic[Prepared, Computed, Result]):
     ) -> deque[tuple[Attempt[Prepared], Attempt[Computed]]]:
         """Compute the scans that could be prepared."""
         usable = [scan for scan in scans if not scan.error]
-        computed = iter(self.batch.in_batches(self._together, usable))
+        computed = chain.from_iterable(self.batch.in_batches(self._together, usable))
         return deque(
             (scan, Attempt(scan.file, error=scan.error) if scan.error else next(computed))
             for scan in scans

@@ -5,19 +5,50 @@ import logging
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from typing import Any
 
 from salsanext_cli.errors import WorkersLost, first_few
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.job import Attempt, Task
 from salsanext_cli.parallel.options import CLUSTERS, Progress, RunOptions
-from salsanext_cli.parallel.outcome import Failure, Outcome
 from salsanext_cli.parallel.worker import opened
 from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.selection import MissingResults
 
 __all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Scan that could not be worked on, the reason, and the code of the error."""
+
+    scan: ScanFile
+    reason: str
+    code: str
+
+    def to_dict(self) -> dict[str, str]:
+        """Return plain data for JSON."""
+        return {"scan": str(self.scan.path), "reason": self.reason, "code": self.code}
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Numbers of a run."""
+
+    skipped: int  # Scans that were done already
+    failures: tuple[Failure, ...]  # Scans that failed, in order
+    done: int  # Scans that were worked on with success
+    # Scans left out for want of results to work on, by a stage that looks for them
+    missing: MissingResults | None = None
+    seconds: float = 0.0  # Time of the work on scans, without the start of the command
+    summary: RunSummary | None = None  # Of the scans that were worked on
+    # Number of their points that were written as unlabelled for their error, if that was asked
+    rejected_points: int | None = None
+    # Number of their points, and of those among them that a stage kept that leaves some out
+    kept_points: tuple[int, int] | None = None
 
 
 def run_over_scans(

@@ -15,6 +15,7 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import counted, printable
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
+from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import in_sensor_frame, pixels_from_points, project
 from salsanext_cli.records import Float
 from salsanext_cli.report import canvas
@@ -229,7 +230,8 @@ def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     scan = read_scan(file.path, sensor)
     truth = read_labels(file.label_path, len(scan)) & np.uint32(0xFFFF)
     image = project(scan, sensor)
-    label = space.to_raw(network.labels(image, network.probabilities(image)))
+    (pixels,) = network.predict([network.input(image.channels)])
+    label = space.to_raw(knn_refine(image, pixels.labels, space.class_count))
     results = ScanResults(scan, label, truth, sensor=sensor)
     scales: Scales = {"range": (0.0, value_range(results.range)[1])}
     strips = ("range", "truth", "label", "wrong")

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from salsanext_cli.engines.device import openvino_core
+from salsanext_cli.engines.graphs import Graph
 from salsanext_cli.engines.loading import network_of_module, read_onnx
-from salsanext_cli.engines.network import Graph, Network
+from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.onnx_export import OPSET, difference, exported, quantised
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import UsageError, counted

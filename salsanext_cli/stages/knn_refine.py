@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Stage `knn-refine`: pixel labels, or any point labels, to point labels by neighbours."""
 
-from dataclasses import asdict
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError, counted
@@ -17,6 +18,7 @@ from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
+from salsanext_cli.records import RangeImage
 from salsanext_cli.results.layout import ScanFile, find_scans, output_path, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
@@ -25,31 +27,49 @@ from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import Sensor
 
 
-def refine_scan(
-    file: ScanFile,
-    labels: Path | None,
-    space: LabelSpace,
-    sensor: Sensor,
-    knn: KnnParameters,
-    output: OutputRun,
-) -> ScanSummary:
-    """Refine the labels of one scan: its pixel labels, or those of a folder of point labels."""
-    output.require_replaceable(file)
-    scan = read_scan(file.path, sensor)
-    image = project(scan, sensor_of(scan, sensor))
-    if labels is None:
-        path = output.path(file, "pixel_labels")
-        pixel_labels: TrainIds = read_array(path, "uint8", (sensor.height, sensor.width))
-        if (highest := pixel_labels.max()) >= space.class_count:
+class LabelledPixels(NamedTuple):
+    """Scan, and the labels of its pixels."""
+
+    file: ScanFile
+    image: RangeImage
+    labels: TrainIds  # (H, W)
+
+
+@dataclass(frozen=True, slots=True)
+class RefineJob:
+    """Job that refines pixel labels, or a folder of point labels, by neighbours."""
+
+    labels: Path | None  # Folder of point labels, None for pixel labels
+    space: LabelSpace
+    sensor: Sensor
+    knn: KnnParameters
+    output: OutputRun
+
+    def prepare(self, file: ScanFile) -> LabelledPixels:
+        """Read a scan and its labels, and project both."""
+        self.output.require_replaceable(file)
+        scan, space = read_scan(file.path, self.sensor), self.space
+        image = project(scan, sensor_of(scan, self.sensor))
+        if self.labels is not None:
+            path = given_labels(self.labels, file)
+            train_ids = space.to_train(read_labels(path, len(scan)), source=path)
+            return LabelledPixels(file, image, pixels_from_points(train_ids, image.point_of_pixel))
+        path = self.output.path(file, "pixel_labels")
+        labels: TrainIds = read_array(path, "uint8", (self.sensor.height, self.sensor.width))
+        if (highest := labels.max()) >= space.class_count:
             expected = f"0 … {space.class_count - 1}, the classes of {space.name}"
             raise LabelError(path, f"train ids up to {highest}", expected)
-    else:
-        path = given_labels(labels, file)
-        raw = read_labels(path, len(image.pixel_of_point))
-        pixel_labels = pixels_from_points(space.to_train(raw, source=path), image.point_of_pixel)
-    refined = knn_refine(image, pixel_labels, space.class_count, knn)
-    output.write_labels(file, space.to_raw(refined))
-    return ScanSummary.of_labels(file, refined, space)
+        return LabelledPixels(file, image, labels)
+
+    def compute(self, scans: Sequence[LabelledPixels]) -> list[TrainIds]:
+        """Return the labels of the points of each scan, (N,) uint8."""
+        count = self.space.class_count
+        return [knn_refine(scan.image, scan.labels, count, self.knn) for scan in scans]
+
+    def finish(self, scan: LabelledPixels, refined: TrainIds) -> ScanSummary:
+        """Write the labels of the points."""
+        self.output.write_labels(scan.file, self.space.to_raw(refined))
+        return ScanSummary.of_labels(scan.file, refined, self.space)
 
 
 def given_labels(folder: Path, file: ScanFile) -> Path:
@@ -120,7 +140,5 @@ def knn_refine_scans(
     wanted, overwrite = (out, "knn-refine", settings, ("predictions",), scans), options.overwrite
     run = output_run(*wanted, overwrite=overwrite, record_scans=dataset is not None)
     with run as output, summary.kept_in(output, scans):
-        task = partial(
-            refine_scan, labels=labels, space=space, sensor=sensor, knn=knn, output=output
-        )
-        return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
+        job = RefineJob(labels, space, sensor, knn, output)
+        return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

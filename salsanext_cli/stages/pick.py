@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, FormatError, NoInputError, counted
@@ -96,7 +97,7 @@ class PickJob:
     def finish(self, scan: PreparedScan, estimate: Estimate) -> PickedLabels:
         """Label the points by the mean softmax, and write the scan and its cloud."""
         file, space = scan.projected.file, scan.network.space
-        guess = labelled(scan, estimate.probabilities, KnnParameters())
+        guess = labelled(scan, PixelPrediction.of(estimate.probabilities), KnnParameters())
         information = estimate.uncertainty.mutual_information
         self.data_set.write_points(file, scan.network.sensor)
         cloud = picked_cloud(guess, information, space)

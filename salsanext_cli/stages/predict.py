@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, UsageError, WeightsError
@@ -24,7 +25,6 @@ from salsanext_cli.fitting.label_scan import (
     projected_sensor,
     range_image,
     sensor_of_images,
-    softmax_of,
 )
 from salsanext_cli.fitting.scan_checks import ScanCheck, check_image
 from salsanext_cli.fitting.scan_fit import (
@@ -56,6 +56,7 @@ from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.uncertainty.error_features import error_model, error_probability
 
+OF_SOFTMAX = {"probabilities", "votes", ERROR}  # Results that need the whole softmax
 OTHER_VIEW = (
     "the view fitted to these scans is not that of the scans that the threshold was chosen on: of "
     "another sensor or mounting nothing is promised; choose it with `tune risk` on its own scans"
@@ -76,22 +77,22 @@ class LabelWriter:
 
     def write(self, scan: LabelledScan, network: Network) -> ScanSummary:
         """Write the results of a scan; return numbers about it."""
-        file, image, softmax, labels = scan.file, scan.image, scan.softmax, scan.labels
+        file, image, pixels, labels = scan.file, scan.image, scan.pixels, scan.labels
         space, output = network.space, self.output
-        least_confidence = points_from_pixels(1 - softmax.max(axis=0), image.pixel_of_point, np.nan)
+        least_confidence = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
         output.write_array(file, LEAST_CONFIDENCE, least_confidence)
         values = {"least_confidence": least_confidence}
         if "pixel_labels" in output.folders:
-            output.write_array(file, "pixel_labels", softmax.argmax(axis=0).astype(np.uint8))
-        if {"probabilities", "votes"} & {*output.folders}:
+            output.write_array(file, "pixel_labels", pixels.labels)
+        if pixels.softmax is not None:
             none = np.eye(1, space.class_count)  # certainly unlabelled
-            of_points = points_from_pixels(softmax, image.pixel_of_point, none)
+            of_points = points_from_pixels(pixels.softmax, image.pixel_of_point, none)
         if "probabilities" in output.folders:
             output.write_array(file, "probabilities", of_points.astype(np.float16))
         if "votes" in output.folders:
             output.write_array(file, "votes", top_classes(of_points))
-        if ERROR in output.folders:
-            values["error"] = error_probability(network, image, softmax, labels)
+        if ERROR in output.folders and pixels.softmax is not None:
+            values["error"] = error_probability(network, image, pixels.softmax, labels)
             output.write_array(file, ERROR, values["error"])
         rejected = np.zeros(len(labels), bool)
         if self.reject is not None:
@@ -134,13 +135,14 @@ class PredictJob:
         self.writer.output.require_replaceable(file)
         return prepared_for(self.network, file)
 
-    def compute(self, scans: Sequence[PreparedScan]) -> list[Float]:
-        """Return the softmax (C, H, W) of the pixels of each scan."""
-        return softmax_of(scans)
+    def compute(self, scans: Sequence[PreparedScan]) -> list[PixelPrediction]:
+        """Predict the pixels of scans; the softmax only where a result needs it."""
+        softmax = bool(OF_SOFTMAX & {*self.writer.output.folders})
+        return self.network.predict([scan.input for scan in scans], softmax=softmax)
 
-    def finish(self, scan: PreparedScan, softmax: Float) -> ScanSummary:
+    def finish(self, scan: PreparedScan, pixels: PixelPrediction) -> ScanSummary:
         """Refine the labels on the points, and write the results."""
-        return self.writer.write(labelled(scan, softmax, self.writer.knn), scan.network)
+        return self.writer.write(labelled(scan, pixels, self.writer.knn), scan.network)
 
 
 def predict_scans(
@@ -215,7 +217,7 @@ def _chosen_threshold(
     risk = dict(network.card.risk)
     if not risk:
         remedy = "`salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%` chooses one"
-        raise WeightsError(network.engine.name, "no threshold of risk", "weights with one", remedy)
+        raise WeightsError(network.backend.name, "no threshold of risk", "weights with one", remedy)
     own = {"--classes": network.merging, "--knn-…": knn != KnnParameters()}
     tuned, given = risk.get("settings", {}), labels_depend_on(settings, network)
     own |= {name: given[name] != tuned.get(name) for name in given}
@@ -230,8 +232,7 @@ class PreparedImage(NamedTuple):
     """Range image that `project` wrote, ready for a network."""
 
     file: ScanFile
-    network: Network  # For the sensor of the scan
-    input: Float  # (1, 5, H, W) float32, normalised
+    input: Float  # (1, 5, H, W) float32, normalised, for the sensor of the scan
     check: ScanCheck  # Reasons to doubt the scan
 
 
@@ -252,18 +253,17 @@ class PredictImageJob:
             network = network.for_sensor(sensor_of(scan, network.sensor))
         image = range_image(file, self.folder, network.sensor)
         check = check_image(image, network.sensor, network.card.sensor)
-        return PreparedImage(file, network, network.input(image), check)
+        return PreparedImage(file, network.input(image), check)
 
-    def compute(self, scans: Sequence[PreparedImage]) -> list[Float]:
-        """Return the softmax (C, H, W) of the pixels of each scan."""
-        return softmax_of(scans)
+    def compute(self, scans: Sequence[PreparedImage]) -> list[PixelPrediction]:
+        """Predict the pixels of images."""
+        return self.network.predict([scan.input for scan in scans])
 
-    def finish(self, scan: PreparedImage, softmax: Float) -> ScanSummary:
+    def finish(self, scan: PreparedImage, pixels: PixelPrediction) -> ScanSummary:
         """Write the labels of the pixels."""
         path = output_path(self.folder, scan.file.sequence, "range", scan.file.stem)
-        scan.network.engine.require_finite(softmax, path)
-        labels = softmax.argmax(axis=0).astype(np.uint8)
-        self.output.write_array(scan.file, "pixel_labels", labels)
+        self.network.backend.require_finite(pixels.confidence, path)
+        self.output.write_array(scan.file, "pixel_labels", pixels.labels)
         return ScanSummary(scan.file, scan.check)
 
 

@@ -2,10 +2,10 @@
 """Stage `project`: scans to range images on disk."""
 
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 
-from salsanext_cli.fitting.label_scan import project_scan
+from salsanext_cli.fitting.label_scan import ProjectedScan, project_scan
 from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import ScanSelection
@@ -19,13 +19,27 @@ from salsanext_cli.sensors.sensor import Sensor
 FOLDERS = ("range", "pixels")
 
 
-def write_projected(file: ScanFile, sensor: Sensor, output: OutputRun) -> ScanSummary:
-    """Project one scan; write its range image and the pixels of its points."""
-    output.require_replaceable(file)
-    projected = project_scan(file, sensor)
-    output.write_array(file, "range", projected.image.channels)
-    output.write_array(file, "pixels", projected.image.pixel_of_point)
-    return ScanSummary(file, projected.check)
+@dataclass(frozen=True, slots=True)
+class ProjectJob:
+    """Job that projects scans and writes their range images; there is nothing to compute."""
+
+    sensor: Sensor
+    output: OutputRun
+
+    def prepare(self, file: ScanFile) -> ProjectedScan:
+        """Read, check and project a scan whose results may be replaced."""
+        self.output.require_replaceable(file)
+        return project_scan(file, self.sensor)
+
+    def compute(self, scans: Sequence[ProjectedScan]) -> Sequence[None]:
+        """Return nothing for each scan."""
+        return [None] * len(scans)
+
+    def finish(self, scan: ProjectedScan, _: None) -> ScanSummary:
+        """Write the range image and the pixels of the points."""
+        self.output.write_array(scan.file, "range", scan.image.channels)
+        self.output.write_array(scan.file, "pixels", scan.image.pixel_of_point)
+        return ScanSummary(scan.file, scan.check)
 
 
 def project_scans(
@@ -45,5 +59,5 @@ def project_scans(
     settings, summary = {"sensor": sensor.to_dict()}, RunSummary.of_scans(scans, sensor)
     run = output_run(out, "project", settings, FOLDERS, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
-        task = partial(write_projected, sensor=sensor, output=output)
-        return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
+        job = ProjectJob(sensor, output)
+        return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

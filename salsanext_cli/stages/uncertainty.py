@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings, recorded_view
 from salsanext_cli.errors import NOTICE, OutputError
@@ -61,12 +62,12 @@ class UncertaintyJob:
 
     def _estimate(self, projected: ProjectedScan, network: Network, given: Float) -> EstimatedScan:
         estimate = self.method.estimate(network, projected.image, projected.file)
-        network.engine.require_finite(estimate.probabilities, projected.file.path)
+        network.backend.require_finite(estimate.probabilities, projected.file.path)
         if ERROR not in self.output.folders:
             return EstimatedScan(estimate, None)
-        (softmax,) = network.softmax([given])
-        network.engine.require_finite(softmax, projected.file.path)
-        return EstimatedScan(estimate, softmax)
+        (pixels,) = network.predict([given], softmax=True)
+        network.backend.require_finite(pixels.confidence, projected.file.path)
+        return EstimatedScan(estimate, pixels.softmax)
 
     def finish(self, scan: PreparedScan, computed: EstimatedScan) -> ScanSummary:
         """Write the uncertainty of the points, and their labels."""
@@ -78,7 +79,8 @@ class UncertaintyJob:
             output.write_array(file, f"uncertainty/{kind}", of_points)
         if "predictions" not in output.folders:
             return ScanSummary(file, projected.check)
-        labels, space = labelled(scan, estimate.probabilities, self.knn).labels, network.space
+        pixels, space = PixelPrediction.of(estimate.probabilities), network.space
+        labels = labelled(scan, pixels, self.knn).labels
         if softmax is not None:
             output.write_array(file, ERROR, error_probability(network, image, softmax, labels))
         output.write_labels(file, space.to_raw(labels))

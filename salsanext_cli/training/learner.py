@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.engines.device import PRECISIONS, bfloat16_instructions
-from salsanext_cli.engines.torch_engine import keep_ends_in_float32
+from salsanext_cli.engines.torch_backend import keep_ends_in_float32
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel

@@ -19,13 +19,11 @@ from salsanext_cli.engines.graphs import LOGITS
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import NOTICE, WeightsError, first_few
-from salsanext_cli.fitting.label_scan import softmax_of
 from salsanext_cli.network.card import INHERITED, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.registry import build, described
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.parallel.job import Steps
 from salsanext_cli.parallel.network_task import network_pipeline
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -46,7 +44,7 @@ from salsanext_cli.training.tuning.error import (
     cross_validated,
     gains,
     is_better,
-    judged_points,
+    judging,
     of_both_kinds,
     points_of_scan,
 )
@@ -274,8 +272,8 @@ class Setup:
                 own = network.for_sensor(source.sensor_of(file))
                 return read_labelled_image(file, own, source.space)
 
-            job = Steps(read, softmax_of, partial(judged_points, most=most))
-            judged |= zip(part, network_pipeline(job, network).results(part), strict=True)
+            results = network_pipeline(judging(network, read, most), network).results(part)
+            judged |= zip(part, results, strict=True)
         if of_both_kinds(judged.values()):
             start = self.error if self.error and self.error.features == FEATURES else None
             model = cross_validated(judged, parts, start=start)

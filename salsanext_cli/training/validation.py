@@ -9,6 +9,7 @@ import torch
 
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.network import Network
+from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.measures.scores import Counts, confusion_matrix, scores
 from salsanext_cli.network.card import WeightsCard
@@ -56,11 +57,12 @@ def validate(
 
     def logits_of(scans: Sequence[ProjectedTruth]) -> list[Float]:
         inputs = [own.input(image.channels) for own, _, image in scans]
-        return network.engine.outputs(inputs, None)
+        return network.backend.logits(inputs)
 
     def compare(scan: ProjectedTruth, of_pixels: Float) -> ValidatedScan:
-        own, labels, image = scan
-        of_classes = confusion_matrix(labels, own.labels(image, of_pixels), space.class_count)
+        _, labels, image = scan
+        refined = knn_refine(image, of_pixels.argmax(axis=0), space.class_count)
+        of_classes = confusion_matrix(labels, refined, space.class_count)
         usable = np.flatnonzero(space.scored[labels] & (image.pixel_of_point >= 0))
         chosen = usable[:: max(1, len(usable) * len(source.files) // MAX_VALIDATED_POINTS)]
         of_points = of_pixels.reshape(space.class_count, -1)[:, image.pixel_of_point[chosen]]

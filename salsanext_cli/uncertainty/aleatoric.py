@@ -2,19 +2,17 @@
 """Aleatoric uncertainty: the sensor's noise carried through the network (paper III-C.1)."""
 
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.geometry.network_input import noise_of, with_filled_gaps
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Float, RangeImage
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.uncertainty.adf import Gaussian
-from salsanext_cli.uncertainty.monte_carlo import PassStatistics
 
 COPIES = 8  # Noisy copies of a scan; 8 rank pixels as 256 do (correlation 0.97)
 
@@ -54,28 +52,19 @@ def input_variance(channels: Float, sensor: Sensor) -> Float:
 
 def noise_variance(network: Network, image: RangeImage, seed: int) -> Float:
     """Return the variance (C, H, W) of the softmax over noisy copies, without bias."""
-    statistics = PassStatistics((network.space.class_count, image.height, image.width))
-    copies = noisy_copies(image, network.sensor, seed)
-    for _ in range(COPIES):
-        statistics.add(*network.pixel_probabilities([next(copies)], temperature=1.0))
-    return (statistics.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
+    copies = islice(noisy_copies(image, network.sensor, seed), COPIES)
+    moments = network.backend.spread(map(network.input, copies), network.merging)
+    return (moments.variance() * (COPIES / (COPIES - 1))).astype(np.float32)
 
 
 def aleatoric(network: Network, image: RangeImage) -> Float:
     """Return the variance (C, H, W) of the softmax from noise of the input, by one pass."""
-    engine, mean = network.engine, network.input(image.channels)
     filled = with_filled_gaps(image.channels, network.sensor, network.card.sensor)
     variance = input_variance(filled, network.sensor)[None]
-    with inference_mode(engine.device):
-        if engine.library == "openvino":
-            inputs = [engine.example_input()] * 2
-            graph = engine.graph("moments", _moments, lambda: inputs, precision="float32")
-            moments = tuple(map(torch.from_numpy, graph(mean, variance)))
-        else:
-            given = (torch.from_numpy(values).to(engine.device) for values in (mean, variance))
-            moments = _moments(engine.module, *given)
-        softmax = Gaussian(*moments).softmax(dim=1, groups=network.groups)
-        return softmax.variance[0].cpu().numpy()
+    mean = network.input(image.channels)
+    moments = network.backend.run("moments", _moments, mean, variance, exact=True)
+    softmax = Gaussian(*moments).softmax(dim=1, groups=network.groups)
+    return softmax.variance[0].cpu().numpy()
 
 
 def _moments(module: SegmentationNetwork, mean: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:

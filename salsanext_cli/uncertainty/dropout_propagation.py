@@ -14,13 +14,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from salsanext_cli.engines.moments import entropy
 from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.network.segmentation import SegmentationNetwork
-from salsanext_cli.records import RangeImage
+from salsanext_cli.records import Double, RangeImage
 from salsanext_cli.uncertainty.adf import Gaussian
-from salsanext_cli.uncertainty.estimate import Estimate, entropy
+from salsanext_cli.uncertainty.estimate import Estimate
 
 MIN_MEAN = 1e-12  # Least divisor, of a probability
 
@@ -119,19 +119,16 @@ ChannelCorrelatedGaussian.RULES = {
 def propagate_dropout(network: Network, image: RangeImage) -> Estimate:
     """Estimate what `sample` would tend to with ever more passes."""
     # The mutual information is that of a small spread of the softmax around its mean, ½ Σ v / p.
-    engine, given = network.engine, network.input(image.channels)
-    rate = require_dropout(engine.module)
-    with inference_mode(engine.device):
-        if engine.library == "openvino":
-            graph = engine.graph(f"dropout moments at {rate}", _moments, precision="float32")
-            moments = tuple(map(torch.from_numpy, graph(given)))
-        else:
-            moments = _moments(engine.module, engine.tensor(given))
-        logits = ChannelCorrelatedGaussian(*moments)[..., : image.height, : image.width]
-        softmax = logits.softmax(dim=1, groups=network.groups)
-    mean, variance = (t[0].double().cpu().numpy() for t in (softmax.mean, softmax.variance))
+    name = f"dropout moments at {require_dropout(network.module)}"
+    given = network.input(image.channels)
+    moments = network.backend.run(name, _moments, given, exact=True)
+    logits = ChannelCorrelatedGaussian(*moments)[..., : image.height, : image.width]
+    softmax = logits.softmax(dim=1, groups=network.groups)
+    mean: Double = softmax.mean[0].double().cpu().numpy()
+    variance: Double = softmax.variance[0].double().cpu().numpy()
     information = (variance / np.maximum(2 * mean, MIN_MEAN)).sum(axis=0)
-    return Estimate.of(mean, variance, np.minimum(information, entropy(mean)))
+    total: Double = entropy(mean)
+    return Estimate.of(mean, variance, total, np.minimum(information, total))
 
 
 def _moments(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,12 +9,12 @@ import numpy as np
 
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
+from salsanext_cli.engines.moments import entropy
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.geometry.objects import root
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float, Int, Mask, RangeImage
-from salsanext_cli.uncertainty.estimate import entropy
 
 ROWS, COLUMNS, STEP = 4, 8, 2
 """Pixels of the window on each side, of which every second row and column counts."""
@@ -164,7 +164,7 @@ def knows_error(network: Network) -> bool:
 
 def error_model(network: Network) -> ErrorModel:
     """Return the model of errors of weights."""
-    model, weights = network.card.error, network.engine.name
+    model, weights = network.card.error, network.backend.name
     remedy = "`salsanext tune error DATASET WEIGHTS_OUT` fits one to labelled scans"
     if model is None:
         raise WeightsError(weights, "no probability of errors", "weights with one", remedy)

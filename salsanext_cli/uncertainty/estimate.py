@@ -4,13 +4,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
 from salsanext_cli.records import Double, Float
-
-Values = TypeVar("Values", Float, Double)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,22 +37,14 @@ class Estimate:
     uncertainty: Uncertainty  # Every pixel's, occupied or not
 
     @classmethod
-    def of(cls, mean: Double, variance: Double, information: Double) -> Estimate:
-        """Gather mean and variance (C, H, W) and mutual information (H, W), float64."""
+    def of(cls, mean: Double, variance: Double, total: Double, information: Double) -> Estimate:
+        """Gather mean and variance (C, H, W), entropy and mutual information (H, W), float64."""
         return cls(
             probabilities=mean.astype(np.float32),
             variance=variance.astype(np.float32),
             uncertainty=Uncertainty(
                 epistemic=variance.mean(axis=0).astype(np.float32),
-                entropy=entropy(mean).astype(np.float32),
+                entropy=total.astype(np.float32),
                 mutual_information=information.astype(np.float32),
             ),
         )
-
-
-def entropy(probabilities: Values) -> Values:
-    """Return the entropy over the first dimension in nats, (C, …) to (…) of the same type."""
-    # The logarithm of the smallest stands for that of 0, which counts 0 times.
-    logarithms = np.log(np.maximum(probabilities, np.finfo(probabilities.dtype).tiny))
-    # A softmax rounded up to above 1 would have a negative one.
-    return np.maximum(-(probabilities * logarithms).sum(axis=0), 0)

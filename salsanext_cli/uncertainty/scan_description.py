@@ -8,7 +8,6 @@ import numpy as np
 from torch import Tensor
 
 from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.torch_engine import inference_mode
 from salsanext_cli.errors import FormatError
 from salsanext_cli.fitting.label_scan import PreparedScan, ProjectedScan, prepared_for
 from salsanext_cli.fitting.scan_checks import ScanCheck
@@ -66,7 +65,7 @@ class DescribeJob:
         (projected, network, _), (of_pixels, information) = scan, computed
         filled = projected.image.point_of_pixel >= 0
         features = of_pixels[:, filled].mean(axis=1, dtype=np.float64)
-        network.engine.require_finite(features, projected.file.path)
+        network.backend.require_finite(features, projected.file.path)
         mean = np.nan
         if information is not None:
             mean = float(information[filled].mean(dtype=np.float64))
@@ -77,21 +76,17 @@ class DescribeJob:
 def checked_sample(projected: ProjectedScan, network: Network, samples: int, seed: int) -> Estimate:
     """Estimate by Monte-Carlo dropout; `WeightsError` if the result is not finite."""
     estimate = sample(network, projected.image, samples=samples, seed=seed)
-    network.engine.require_finite(estimate.probabilities, projected.file.path)
+    network.backend.require_finite(estimate.probabilities, projected.file.path)
     return estimate
 
 
 def pixel_features(network: Network, given: Float) -> Float:
     """Return the features (D, H, W) float32 of an input (1, 5, H, W), without dropout."""
-    engine = network.engine
-    if engine.library == "openvino":
-        return engine.graph("features", _decoded)(given)[0][0]
-    with inference_mode(engine.device):
-        decoded = _decoded(engine.torch_module, engine.tensor(given))
-        return decoded[0].float().cpu().numpy()
+    (features,) = network.backend.run("features", _decoded, given)
+    return features[0].float().cpu().numpy()
 
 
-def _decoded(module: SegmentationNetwork, image: Tensor) -> Tensor:
+def _decoded(module: SegmentationNetwork, image: Tensor) -> tuple[Tensor]:
     """Map a normalised range image (1, 5, H, W) to features (1, D, H, W)."""
     height, width = image.shape[-2:]
-    return module.decoded(*module.padded_trunk(image))[..., :height, :width]
+    return (module.decoded(*module.padded_trunk(image))[..., :height, :width],)

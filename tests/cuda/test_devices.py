@@ -7,6 +7,7 @@ on the CPU.
 
 import copy
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,9 +22,11 @@ from tiny_network import TinyNetwork
 from torch import Tensor
 
 from salsanext_cli import RangeImage, load_network, project
+from salsanext_cli.engines.batches import BatchSize
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.network.dropout import random_masks, sampling
 from salsanext_cli.network.weights import read_weights
+from salsanext_cli.records import Float
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.train import train
 from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, save_checkpoint
@@ -69,8 +72,8 @@ def test_a_batch_is_halved_until_it_fits(
     file: Path, image: RangeImage, device: str, precision: str
 ) -> None:
     network = load_network(file, device, SMALL, precision, "torch")
-    images = [network.input(image.channels * np.float32(1 - 0.1 * i)) for i in range(5)]
-    expected = [network.engine.outputs([each], None)[0] for each in images]
+    inputs = [network.input(image.channels * np.float32(1 - 0.1 * i)) for i in range(5)]
+    expected = [network.backend.predict([each], 1.0)[0].confidence for each in inputs]
     sizes = []
 
     def short_of_memory(_: object, inputs: tuple[Tensor]) -> None:
@@ -81,8 +84,13 @@ def test_a_batch_is_halved_until_it_fits(
     # On a copy: other tests have the same module.
     module = copy.deepcopy(network.module)
     module.register_forward_pre_hook(short_of_memory)
-    engine = replace(network.engine, load_module=lambda: module, batch_sizes={})
-    found = engine.outputs(images, None)
+    backend = replace(network.backend, load_module=lambda: module)
+
+    def confidences(some: Sequence[Float]) -> list[Float]:
+        return [each.confidence for each in backend.predict(some, 1.0)]
+
+    batches = BatchSize(5, "images").in_batches(confidences, inputs)
+    found = [each for batch in batches for each in batch]
     assert sizes == [5, 2, 1, 1, 1, 1, 1]
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4)

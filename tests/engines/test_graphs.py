@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Devices and engines; graphs compute what the torch modules do that they were made from."""
 
+import hashlib
 import os
 import subprocess
 import sys
@@ -11,10 +12,14 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import openvino
 import pytest
 import torch
+from scans import SMALL, make_scan
+from tiny_network import TinyNetwork
 from torch import nn
 
+from salsanext_cli import label_space, project, sample
 from salsanext_cli.engines import device
 from salsanext_cli.engines.device import (
     bfloat16_instructions,
@@ -22,11 +27,22 @@ from salsanext_cli.engines.device import (
     choose_engine,
     choose_precision,
 )
-from salsanext_cli.engines.graphs import compiled_graph, converted
-from salsanext_cli.engines.network import Graph
-from salsanext_cli.engines.torch_engine import in_precision
+from salsanext_cli.engines.graphs import (
+    GRAPH_VERSION,
+    Graph,
+    compiled_graph,
+    converted,
+    partly_float32,
+)
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.openvino_backend import OpenVinoBackend
+from salsanext_cli.engines.torch_backend import in_precision
 from salsanext_cli.errors import MissingDependency, UsageError, warn_once
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.registry import ARCHITECTURES, build
+from salsanext_cli.uncertainty.aleatoric import aleatoric
+from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
+from salsanext_cli.uncertainty.scan_description import pixel_features
 
 
 @pytest.fixture
@@ -275,8 +291,7 @@ def test_signals_are_handled_after_the_last_graph_is_gone():
     """OpenVINO gives a thread a stack for its handlers, and must not take it back."""
     program = """
 import gc, os, signal, threading, torch
-from salsanext_cli.engines.graphs import compiled_graph, converted
-from salsanext_cli.engines.network import Graph
+from salsanext_cli.engines.graphs import Graph, compiled_graph, converted
 signal.signal(signal.SIGUSR1, lambda *_: print("handled"))
 part = torch.nn.Conv2d(5, 3, 1), lambda module, image: module(image), [torch.zeros(1, 5, 8, 8)]
 made = [Graph(compiled_graph(lambda: converted(*part), "test"))]
@@ -287,3 +302,84 @@ os.kill(os.getpid(), signal.SIGUSR1)
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "handled\n"), done.stderr
+
+
+class Fixed(TinyNetwork):
+    """Network of layers that all graphs know."""
+
+    def trunk(self, image):
+        return (nn.functional.leaky_relu(self.norm(self.features(image))),)
+
+
+OPERATIONS_BY = ("2026.4.1", "2.13.0")
+OPERATIONS = {
+    "softmax at 1.0": "f338419d8f7bb9f8",
+    "logits": "724c8e4aea62e84b",
+    "trunk": "f780ffe62f983d6a",
+    "rest": "f2ebf5249d0e2682",
+    "moments": "a2dbf455fd256f20",
+    "dropout moments at 0.2": "732244093e9f0a6e",
+    "features": "735b08ec6adff7bb",
+}
+"""Digests of the operations of each graph of a small network, by these libraries."""
+
+
+def operations(model) -> str:
+    """Return a digest of the operations of a model, their attributes and how they are joined."""
+    ops = model.get_ordered_ops()
+    number = {op.get_friendly_name(): n for n, op in enumerate(ops)}
+    lines = []
+    for op in ops:
+        inputs = [number[i.get_source_output().get_node().get_friendly_name()] for i in op.inputs()]
+        attributes = {
+            name: value
+            for name, value in sorted(op.get_attributes().items())
+            if name not in ("friendly_name", "output_names")
+        }
+        shapes = [str(output.get_partial_shape()) for output in op.outputs()]
+        lines.append(repr((str(op.get_type_info()), attributes, inputs, shapes)))
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+
+
+def test_the_version_of_graphs_changes_with_them():
+    """Graphs in the cache are used again as long as `GRAPH_VERSION` is the same."""
+    made = {}
+
+    class Recording(OpenVinoBackend):
+        def _compiled(self, name, make, precision, streams=1):
+            made[name] = operations(make())
+            return super()._compiled(name, make, precision, streams)
+
+    image = project(make_scan(), SMALL)
+    card = WeightsCard({}, label_space(), SMALL)
+    backend = Recording(lambda: Fixed().eval(), card, (16, 128), sha256="0")
+    network = Network(backend, SMALL)
+    network.probabilities(image)
+    network.logits(image)
+    sample(network, image, samples=2, seed=0)
+    aleatoric(network, image)
+    propagate_dropout(network, image)
+    pixel_features(network, network.input(image.channels))
+    versions = (openvino.__version__.partition("-")[0], torch.__version__.partition("+")[0])
+    if versions != OPERATIONS_BY:
+        pytest.skip("other versions of the libraries, which are part of the key too")
+    # Where this differs, raise the version and put in the digests that are there now.
+    assert (GRAPH_VERSION, made) == (1, OPERATIONS)
+
+
+def test_the_layers_of_the_image_and_of_the_logits_are_marked_as_float32():
+    """OpenVINO has read the marks: they are no longer what was written."""
+    module = network("salsanext")
+    softmax = converted(module, lambda m, image: m(image).softmax(dim=1), [images(1, 5, 16, 64)])
+    read = partly_float32(device.openvino_core(), softmax)
+    ops = read.get_ordered_ops()
+    marked = [op for op in ops if {*op.get_rt_info().keys()} - {"fused_names_0", "precise_0"}]
+    convolutions = [op for op in ops if op.get_type_name() == "Convolution"]
+    of_image = [op for op in convolutions if op.input(0).get_partial_shape()[1].get_length() == 5]
+    logits = [op for op in convolutions if ".logits/" in op.get_friendly_name()]
+    assert len(of_image) == len(logits) == 1
+    of_convolutions = [op for op in marked if op.get_type_name() == "Convolution"]
+    names = {op.get_friendly_name() for op in of_convolutions}
+    assert names == {op.get_friendly_name() for op in (*of_image, *logits)}
+    assert "Softmax" in {op.get_type_name() for op in marked}
+    assert len(convolutions) > 10

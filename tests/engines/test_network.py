@@ -17,11 +17,11 @@ from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.engines.loading import load_network, with_dropout
 from salsanext_cli.errors import UsageError, WeightsError
 from salsanext_cli.geometry.network_input import normalise
-from salsanext_cli.network.dropout import dropouts
+from salsanext_cli.network.dropout import dropouts, random_masks, sampling
 from salsanext_cli.uncertainty.adf import softmax_moments
 from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
-from salsanext_cli.uncertainty.monte_carlo import pass_seed, torch_passes
+from salsanext_cli.uncertainty.monte_carlo import pass_seed
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,8 @@ def test_probabilities_are_the_softmax_of_the_module(network):
 def test_the_temperature_divides_the_logits_and_keeps_the_labels(network, temperature):
     image = project(make_scan(), SMALL)
     tempered = replace(
-        network, engine=replace(network.engine, card=replace(network.card, temperature=temperature))
+        network,
+        backend=replace(network.backend, card=replace(network.card, temperature=temperature)),
     )
     probabilities = tempered.probabilities(image)
     powers = network.probabilities(image).astype(np.float64) ** (1 / temperature)
@@ -65,25 +66,6 @@ def test_probabilities_are_finite_whatever_the_scan(network):
         probabilities = network.probabilities(project(scan, SMALL))
         assert np.isfinite(probabilities).all()
         np.testing.assert_allclose(probabilities.sum(axis=0), 1, atol=1e-5)
-
-
-def test_batches_stay_as_small_as_memory_had_room_for(weights, monkeypatch):
-    """The next scans begin with the number that the first ones ended with."""
-    channels = [project(make_scan(seed=seed), SMALL).channels for seed in range(5)]
-    small, sizes = load_network(weights, "cpu", engine="torch"), []
-    expected = [small.pixel_probabilities([image])[0] for image in channels]
-    forward = type(small.module).forward
-
-    def short_of_memory(module, x):
-        sizes.append(len(x))
-        if len(x) > 2:
-            raise torch.OutOfMemoryError("no room")
-        return forward(module, x)
-
-    monkeypatch.setattr(type(small.module), "forward", short_of_memory)
-    for _ in range(2):
-        np.testing.assert_allclose(small.pixel_probabilities(channels), expected, atol=1e-5)
-    assert sizes == [5, 2, 2, 1, 2, 2, 1]
 
 
 @pytest.mark.parametrize("trained", [0.0, 0.2])
@@ -127,7 +109,7 @@ def test_weights_that_are_replaced_before_they_are_needed_are_refused(tmp_path):
     """Their graph would be kept under the name of the others for ever."""
     path = write_weights(tmp_path / "w.safetensors", seed=11)
     network = load_network(path, "cpu", engine="openvino")
-    vars(network.engine).pop("module", None)
+    vars(network.backend).pop("module", None)
     write_weights(path, seed=12)
     with pytest.raises(WeightsError, match="replaced since the run began"):
         _ = network.module
@@ -165,18 +147,23 @@ def test_probabilities_are_added(weights, image, engine):
     # Torch rounds otherwise from one call to the next.
     np.testing.assert_allclose(found, summed(own.probabilities(image)), atol=1e-5)
     np.testing.assert_allclose(merged.logits(image), own.logits(image), rtol=1e-4, atol=1e-4)
-    several = merged.pixel_probabilities([image.channels] * 2)
-    np.testing.assert_allclose(several[1], found, atol=1e-5)
+    several = merged.predict([merged.input(image.channels)] * 2)
+    assert several[0].softmax is None
+    np.testing.assert_array_equal(several[1].labels, found.argmax(axis=0))
+    np.testing.assert_allclose(several[1].confidence, found.max(axis=0), atol=1e-5)
 
 
 @ENGINES
 def test_passes_are_added_before_they_are_counted(weights, image, engine):
     """Mean, variance, entropy and mutual information from a loop over sums of every pass."""
     own, merged = both(weights, engine)
-    with torch.inference_mode():
-        seeds = [pass_seed(5, number) for number in range(4)]
-        drawn = torch_passes(own.engine, own.input(image.channels), seeds)
-        passes = np.stack([summed(softmax) for softmax, _ in drawn]).astype(float)
+    passes = []
+    for number in range(4):
+        masks = random_masks([torch.Generator().manual_seed(pass_seed(5, number))])
+        with torch.inference_mode(), sampling(masks):
+            logits = own.module(torch.from_numpy(own.input(image.channels)))
+        passes.append(summed(logits.softmax(dim=1)[0].numpy()))
+    passes = np.stack(passes).astype(float)
     mean = passes.mean(axis=0)
     entropy = -(mean * np.log(mean)).sum(axis=0)
     of_passes = -(passes * np.log(passes)).sum(axis=1).mean(axis=0)

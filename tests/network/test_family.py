@@ -14,7 +14,8 @@ from scans import SMALL, lively, make_scan
 
 from salsanext_cli import label_space, project, sample
 from salsanext_cli.engines.loading import with_dropout
-from salsanext_cli.engines.network import Engine, Network
+from salsanext_cli.engines.network import Network
+from salsanext_cli.engines.torch_backend import TorchBackend
 from salsanext_cli.network.blocks import ReplicatingConvTranspose2d, transposed_unit
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.dropout import dropouts, random_masks, sampling
@@ -36,7 +37,7 @@ def network(name):
     card = WeightsCard(architecture(name), SPACE, SMALL)
     # What the engine has in memory goes with the network; the largest has a gigabyte.
     size = (SMALL.height, SMALL.width)
-    return Network(Engine(lambda: trained(name), card, size), SMALL)
+    return Network(TorchBackend(lambda: trained(name), card, size), SMALL)
 
 
 def architecture(name):

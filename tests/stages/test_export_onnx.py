@@ -99,7 +99,7 @@ def test_predicts_as_the_weights_do(world, model, weights):
     settings = NetworkSettings(model)
     assert predict_scans(world.data, world.out, settings=settings).done == 3
     record = json.loads((world.out / "predict.json").read_text("utf-8"))
-    assert record["settings"]["weights"] == network.engine.sha256
+    assert record["settings"]["weights"] == network.backend.sha256
 
 
 def test_another_sensor_needs_a_dynamic_width_and_a_temperature_counts(tmp_path, model, weights):

@@ -304,8 +304,8 @@ def test_batches_shrink_when_memory_is_short(nine, tmp_path, monkeypatch, caplog
 @pytest.mark.parametrize(
     ("step", "batch"),
     [
-        ("engines.network.knn_refine", 1),
-        ("engines.network.Engine.tensor", 4),
+        ("fitting.label_scan.knn_refine", 1),
+        ("engines.torch_backend.TorchBackend.tensor", 4),
     ],
 )
 def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch, step, batch):

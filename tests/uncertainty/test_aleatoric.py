@@ -45,12 +45,17 @@ def test_a_sensor_that_does_not_know_its_noise(image, missing):
     assert noise_of(NOISY) == (0.03, 0.1)
 
 
+def softmax_of(network, channels):
+    (prediction,) = network.predict([network.input(channels)], softmax=True)
+    return prediction.softmax
+
+
 @slow_on_openvino
 def test_it_ranks_pixels_as_noisy_copies_do(network, image):
     """Sixty-four copies of the scan, each with its own noise of 2 cm and 0.02."""
     occupied = image.channels[0] > 0
     copies = islice(noisy_copies(image, network.sensor, 0), 64)
-    passes = [network.pixel_probabilities([copy])[0] for copy in copies]
+    passes = [softmax_of(network, copy) for copy in copies]
     sampled = np.var(passes, axis=0).mean(axis=0)[occupied]
     propagated = aleatoric(network, image).mean(axis=0)[occupied]
     ranks = (np.argsort(np.argsort(values)) for values in (sampled, propagated))
@@ -72,9 +77,9 @@ def test_copies_have_the_noise_that_density_filtering_begins_with(network, image
 
 def test_the_variance_is_that_of_the_plain_softmax_of_the_copies(network, image):
     card = replace(network.card, temperature=3.0)
-    hot = replace(network, engine=replace(network.engine, card=card))
+    hot = replace(network, backend=replace(network.backend, card=card))
     copies = [*islice(noisy_copies(image, network.sensor, 5), COPIES)]
-    softmax = np.stack([network.pixel_probabilities([copy], 1.0)[0] for copy in copies])
+    softmax = np.stack([softmax_of(network, copy) for copy in copies])
     found = noise_variance(hot, image, 5)
     assert found.dtype == np.float32
     np.testing.assert_allclose(found, softmax.var(axis=0, ddof=1), atol=1e-7)

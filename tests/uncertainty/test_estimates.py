@@ -12,7 +12,9 @@ from scans import SMALL, make_scan
 from shallow import slow_on_openvino
 
 from salsanext_cli import load_network, project, sample
+from salsanext_cli.engines.batches import BatchSize
 from salsanext_cli.engines.loading import with_dropout
+from salsanext_cli.engines.torch_backend import TorchBackend
 from salsanext_cli.geometry.network_input import normalise
 from salsanext_cli.network.dropout import ChannelDropout, random_masks, sampling
 from salsanext_cli.parallel.options import threads_of_workers
@@ -21,7 +23,7 @@ from salsanext_cli.uncertainty.dropout_propagation import (
     ChannelCorrelatedGaussian,
     propagate_dropout,
 )
-from salsanext_cli.uncertainty.monte_carlo import pass_seed, torch_batch
+from salsanext_cli.uncertainty.monte_carlo import pass_seed
 
 SAMPLES = 4
 
@@ -87,13 +89,14 @@ def test_the_seed_matters_and_neither_order_nor_global_generator(network, image,
     assert torch.equal(torch.random.get_rng_state(), state)
 
 
-@slow_on_openvino
-@torch.inference_mode()
+@pytest.mark.parametrize("network", ["torch"], indirect=True)
 def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
     """As on a GPU, where passes are computed in batches."""
-    seeds, module = [pass_seed(5, number) for number in range(4)], network.engine.torch_module
-    features = module.trunk(network.engine.tensor(network.input(image.channels)))
-    expected = [softmax for softmax, _ in torch_batch(module, features, seeds)]
+    seeds, module = [pass_seed(5, number) for number in range(4)], network.module
+    given, size = network.input(image.channels), BatchSize(4, "passes")
+    backend = TorchBackend(lambda: module, network.card, network.backend.size)
+    expected = backend.sample(given, seeds)
+    vars(backend)["_side_by_side"] = size
     sizes, most, rest = [], [1], type(module).rest
 
     def short_of_memory(module, *features):
@@ -103,20 +106,20 @@ def test_fewer_passes_at_once_when_memory_is_short(network, image, monkeypatch):
         return rest(module, *features)
 
     monkeypatch.setattr(type(module), "rest", short_of_memory)
-    engine = replace(network.engine, load_module=lambda: module)
-    function = partial(torch_batch, module, features)
-    found = [softmax for softmax, _ in engine.in_batches(function, seeds, 4, "passes")]
-    torch.testing.assert_close(found, expected)
+    found = backend.sample(given, seeds)
+    assert found.count == 4
+    for one, other in ((found.sum, expected.sum), (found.variance(), expected.variance())):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-7)
     assert sizes == [4, 2, 1, 1, 1, 1]
     most[0] = 0
     with pytest.raises(MemoryError):
-        engine.in_batches(function, seeds, 4, "passes")
+        backend.sample(given, seeds)
 
 
 @slow_on_openvino
 def test_the_temperature_is_left_out(network, image, sampled):
     hot = replace(
-        network, engine=replace(network.engine, card=replace(network.card, temperature=1e6))
+        network, backend=replace(network.backend, card=replace(network.card, temperature=1e6))
     )
     again = sample(hot, image, samples=SAMPLES, seed=5)
     np.testing.assert_array_equal(again.variance, sampled.variance)
@@ -132,7 +135,7 @@ def test_sampling_changes_nothing_in_the_network(network, image):
     sample(network, image, samples=2, seed=0)
     for name, tensor in network.module.state_dict().items():
         assert torch.equal(tensor, before[name]), name
-    layers = [*network.module.modules(), *network.engine.torch_module.modules()]
+    layers = [*network.module.modules()]
     assert not any(layer.training for layer in layers)
     np.testing.assert_array_equal(network.probabilities(image), expected)
 

@@ -2,18 +2,20 @@
 """Fit of the probability that a label is wrong, and its scores on points of other scans."""
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import nn
 
+from salsanext_cli.engines.backend import PixelPrediction
+from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import TrainingError, counted, first_few
-from salsanext_cli.fitting.label_scan import softmax_of
+from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
 from salsanext_cli.measures.risk_coverage import kept_points, ranking_scores
@@ -53,17 +55,29 @@ class JudgedPoints:
     several: float = 0.0  # Share of the scan's points left out: their label is of several classes
 
 
+JudgeJob = Steps[LabelledImage, PixelPrediction, JudgedPoints]
+
+
 def points_of_scan(scans: int) -> int:
     """Return how many points to keep of each of so many scans."""
     return max(1, min(MAX_POINTS_OF_SCAN, MAX_POINTS // scans))
 
 
-def judged_points(scan: LabelledImage, softmax: Float, most: int) -> JudgedPoints:
-    """Label a scan as `predict` does, and judge a random sample of its points."""
+def judging(network: Network, read: Callable[[ScanFile], LabelledImage], most: int) -> JudgeJob:
+    """Return the job that labels scans as `predict` does, and judges points of each."""
+
+    def predict(scans: Sequence[LabelledImage]) -> list[PixelPrediction]:
+        return network.predict([scan.input for scan in scans], softmax=True)
+
+    return Steps(read, predict, partial(judged_points, most=most))
+
+
+def judged_points(scan: LabelledImage, pixels: PixelPrediction, most: int) -> JudgedPoints:
+    """Judge a random sample of the points of a scan."""
     network, file = scan.network, scan.file
-    network.engine.require_finite(softmax, file.path)
-    labels = network.labels(scan.image, softmax)
-    features = features_of(network, scan.image, softmax, labels)
+    network.backend.require_finite(pixels.confidence, file.path)
+    labels = knn_refine(scan.image, pixels.labels, network.space.class_count)
+    features = features_of(network, scan.image, cast(Float, pixels.softmax), labels)
     random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
     chosen = random.permutation(len(scan.truth))[:most]
     points = scan.points[chosen]
@@ -79,7 +93,7 @@ def fit_error_model(scans: TuningScans) -> Tuned:
     """
     files, network = scans.files, scans.network
     most = points_of_scan(len(files))
-    job = Steps(scans.read, softmax_of, partial(judged_points, most=most))
+    job = judging(network, scans.read, most)
     judged = dict(zip(files, scans.run(job), strict=True))
     wrong = np.concatenate([points.wrong for points in judged.values()])
     scans.require_points(len(wrong))

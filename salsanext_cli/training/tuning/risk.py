@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.errors import LabelError, TrainingError, UsageError, counted, first_few
 from salsanext_cli.fitting.label_scan import (
     PreparedScan,
     labelled,
     prepared_for,
-    softmax_of,
 )
 from salsanext_cli.fitting.scan_fit import labels_depend_on, view_record
 from salsanext_cli.formats.kitti import read_labels
@@ -36,7 +36,6 @@ from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.options import KnnParameters
 from salsanext_cli.parallel.job import Steps
-from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
@@ -60,26 +59,25 @@ class JudgedScan:
 
 def judged_scan(
     scan: PreparedScan,
-    softmax: Float,
+    pixels: PixelPrediction,
     space: LabelSpace,
-    kind: str,
     counts: Counts,
     per_class: bool = False,
 ) -> JudgedScan:
-    """Label a scan as `predict` does, and judge it.
+    """Label a scan as `predict` does, and judge it: by the error if the softmax is there.
 
     `counts` (C, C, B + 1): its points are added by truth, label and bin, the last without a label.
     """
     file, image, network = scan.projected.file, scan.projected.image, scan.network
-    labels = labelled(scan, softmax, KnnParameters()).labels
+    labels = labelled(scan, pixels, KnnParameters()).labels
     truth = space.to_train(read_labels(file.label_path, len(labels)), source=file.label_path)
     scored = space.scored[truth]
     if not scored.any():
         expected = f"labels of {space.name}"
         raise LabelError(file.label_path, "no point is of a class that counts", expected)
-    values = points_from_pixels(1 - softmax.max(axis=0), image.pixel_of_point, np.nan)
-    if kind == "error":
-        values = error_probability(network, image, softmax, labels)
+    values = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
+    if pixels.softmax is not None:
+        values = error_probability(network, image, pixels.softmax, labels)
     bins = np.where(np.isnan(values) | (labels == 0), UNCERTAINTY_BINS, bin_of(values))
     truth, labels, bins = truth[scored], labels[scored], bins[scored]
     np.add.at(counts, (truth, labels, bins), 1)
@@ -131,8 +129,12 @@ def fit_risk(
         log.warning(message, first_few(same))
     classes = space.class_count
     counts = np.zeros((classes, classes, UNCERTAINTY_BINS + 1), np.int64)
-    judge = partial(judged_scan, space=space, kind=kind, counts=counts, per_class=per_class)
-    job = Steps(partial(prepared_for, network), softmax_of, judge)
+    judge = partial(judged_scan, space=space, counts=counts, per_class=per_class)
+
+    def predict(some: Sequence[PreparedScan]) -> list[PixelPrediction]:
+        return network.predict([scan.input for scan in some], softmax=kind == "error")
+
+    job = Steps(partial(prepared_for, network), predict, judge)
     judged = [*scans.run(job)]
     shares = np.empty((len(judged), 2, UNCERTAINTY_BINS))
     for share, scan in zip(shares, judged, strict=True):

@@ -42,10 +42,9 @@ def fit_temperature(scans: TuningScans) -> Tuned:
     """
     card = scans.network.card
     most = max(1, MAX_LOGITS // card.space.class_count // len(scans.files))
-    engine = scans.network.engine
 
     def logits_of(images: Sequence[LabelledImage]) -> list[Float]:
-        return engine.outputs([image.input for image in images], None)
+        return scans.network.backend.logits([image.input for image in images])
 
     job = Steps(scans.read, logits_of, partial(_sample, most=most))
     of_scan = dict(zip(scans.files, scans.run(job), strict=True))

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: MIT
+"""Backend that computes with OpenVINO on CPUs, from graphs of the torch module or an ONNX file."""
+
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from salsanext_cli.classes.merging import ClassMerging
+from salsanext_cli.compiled import thread_count
+from salsanext_cli.engines.backend import Backend, PixelPrediction
+from salsanext_cli.engines.graphs import Graph, compiled_graph, converted
+from salsanext_cli.engines.moments import Moments
+from salsanext_cli.records import CHANNELS, Float
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from salsanext_cli.network.segmentation import SegmentationNetwork
+
+
+PASSES_PER_THREAD = 4  # Passes before results are added up, in order
+
+
+@dataclass(frozen=True, eq=False)
+class OpenVinoBackend(Backend):
+    """Weights compiled for this CPU.
+
+    Images are computed one after the other, so that no bit depends on the others.
+    """
+
+    library: ClassVar[str] = "openvino"
+
+    # Reads the model of an ONNX file, of images to logits; None for weights of torch
+    read_model: Callable[[], Any] | None = None
+    graphs: dict[Any, Graph] = field(default_factory=dict, repr=False)  # Compiled so far
+
+    def predict(
+        self, images: Sequence[Float], temperature: float, *, softmax: bool = False
+    ) -> list[PixelPrediction]:
+        """Predict the pixels of images, their logits divided by a temperature."""
+        graph = self.output_graph(temperature)
+        return [
+            PixelPrediction.of(graph(image, share=True)[0][0], keep=softmax) for image in images
+        ]
+
+    def logits(self, images: Sequence[Float]) -> list[Float]:
+        """Return the logits (C, H, W) float32 of images."""
+        graph = self.output_graph(None)
+        return [graph(image)[0][0] for image in images]
+
+    def sample(
+        self, image: Float, seeds: Sequence[int], merging: ClassMerging | None = None
+    ) -> Moments:
+        """Return the moments of the softmax over passes of dropout, whose masks have seeds."""
+        from salsanext_cli.network.segmentation import SegmentationNetwork as Module
+
+        features = self.graph("trunk", Module.padded_trunk, [image])(image)
+        moments, (height, width) = self._no_moments(merging), image.shape[-2:]
+        for softmax, nats in self._passes(features, seeds):
+            inside = (..., slice(height), slice(width))
+            moments.add(softmax[0][inside], nats[0][inside], merging)
+        return moments
+
+    def spread(self, images: Iterable[Float], merging: ClassMerging | None = None) -> Moments:
+        """Return the moments of the softmax over images; the entropies are left out."""
+        graph, moments = self.output_graph(1.0), self._no_moments(merging)
+        for image in images:
+            moments.add(graph(image, share=True)[0][0], None, merging)
+        return moments
+
+    def run(
+        self, name: str, function: Callable[..., Any], *images: Float, exact: bool = False
+    ) -> "tuple[Tensor, ...]":
+        """Return ``function(module, *images)`` of a graph with that name."""
+        import torch
+
+        precision = "float32" if exact else self.precision
+        graph = self.graph(name, function, images, precision=precision)
+        return tuple(map(torch.from_numpy, graph(*images)))
+
+    def output_graph(self, temperature: float | None) -> Graph:
+        """Return the graph of the softmax at a temperature, or of the logits."""
+
+        def of_module(module: "SegmentationNetwork", image: "Tensor") -> "Tensor":
+            logits: Tensor = module(image)
+            return logits if temperature is None else (logits / temperature).softmax(dim=1)
+
+        def make() -> Any:
+            if self.read_model is None:
+                return converted(self.module, of_module, [self._empty()])
+            model = self.read_model()
+            return model if temperature is None else _with_softmax(model, temperature)
+
+        name = "logits" if temperature is None else f"softmax at {temperature}"
+        return self._compiled(name, make, self.precision)
+
+    def graph(
+        self,
+        name: str,
+        function: Callable[..., Any],
+        images: Sequence[Float],
+        *,
+        precision: str | None = None,
+    ) -> Graph:
+        """Return a named function of the module and of images as a graph."""
+        import torch
+
+        def make() -> Any:
+            return converted(self.module, function, [*map(torch.from_numpy, images)])
+
+        return self._compiled(name, make, precision or self.precision)
+
+    def _passes(self, features: Sequence[Float], seeds: Sequence[int]) -> Iterator[Sequence[Float]]:
+        """Yield softmax (1, C, H, W) and entropy (1, H, W) of each pass, with the padding."""
+        import torch
+
+        from salsanext_cli.engines.torch_backend import dropout_factors, rest_with_factors
+        from salsanext_cli.network.dropout import random_masks, require_dropout
+
+        threads, rate = thread_count(), require_dropout(self.module)
+
+        def make() -> Any:
+            given = [*map(torch.from_numpy, features)]
+            inputs = [*given, *dropout_factors(self.module, given)]
+            return converted(self.module, rest_with_factors, inputs)
+
+        rest = self._compiled("rest", make, self.precision, threads)
+        size = PASSES_PER_THREAD * threads
+        for start in range(0, len(seeds), size):
+            calls = []
+            for seed in seeds[start : start + size]:
+                draw = random_masks([torch.Generator().manual_seed(seed)])
+                factors = [draw(shape[1], rate).numpy() for shape in rest.shapes[len(features) :]]
+                calls.append([*features, *factors])
+            yield from rest.each(calls)
+
+    def _compiled(
+        self, name: str, make: Callable[[], Any], precision: str, streams: int = 1
+    ) -> Graph:
+        """Return a model that is compiled once for each thread; `streams` calls run together."""
+        settings = (precision, thread_count(), streams)
+        key = (name, settings, threading.get_ident())
+        if key not in self.graphs:
+            model = compiled_graph(make, (name, self.sha256, self.code, *self.size), *settings)
+            self.graphs[key] = Graph(model)
+        return self.graphs[key]
+
+    def _empty(self) -> "Tensor":
+        """Return an empty range image, (1, 5, H, W)."""
+        import torch
+
+        return torch.zeros(1, len(CHANNELS), *self.size)
+
+    def _no_moments(self, merging: ClassMerging | None) -> Moments:
+        space = self.card.space if merging is None else merging.space
+        return Moments.none((space.class_count, *self.size))
+
+
+def _with_softmax(model: Any, temperature: float) -> Any:
+    """Return the model that ends with the softmax of its logits divided by a temperature."""
+    import openvino
+    from openvino import opset13 as ops
+
+    logits = model.output(0).get_node().input_value(0)
+    scaled = ops.divide(logits, ops.constant(np.float32(temperature)))
+    return openvino.Model([ops.softmax(scaled, 1)], model.get_parameters(), "softmax")
