@@ -222,7 +222,7 @@ def test_weights_name_the_distribution_of_their_network(weights, site, engine):
     # What was compiled is of no use when the code changes, which the version need not tell.
     (site / "radian_network.py").write_text((site / "radian_network.py").read_text() + "# new\n")
     changed = load_network(weights, "cpu", engine=engine)
-    assert changed.engine.code != network.engine.code
+    assert changed.backend.code != network.backend.code
     sys.path.remove(str(site))
     plugged_networks.cache_clear()
     with pytest.raises(WeightsError) as caught:
