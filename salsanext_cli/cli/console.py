@@ -8,7 +8,7 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, ParamSpec, cast
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.progress import Progress as Bar
 
+    from salsanext_cli.files.json_files import Json
     from salsanext_cli.parallel.options import Progress, RunOptions
 
 DONE, FAILED, WRONG_USE = 0, 1, 2
@@ -66,10 +67,10 @@ class Output:
         """Time since the command began."""
         return time.monotonic() - self.start
 
-    def result(self, data: Mapping[str, Any], shown: "RenderableType | None" = None) -> None:
+    def result(self, data: "Json", shown: "RenderableType | None" = None) -> None:
         """Give the result: JSON if asked for, else what is to be shown, on stdout."""
         if self.json:
-            _print_json(dict(data) | {"seconds": round(self.seconds, 3)})
+            _print_json(data | {"seconds": round(self.seconds, 3)})
         elif shown is not None:
             from rich.console import Console
 
@@ -122,9 +123,11 @@ def usage_errors(arguments: Sequence[str]) -> Iterator[None]:
         raise
 
 
-def _print_json(data: Mapping[str, Any]) -> None:
+def _print_json(data: "Json") -> None:
+    from salsanext_cli.files.json_files import plain
+
     # ASCII, since stdout may be no UTF-8.
-    typer.echo(json.dumps({"schema": SCHEMA} | escaped(data), allow_nan=False))
+    typer.echo(json.dumps({"schema": SCHEMA} | escaped(plain(data)), allow_nan=False))
 
 
 LINE_INTERVAL_S = 30.0  # Time between two lines in a log file

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.measures.scan_counts import BAND_NAMES
 from salsanext_cli.measures.scores import (
     Counts,
@@ -17,7 +18,6 @@ from salsanext_cli.measures.scores import (
     Ratios,
     ious,
     largest_confusions,
-    plain,
     ratio,
 )
 from salsanext_cli.results.layout import ScanFile

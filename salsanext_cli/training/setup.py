@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -128,7 +128,7 @@ class Setup:
     card: WeightsCard
     sources: Sequence[Source]  # All labelled scans of the data set, and further data sets
     counts: ClassCounts
-    settings: Mapping[str, Any]  # All that decides the result
+    settings: run_folder.TrainingSettings  # All that decides the result
     device: torch.device
     group: ProcessGroup
     workers: int
@@ -179,7 +179,7 @@ class Setup:
             fold = replace(
                 self,
                 run=run_folder.fold_folder(self.run, number),
-                settings={**self.settings, "left_out": run_folder.scans_digest(part)},
+                settings=replace(self.settings, left_out=run_folder.scans_digest(part)),
                 report=partial(self._report_fold, number, len(parts)),
             )
             self.group.on_main(fold._begin)

@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -23,10 +24,13 @@ from salsanext_cli.options import KnnParameters
 from salsanext_cli.parallel.run import NetworkTask, RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.results.provenance import Provenance
+from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.stages.predict import predict_scan, predict_scans
 
-SETTINGS = {"weights": "abc", "knn": {"k": 5}}
+KNN = asdict(KnnParameters())
+SETTINGS = {"weights": "abc", "knn": KNN}
+TYPED = StageSettings(weights="abc", knn=KnnParameters())
 LABELS = np.full(5, 10, np.uint32)
 
 
@@ -57,8 +61,9 @@ def test_what_is_recorded(tmp_path: Path) -> None:
         "writes": ["predictions"],
         "scans": {"08": {"folder": str(scans[0].path.parent), "asked_for": ["a.bin", "b.bin"]}},
     }
-    records = StageRecords(tmp_path / "out")
-    assert (records.settings("predict"), records.settings("project")) == (SETTINGS, None)
+    records = Provenance(tmp_path / "out")
+    assert records.settings("predict") == StageSettings(weights="abc", knn=KnnParameters())
+    assert records.settings("project") is None
     assert (records.owner("predictions"), records.owner("range")) == ("predict", None)
 
 
@@ -69,18 +74,18 @@ def test_the_same_settings_may_go_on_and_write_more(tmp_path: Path) -> None:
     before = files_below(tmp_path)
     predict(tmp_path, scans=scans[1:])
     assert files_below(tmp_path) == before
-    record = StageRecords(tmp_path).record("predict")
+    record = Provenance(tmp_path).record("predict")
     assert record is not None
-    assert record.folders == ("pixel_labels", "predictions")
+    assert record.writes == ("pixel_labels", "predictions")
     assert {*record.scans["08"].suffixes} == {"a", "b"}
 
 
 @pytest.mark.parametrize(
     ("other", "named"),
     [
-        ({"weights": "abc", "knn": {"k": 7}}, r"settings: knn\.k was 5 and is 7 · "),
-        (SETTINGS | {"label_space": 7}, "label_space was not set and is 7 · "),
-        ({"weights": "abc", "seed": 3}, r"knn\.k was 5 and is not set, seed was not set and is 3"),
+        ({"weights": "abc", "knn": KNN | {"k": 7}}, r"settings: knn\.k was 5 and is 7 · "),
+        (SETTINGS | {"seed": 7}, "seed was not set and is 7 · "),
+        ({"weights": "abc"}, r"knn\.k was 5 and is not set, knn\.sigma was 1.0 and is not set"),
     ],
 )
 def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: str) -> None:
@@ -89,10 +94,10 @@ def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: str)
     with pytest.raises(OutputError, match=f"{named}.*--overwrite"):
         predict(tmp_path, other)
     assert files_below(tmp_path) == before
-    first = StageRecords(tmp_path).origins(["predict", "uncertainty"])
+    first = Provenance(tmp_path).origins(["predict", "uncertainty"])
     predict(tmp_path, other, overwrite=True)
     assert first.keys() == {"predict"}
-    assert StageRecords(tmp_path).origins(["predict"]) != first
+    assert Provenance(tmp_path).origins(["predict"]) != first
     assert list(files_below(tmp_path)) == ["predict.json"]
 
 
@@ -104,7 +109,7 @@ def test_overwriting_removes_what_was_written_with_other_settings(tmp_path: Path
     assert all(path.exists() for path in paths)
     predict(tmp_path / "out", {"weights": "new"}, scans=scans[:1], overwrite=True)
     assert not any(path.exists() for path in paths)
-    record = StageRecords(tmp_path / "out").record("predict")
+    record = Provenance(tmp_path / "out").record("predict")
     assert record is not None
     assert {*record.scans["08"].suffixes} == {"a"}
 
@@ -127,7 +132,7 @@ def test_overwriting_keeps_what_salsanext_did_not_write_so(
     (out / "sequences/05").symlink_to(sequence)
 
     with output_run(
-        out, "predict", {"weights": "new"}, ("predictions",), scans, overwrite=True
+        out, "predict", StageSettings(weights="new"), ("predictions",), scans, overwrite=True
     ) as output:
         assert output.kept == {corrected}
         output.require_replaceable(scans[0])
@@ -159,7 +164,7 @@ def test_results_of_another_stage_are_refused(tmp_path: Path) -> None:
         begin_and_end(*refine)
     assert path.exists()
     begin_and_end(*refine, overwrite=True)
-    assert StageRecords(tmp_path).owner("predictions") == "knn-refine"
+    assert Provenance(tmp_path).owner("predictions") == "knn-refine"
     assert not path.exists()
 
 
@@ -179,9 +184,11 @@ def test_results_that_no_stage_recorded(tmp_path: Path) -> None:
 
 def test_an_infinite_setting_is_recorded_as_json_can(tmp_path: Path) -> None:
     for _ in range(2):
-        predict(tmp_path, {"cutoff": float("inf")})
+        predict(tmp_path, {"knn": KNN | {"cutoff": float("inf")}})
     text = (tmp_path / "predict.json").read_text()
-    assert json.loads(text, parse_constant=pytest.fail)["settings"] == {"cutoff": "Infinity"}
+    settings = json.loads(text, parse_constant=pytest.fail)["settings"]
+    assert settings == {"knn": KNN | {"cutoff": "Infinity"}}
+    assert Provenance(tmp_path).settings("predict").knn.cutoff == float("inf")
 
 
 def test_damaged_records_are_named(tmp_path: Path) -> None:
@@ -194,11 +201,11 @@ def test_damaged_records_are_named(tmp_path: Path) -> None:
         with pytest.raises(OutputError, match=r"predict\.json"):
             predict(tmp_path)
         with pytest.raises(OutputError, match=r"predict\.json"):
-            StageRecords(tmp_path).owner("predictions")
+            Provenance(tmp_path).owner("predictions")
 
 
 def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
-    records, space, hdl32 = StageRecords(tmp_path), label_space(), sensor("hdl32")
+    records, space, hdl32 = Provenance(tmp_path), label_space(), sensor("hdl32")
     assert (records.label_space(), records.sensor()) == (None, sensor("hdl64"))
     predict(tmp_path, {"label_space": space.to_dict(), "sensor": hdl32.to_dict()})
     found = records.label_space()
@@ -224,10 +231,10 @@ def test_results_that_are_being_made_are_not_removed(tmp_path: Path) -> None:
     (path,) = predicted(out, scans)
     begin_and_end(out, "knn-refine", {}, ["pixel_labels"], scans)
     before = files_below(out)
-    with output_run(out, "predict", SETTINGS, ("predictions",), scans, overwrite=False):
+    with output_run(out, "predict", TYPED, ("predictions",), scans, overwrite=False):
         for stage in ("predict", "knn-refine"):
             with pytest.raises(OutputError, match="a run of `predict` is at work in it · w"):
-                begin_and_end(out, stage, {"k": 3}, ["predictions"], scans, overwrite=True)
+                begin_and_end(out, stage, {"seed": 3}, ["predictions"], scans, overwrite=True)
     assert files_below(out) == before
     (out / f".predict.{'0' * 32}.lock").touch()
     predict(out, {"weights": "new"}, overwrite=True)
@@ -238,15 +245,15 @@ def test_results_that_are_being_made_are_not_removed(tmp_path: Path) -> None:
 def test_runs_side_by_side(tmp_path: Path) -> None:
     """With the same settings, or of stages that fill other folders."""
     (path,) = predicted(tmp_path, scans_of(tmp_path, "a"))
-    first = (tmp_path, "predict", SETTINGS, ["predictions"], ())
-    export = (tmp_path, "export-ply", {"colour": "label"}, ["ply"])
+    first = (tmp_path, "predict", TYPED, ["predictions"], ())
+    export = (tmp_path, "export-ply", StageSettings(colour="label"), ["ply"])
     with (
         output_run(*first, overwrite=True),
         output_run(*first, overwrite=False),
         output_run(*export, (), overwrite=False),
     ):
         assert path.exists()
-        begin_and_end(*export, overwrite=True)
+        begin_and_end(*export[:2], {"colour": "label"}, ["ply"], overwrite=True)
         with pytest.raises(OutputError, match="a run of `export-ply`"):
             begin_and_end(*export[:2], {"colour": "range"}, ["ply"], overwrite=True)
     assert path.exists()
@@ -256,7 +263,7 @@ def test_no_run_forgets_what_others_were_asked_for(tmp_path: Path) -> None:
     stems = [f"{number:03d}" for number in range(40)]
     with ThreadPoolExecutor(8) as threads:
         list(threads.map(lambda s: predict(tmp_path, scans=scans_of(tmp_path, s)), stems))
-    record = StageRecords(tmp_path).record("predict")
+    record = Provenance(tmp_path).record("predict")
     assert record is not None
     assert {*record.scans["08"].suffixes} == {*stems}
 

@@ -99,7 +99,7 @@ def fit_error_model(scans: TuningScans) -> Tuned:
     if not changed:
         return network.card, report
     model = replace(model, temperature=start.temperature if start else None)
-    return replace(network.card, error=model, risk={}), report
+    return replace(network.card, error=model, risk=None), report
 
 
 def cross_validated(

@@ -14,6 +14,7 @@ from torch import Tensor
 from salsanext_cli.errors import NOTICE, TrainingError, WeightsError
 from salsanext_cli.measures.calibration import calibration_scores
 from salsanext_cli.measures.histograms import confidence_histogram, softmax_errors
+from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.error_model import TEMPERATURES
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.cross_validation import held_out
@@ -73,9 +74,14 @@ def fit_temperature(scans: TuningScans) -> Tuned:
     }
     if not changed:
         return card, report
-    if card.risk and card.risk["kind"] != "error":
+    return _at_temperature(card, temperature, logits), report
+
+
+def _at_temperature(card: WeightsCard, temperature: float, logits: Tensor) -> WeightsCard:
+    """Return a card with a new temperature; what depends on the old one is adapted or dropped."""
+    if card.risk and card.risk.kind != "error":
         log.log(NOTICE, "the threshold is dropped: choose a new one with `salsanext tune risk`")
-        card = replace(card, risk={})
+        card = replace(card, risk=None)
     if card.error:
         # Its features stay those of the old temperature.
         own = card.error.temperature or card.temperature
@@ -86,9 +92,9 @@ def fit_temperature(scans: TuningScans) -> Tuned:
             (logits.double() / t).softmax(dim=1).amax(dim=1).mean().logit(1e-6).item()
             for t in (card.temperature, temperature)
         )
-        offset = card.accuracy["offset"] + card.accuracy["slope"] * (old - new)
-        card = replace(card, accuracy={**card.accuracy, "offset": offset})
-    return replace(card, temperature=temperature), report
+        offset = card.accuracy.offset + card.accuracy.slope * (old - new)
+        card = replace(card, accuracy=replace(card.accuracy, offset=offset))
+    return replace(card, temperature=temperature)
 
 
 def _samples(scans: TuningScans, most: int) -> Iterator[Points]:
