@@ -8,7 +8,7 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, ParamSpec, cast
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.progress import Progress as Bar
 
-    from salsanext_cli.files.json_files import Json
     from salsanext_cli.parallel.options import Progress, RunOptions
 
 DONE, FAILED, WRONG_USE = 0, 1, 2
@@ -67,10 +66,10 @@ class Output:
         """Time since the command began."""
         return time.monotonic() - self.start
 
-    def result(self, data: "Json", shown: "RenderableType | None" = None) -> None:
+    def result(self, data: Mapping[str, object], shown: "RenderableType | None" = None) -> None:
         """Give the result: JSON if asked for, else what is to be shown, on stdout."""
         if self.json:
-            _print_json(data | {"seconds": round(self.seconds, 3)})
+            _print_json({**data, "seconds": round(self.seconds, 3)})
         elif shown is not None:
             from rich.console import Console
 
@@ -123,7 +122,7 @@ def usage_errors(arguments: Sequence[str]) -> Iterator[None]:
         raise
 
 
-def _print_json(data: "Json") -> None:
+def _print_json(data: Mapping[str, object]) -> None:
     from salsanext_cli.files.json_files import plain
 
     # ASCII, since stdout may be no UTF-8.

@@ -61,12 +61,12 @@ def decoded(kind: Any, value: Any) -> Any:
         return decoded(next(each for each in inner if each is not NoneType), value)
     if hasattr(kind, "from_dict"):
         return kind.from_dict(value)
-    if isinstance(kind, type) and is_dataclass(kind):
+    if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, dict):
         types = _types(kind)
         return kind(**{name: decoded(types[name], value[name]) for name in types if name in value})
     if origin is tuple and inner[1:] != (...,):
         return tuple(decoded(*each) for each in zip(inner, value, strict=True))
-    if origin in (list, tuple, frozenset) and isinstance(value, list):
+    if origin in (list, tuple) and isinstance(value, list):
         return origin(decoded(inner[0], each) for each in value)
     if origin in (dict, Mapping) and isinstance(value, dict):
         return {key: decoded(inner[1], each) for key, each in value.items()}
@@ -112,7 +112,7 @@ def read_record(kind: type[Kind], path: Path) -> Kind | None:
     return None if data is None else record_of(kind, data, path)
 
 
-def record_of(kind: type[Kind], data: Mapping[str, Any], path: Path) -> Kind:
+def record_of(kind: type[Kind], data: Mapping[str, object], path: Path) -> Kind:
     """Return the record that the content of a file describes, or raise `OutputError`."""
     try:
         record: Kind = decoded(kind, data)

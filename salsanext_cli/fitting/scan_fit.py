@@ -14,7 +14,7 @@ import numpy as np
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
-from salsanext_cli.files.json_files import Json, as_json
+from salsanext_cli.files.json_files import as_json
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.view_fit import fit_ego, fit_view, view_text
 from salsanext_cli.formats import read_scan
@@ -247,7 +247,7 @@ def _method(settings: NetworkSettings, network: Network) -> str:
     return "none" if method == "none" else "match"
 
 
-def labels_depend_on(settings: NetworkSettings, network: Network) -> Json:
+def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, object]:
     """Return by option what labels depend on besides weights and scans, before any fit."""
     view = (settings.named_sensor() or network.card.sensor).view() | {"fit": settings.fits_view}
     asked = {

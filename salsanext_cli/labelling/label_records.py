@@ -23,7 +23,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import LabelError, SalsanextError, counted
 from salsanext_cli.files.atomic import append_line
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.files.json_files import MALFORMED, Json, decoded, plain, read_json
+from salsanext_cli.files.json_files import MALFORMED, decoded, plain, read_json
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.measures.scan_summary import largest_classes
 from salsanext_cli.measures.scores import Counts
@@ -93,7 +93,7 @@ class LabelImport:
         """Note files that are not imported."""
         self.failures.append(FailedImport(tuple(map(str, files)), str(error), error.code))
 
-    def to_dict(self) -> Json:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         names = ("scans", "failures", "unedited", "kept", "first_guesses")
         found = {name: plain(getattr(self, name)) for name in names}

@@ -14,7 +14,7 @@ import yaml
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, OutputError, UsageError
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.files.json_files import Json, plain, read_record, write_json
+from salsanext_cli.files.json_files import plain, read_record, write_json
 from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_bin
@@ -67,7 +67,7 @@ class PickSettings:
     disagreement: Mapping[str, str] | None  # Digests of the settings behind the disagreement
     samples: int  # Monte-Carlo passes of a scan
 
-    def to_dict(self) -> Json:
+    def to_dict(self) -> dict[str, object]:
         """Return all settings in one table."""
         own = {each.name: getattr(self, each.name) for each in fields(self)}
         return {**own, **plain(own.pop("network"))}
@@ -77,7 +77,7 @@ class PickSettings:
 class PickRecord:
     """Record of a run of `pick`."""
 
-    settings: Json  # As `settings_json` returns them
+    settings: dict[str, object]  # As `settings_json` returns them
     picked: list[PickedScan]  # In the order of their rank
     # `scan`, `reason` and `code` of each scan that could not be looked at
     failures: list[dict[str, str]]

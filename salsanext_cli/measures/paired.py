@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -153,7 +153,7 @@ class RunComparison:
         differing = (pair for pair in self.pairs if changed(pair.turned))
         return sorted(differing, key=lambda pair: (-changed(pair.turned), pair.file))[:NAMED]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON; null stands for NaN."""
         in_bands = ("coverage", "risk") if self.rejecting else ("accuracy", "iou_mean_same")
         gain = "risk" if self.rejecting else "gain"

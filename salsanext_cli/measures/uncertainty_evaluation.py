@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.files.json_files import Json, plain
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.measures.calibration import (
     CalibrationScores,
     Reliability,
@@ -55,7 +55,7 @@ class GroupedScores(Generic[Scores]):
     classes: dict[int, Scores]  # Scores by train id
     by_distance: dict[str, Scores]  # Scores by name of the distance band; empty if not requested
 
-    def to_json(self, space: LabelSpace) -> Json:
+    def to_json(self, space: LabelSpace) -> dict[str, object]:
         """Return plain data for JSON, the scores first; null stands for NaN."""
         data = {f.name: v for f in fields(self) if (v := getattr(self, f.name)) is not None}
         scores, classes, bands = (plain(data.pop(k)) for k in ("scores", "classes", "by_distance"))
@@ -99,7 +99,7 @@ class UncertaintyEvaluation:
     kinds: dict[str, RankingResult]  # Results by kind of uncertainty
     kept: KeptPoints | None = None  # A threshold worth using, if a kind is known of all scans
 
-    def to_json(self, space: LabelSpace) -> Json:
+    def to_json(self, space: LabelSpace) -> dict[str, object]:
         """Return plain data for JSON, without absent parts; null stands for NaN."""
         parts = {
             "calibration": self.calibration and self.calibration.to_json(space),

@@ -200,7 +200,7 @@ class DescribedWeights:
     size: int  # In bytes
     card: WeightsCard
 
-    def to_dict(self) -> Json:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         card = self.card
         names = ("description", "architecture", "temperature", "recipe", "scores", "risk")

@@ -46,7 +46,7 @@ class ScanSource:
     # or failed; empty for scans of a recording, and in older records
     suffixes: Mapping[str, str]
 
-    def to_dict(self) -> Json:
+    def to_dict(self) -> dict[str, object]:
         """Return the entry of a sequence, with the names of its files."""
         names = sorted(map("".join, self.suffixes.items()))
         return {"folder": self.folder, "asked_for": names}
@@ -76,7 +76,7 @@ class StageRecord:
     """Record of the runs of a stage, all with the same settings."""
 
     stage: str  # Its name on the command line
-    settings: Json  # As `settings_json` returns them
+    settings: Mapping[str, object]  # As `settings_json` returns them
     # Folders of results that the stage fills, keys of `SUFFIX_OF_FOLDER`
     writes: tuple[str, ...] = ()
     # By sequence; empty for a stage that works on what earlier ones recorded
@@ -89,18 +89,18 @@ class StageRecord:
         if unknown := {*self.writes} - {*SUFFIX_OF_FOLDER}:
             raise ValueError(f"no folder of results is named {min(unknown)}")
 
-    def to_dict(self) -> Json:
+    def to_dict(self) -> dict[str, object]:
         """Return the content of the record's file; what may be long comes last."""
         names = ("stage", "version", "writes", "settings", "scans", "kept")
         content = {name: plain(getattr(self, name)) for name in names}
         return {name: value for name, value in content.items() if value or name == "settings"}
 
-    def has_settings(self, settings: Json) -> bool:
+    def has_settings(self, settings: Mapping[str, object]) -> bool:
         """Return whether settings are those of the record."""
         return not differences(self.settings, settings)
 
 
-def settings_json(settings: object) -> Json:
+def settings_json(settings: object) -> dict[str, object]:
     """Return settings as a record has them: as a file gives them back, without what is None."""
     return {key: value for key, value in as_json(settings).items() if value is not None}
 
@@ -173,14 +173,16 @@ class Manifest:
         return {s: hashlib.sha256(text.encode()).hexdigest()[:12] for s, text in texts.items()}
 
 
-def require_same_settings(path: Path, recorded: Json, settings: Json) -> None:
+def require_same_settings(
+    path: Path, recorded: Mapping[str, object], settings: Mapping[str, object]
+) -> None:
     """Refuse to mix or to replace what was made with other settings, and name these."""
     if found := differences(recorded, settings):
         remedy = "use another output folder, or --overwrite to replace all its results"
         raise OutputError(path, f"made with other settings: {found}", remedy=remedy)
 
 
-def differences(recorded: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
+def differences(recorded: Mapping[str, object], settings: Mapping[str, object]) -> str:
     """Describe how settings that were recorded differ from others, empty if they do not."""
     before, after = dict(_flat(recorded)), dict(_flat(settings))
     changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
@@ -208,7 +210,7 @@ def _difference(key: str, before: Any, after: Any) -> str:
     return f"{key} was {was} and is {now}"
 
 
-def _flat(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def _flat(settings: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
     """Yield dotted key and value of nested settings that are set; a label space stays whole."""
     for key, value in settings.items():
         if isinstance(value, dict) and key != "label_space":

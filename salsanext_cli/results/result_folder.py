@@ -233,7 +233,7 @@ class ResultFolder(Provenance):
         labels = space_of_labels(scans, space, query.label_space)
         return ChosenResults(scans, space, labels, missing)
 
-    def provenance(self, selection: ScanSelection) -> dict[str, Any]:
+    def provenance(self, selection: ScanSelection) -> dict[str, object]:
         """Return, as plain data, what was chosen and which stage and weights predicted it."""
         stage = self.owner("predictions")
         softmax, estimated = self.settings("predict"), self.settings("uncertainty")

@@ -49,7 +49,7 @@ class Evaluation:
     by_distance: dict[str, Scores]  # Scores by name of the band; empty if not requested
     missing: MissingResults  # Scans without predictions, left out
     failures: tuple[Failure, ...]  # Scans that could not be compared, left out
-    settings: Json  # Settings of the evaluation and of the predictions
+    settings: dict[str, object]  # Settings of the evaluation and of the predictions
     # Results for the probabilities and uncertainties, if there are any
     uncertainty: UncertaintyEvaluation
     kept: KeptLabels | None  # Coverage and risk of the labels of a run that rejected some
@@ -84,7 +84,7 @@ class Evaluation:
             "eval.json": encode_json(escaped(self.to_dict())),
         }
 
-    def to_dict(self) -> Json:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON; null stands for NaN."""
         counts = self.counts
         unknown_ids = {"truth": counts.unknown_truth, "predictions": counts.unknown_predictions}
@@ -123,7 +123,7 @@ def evaluate(
     part: str = "",
     *,
     by_distance: bool = False,
-    settings: Json | None = None,
+    settings: dict[str, object] | None = None,
     labels: LabelSpace | None = None,
 ) -> Evaluation:
     """Compare the predictions in an output folder with the labels of the scans.

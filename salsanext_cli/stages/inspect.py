@@ -8,7 +8,7 @@ from pathlib import Path
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NoInputError, counted
 from salsanext_cli.files.atomic import require_absent, write_bytes
-from salsanext_cli.files.json_files import Json, plain
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.label_scan import check_with_remedy
 from salsanext_cli.fitting.scan_checks import ALONE, FIT
@@ -42,7 +42,7 @@ class Inspection:
     failures: tuple[Failure, ...]  # Scans that could not be read, or cannot be right
     warnings: list[ScanWarning]  # Reasons to doubt scans
 
-    def to_dict(self) -> Json:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         return {
             "stage": "inspect",

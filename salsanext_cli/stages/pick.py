@@ -14,7 +14,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, FormatError, NoInputError, counted
-from salsanext_cli.files.json_files import Json, plain
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans, settings_of_network
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.picked_data_set import (
@@ -58,7 +58,7 @@ class Picking:
     outcome: Outcome  # Picked scans written and there already; all scans that failed, picked or not
     warnings: list[ScanWarning]  # Reasons to doubt scans, picked or not
 
-    def to_dict(self) -> Json:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         return {
             "stage": STAGE,

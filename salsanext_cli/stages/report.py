@@ -11,7 +11,7 @@ from typing import TypedDict, Unpack
 import numpy as np
 
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
-from salsanext_cli.files.json_files import Json, plain
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.fusion.drive_map import apart, drive_of_map
 from salsanext_cli.measures.scan_counts import CountsApart, ScanComparison, ScanCounts
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
@@ -60,7 +60,7 @@ class Report:
     failures: tuple[Failure, ...]  # Scans that could not be read, left out
     unmapped: list[str]  # Reasons why maps of fused drives are missing
 
-    def to_dict(self) -> Json:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON; null stands for NaN."""
         counts, scores = self.run.counts, self.compared and self.compared.scores
         best, kept = (c.uncertainty.kept, c.kept) if (c := self.compared) else (None, None)
@@ -162,13 +162,13 @@ class RunServer(PageServer):
         )
         self.page = page.encode()
 
-    def to_dict(self) -> Json:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         failures = [failure.to_dict() for failure in self.failures]
         found = {"stage": "view", "url": self.url, "scans": self.scans}
         return found | self.missing.to_dict() | {"failures": failures}
 
-    def cloud(self, place: int) -> Json | None:
+    def cloud(self, place: int) -> dict[str, object] | None:
         """Read a scan; a kind of values keeps the scale that it first got."""
         if place >= self.scans:
             return None

@@ -126,7 +126,7 @@ def _begin(
         # A data set that is whole may be of another version.
         whole = all(map(filled, files))
         before, now = (
-            each.settings | ({} if whole else {"version": each.version})
+            {**each.settings, **({} if whole else {"version": each.version})}
             for each in (earlier, wanted)
         )
         require_same_settings(owned.record_path, before, now)

@@ -12,7 +12,7 @@ from salsanext_cli.engines.device import PRECISIONS
 from salsanext_cli.errors import OutputError, counted
 from salsanext_cli.files.atomic import require_writable
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.files.json_files import Json, record_of
+from salsanext_cli.files.json_files import record_of
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.manifest import (
     Manifest,
@@ -57,7 +57,7 @@ class TrainingSettings:
     left_out: str | None = None  # Of a fold: `scans_digest` of its scans
 
     @property
-    def decisive(self) -> Json:
+    def decisive(self) -> dict[str, object]:
         """Settings that a resumed training keeps; the parts of a batch may change."""
         recipe = replace(self.recipe, accumulate=Recipe().accumulate)
         return settings_json(replace(self, recipe=recipe))

@@ -350,3 +350,49 @@ def test_a_file_replaced_by_one_of_the_same_size_and_time(tmp_path):
         (tmp_path / "new").replace(tmp_path / "file")
         digests.append(fingerprint(tmp_path / "file"))
     assert digests[0] != digests[1]
+
+
+def test_records_of_older_versions_are_read(tmp_path: Path) -> None:
+    """With settings that are null, in another order, or without a table of their own."""
+    older = {"knn": KNN, "labels": None, "weights": "abc"}
+    content = {"stage": "predict", "version": "0.1", "settings": older, "writes": ["predictions"]}
+    (tmp_path / "predict.json").write_text(json.dumps(content))
+    origins = Provenance(tmp_path).origins(["predict"])
+    predict(tmp_path)
+    assert Provenance(tmp_path).origins(["predict"]) == origins
+    assert Provenance(tmp_path).settings("predict") == TYPED
+    flat = {"stage": "filter", "max_error": None, "split": False}
+    (tmp_path / "filter.json").write_text(json.dumps(flat))
+    record = Provenance(tmp_path).record("filter")
+    assert record is not None
+    assert record.has_settings({"split": False})
+
+
+def test_the_digests_of_the_scans_of_training_come_last(tmp_path: Path) -> None:
+    digest = "0" * 24
+    predict(tmp_path, SETTINGS | {"trained_on": digest}, scans=scans_of(tmp_path, "a"))
+    content = json.loads((tmp_path / "predict.json").read_text())
+    assert [*content] == ["stage", "version", "writes", "settings", "scans"]
+    assert [*content["settings"]][-1] == "trained_on"
+    assert Provenance(tmp_path).trained_on() == {digest}
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        *({"trained_on": value} for value in ("0" * 23, "x" * 24, 5, ["0" * 24])),
+        *({"scale": value} for value in ([1.0], [1.0, "2"], 3, "12")),
+        *({"knn": value} for value in ({"k": 0}, {"k": 1.5}, 5)),
+        *({"sensor": value} for value in ({}, {"name": "a"}, 5, [])),
+        *({"label_space": value} for value in ({}, 5, [])),
+        *({"promised": value} for value in ({}, {"kind": "error"}, 5)),
+        *({name: []} for name in ("weights", "reject", "seed", "objects", "reach", "noise")),
+    ],
+)
+def test_settings_that_no_stage_writes_are_named(tmp_path: Path, settings) -> None:
+    content = {"stage": "predict", "settings": settings, "writes": ["predictions"]}
+    (tmp_path / "predict.json").write_text(json.dumps(content))
+    with pytest.raises(OutputError) as caught:
+        Provenance(tmp_path).settings("predict")
+    assert caught.value.subject == str(tmp_path / "predict.json")
+    assert caught.value.remedy

@@ -4,7 +4,6 @@
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
@@ -119,7 +118,7 @@ def cross_validated(
     sequences = {file.sequence for file in judged}
     before = start.scores if start else {}
     from_one = f", from one fitted to {before.get('fitted_to', 'other scans')}" if start else ""
-    scores: dict[str, Any] = {
+    scores = {
         "fitted_to": f"{counted(len(judged), 'scan')} of {first_few(sorted(sequences))}{from_one}",
         "scans": len(judged),
         "sequences": sorted(sequences | {*before.get("sequences", ())}),
@@ -135,7 +134,7 @@ def _scores_held_out(
     judged: Mapping[ScanFile, JudgedPoints],
     parts: Sequence[Sequence[ScanFile]],
     start: ErrorModel | None,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Fit without each fold of the scans, and score all points by the models that lack them."""
     errors, held_out = list[Float](), list[JudgedPoints]()
     for part in parts:
