@@ -70,7 +70,7 @@ class PickSettings:
     def to_dict(self) -> dict[str, object]:
         """Return all settings in one table."""
         own = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {**own, **plain(own.pop("network"))}
+        return {**plain(own.pop("network")), **own}
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,7 @@ UP = (0.0, 0.0, 1.0)  # Direction of the z axis, away from the ground
 ORIGIN = (0.0, 0.0, 0.0)
 FITTED_NAME = "fitted"  # Name of a sensor whose view or mounting was found from scans
 OPTIONAL = (
-    *("columns", "up", "origin", "intensity_quantiles", "row_gaps", "min_range", "ego_box"),
+    *(*NOISE, "columns", "up", "origin", "intensity_quantiles", "row_gaps", "min_range", "ego_box"),
     *("traits", "others"),
 )
 """Fields that are written only where a sensor has another value than their default."""
