@@ -72,7 +72,7 @@ def decoded(kind: Any, value: Any) -> Any:
         return {key: decoded(inner[1], each) for key, each in value.items()}
     if kind is float and (type(value) is int or value == "Infinity"):
         return float(value)
-    if kind is not Any and type(value) is not kind:
+    if kind not in (Any, object) and type(value) is not kind:
         raise TypeError(f"{value!r} is no {getattr(kind, '__name__', kind)}")
     return value
 
