@@ -103,6 +103,10 @@ class Recipe:
         """Return the recipe with some keys changed; an unknown key raises `UsageError`."""
         return self.from_dict({**asdict(self), **changes})
 
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data that `from_dict` accepts."""
+        return asdict(self)
+
     def to_toml(self) -> str:
         """Return the text of a TOML file that `recipe` reads."""
         return "".join(f"{key} = {json.dumps(value)}\n" for key, value in asdict(self).items())

@@ -4,7 +4,7 @@
 import copy
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO
@@ -161,7 +161,7 @@ class Setup:
             validation=validation,
             card=replace(
                 self.card,
-                recipe={**asdict(recipe), **self.card.recipe},
+                recipe={**recipe.to_dict(), **self.card.recipe},
                 trained_on=self.card.trained_on | digests,
             ),
             workers=self.workers,

@@ -10,6 +10,7 @@ from rich.console import Console, Group
 from scans import SMALL
 
 from salsanext_cli import label_space
+from salsanext_cli.labelling.label_records import ImportedScan
 from salsanext_cli.labelling.picked_data_set import PickedScan
 from salsanext_cli.measures.paired import RunComparison, ScanPair
 from salsanext_cli.measures.scores import class_sums, confusion_matrix, scores
@@ -141,8 +142,8 @@ def tables_of_a_large_data_set(weights):
         4071, 4071, MANY, MANY, 117_000, 131_072, 119.9, 255, classes=Counter({10: MANY})
     )
     yield survey_tables({"2011_09_26_drive_0001": survey}, survey, space, SMALL)
-    counts = dict.fromkeys(("points", "labelled", "unlabelled", "ambiguous", "missing"), 131_072)
-    yield imported_table([{"scan": "08/000000", "scalar": "scalar_Classification", **counts}])
+    counts = [131_072] * 7
+    yield imported_table([ImportedScan("08/000000", (), *counts, "scalar_Classification")])
     reason = "number 3 of 4,071 by uncertainty; nearly equal ones passed over"
     yield picked_table([PickedScan(1, "2011_09_26", "0000000000", 0.5, 1.5, None, reason)])
     sums = np.repeat(class_sums(every)[None], 2, axis=0)

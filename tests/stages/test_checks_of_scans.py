@@ -157,7 +157,7 @@ def test_sequences_that_are_fitted_are_checked_as_they_are_seen(dataset):
         path = dataset / f"sequences/00/velodyne/{stem}.bin"
         scan = read_scan(path)
         write_bin(path, Scan(scan.points * np.float32([1, -1, -1]), scan.intensity))
-    doubted = {scan for warning in trained(dataset) for scan in warning["scans"]}
+    doubted = {scan for warning in trained(dataset) for scan in warning.scans}
     assert {"00/0", "00/1", "00/2"} <= doubted
     fitted = TINY.with_changes(sensors="fitted")
     assert trained(dataset, fitted, overwrite=True) == []

@@ -14,7 +14,7 @@ from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.provenance import Provenance
-from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
+from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
@@ -70,7 +70,7 @@ def test_scans_that_come_later_are_matched_as_the_first_ones(knowing):
     run(knowing)
     images = [project(read_scan(p), SMALL).channels for p in sorted(knowing.data.rglob("*.bin"))]
     before = Provenance(knowing.out).settings("predict").sensor
-    assert Sensor.from_dict(before).intensity_quantiles == intensity_quantiles(images)
+    assert before.intensity_quantiles == intensity_quantiles(images)
     write_sequence(knowing.data / "sequences/09", ["000000"], seed=99)
     assert run(knowing).done == 1
     assert Provenance(knowing.out).settings("predict").sensor == before
@@ -139,7 +139,7 @@ def test_what_is_no_intensity_is_taken_for_none(knowing, tmp_path):
     every = changed(knowing, tmp_path / "a", ["00", "08"], lit(none))
     outcome = run(knowing, tmp_path / "all", every)
     (warning,) = (w for w in outcome.summary.warnings() if w.code == "no-intensity")
-    assert len(warning["scans"]) == 3
+    assert len(warning.scans) == 3
     assert labels_below(tmp_path / "all") == expected
     # And so is a single one among others.
     run(knowing, tmp_path / "one", changed(knowing, tmp_path / "b", ["00"], lit(none)))
@@ -152,8 +152,8 @@ def test_scans_of_another_scale_than_those_before_are_warned_of(knowing, tmp_pat
     large = scaled(knowing, tmp_path / "large", 255)
     outcome = run(knowing, source=large / "sequences/08")
     (warning,) = (w for w in outcome.summary.warnings() if w.code == "intensity-scale")
-    assert warning["scans"] == ["08/000000", "08/000001"]
-    assert "in the scans fitted to" in warning["message"]
+    assert warning.scans == ["08/000000", "08/000001"]
+    assert "in the scans fitted to" in warning.message
     raw = replace(knowing.network, intensity="raw")
     with pytest.raises(OutputError, match=r"intensity was matched and is raw \(--intensity\)"):
         predict_scans(knowing.data / "sequences/00", knowing.out, settings=raw)
