@@ -16,7 +16,7 @@ import numpy as np
 from commands import salsanext
 
 from salsanext_cli.files.reading import present
-from salsanext_cli.network.card import read_card
+from salsanext_cli.network.card import AccuracyLine, read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.results.layout import find_scans, output_path
 
@@ -74,8 +74,8 @@ def main() -> None:
     deviation = float(np.sqrt(np.mean(np.square(misses))))
     near = sum(abs(miss) <= 0.05 for miss in misses)
     print(f"\n{near} of {len(misses)} within 5 points, root mean square {100 * deviation:.1f}")
-    line = {"slope": float(slope), "offset": float(offset), "deviation": deviation}
-    card = replace(read_card(given.weights), accuracy={k: round(v, 4) for k, v in line.items()})
+    line = AccuracyLine(*(round(float(value), 4) for value in (slope, offset, deviation)))
+    card = replace(read_card(given.weights), accuracy=line)
     save_with_card(given.weights, given.target, card)
 
 

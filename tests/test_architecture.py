@@ -124,6 +124,22 @@ def test_rooms_and_files_are_small():
     assert {module: n for module, n in lengths.items() if n > LONGEST} == {}
 
 
+LONGEST_FUNCTION = 60
+"""Lines of a function, with its signature and its docstring."""
+
+
+def test_functions_are_short():
+    functions = {
+        f"{module.relative_to(PACKAGE)}:{node.lineno} {node.name}": node.end_lineno
+        - node.lineno
+        + 1
+        for module in MODULES
+        for node in ast.walk(tree_of(module))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    }
+    assert {name: n for name, n in functions.items() if n > LONGEST_FUNCTION} == {}
+
+
 def test_stages_are_commands():
     """One file each, but `view`, which serves the page of `report`."""
     commands = {name.replace("-", "_") for names in COMMANDS.values() for name in names}

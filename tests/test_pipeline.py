@@ -130,5 +130,5 @@ def test_noise_is_less_probable_than_any_street(real_data, tmp_path):
     write_bin(tmp_path / "scans/street.bin", scan)
     write_bin(tmp_path / "scans/noisy.bin", replace(scan, points=scan.points + noise))
     outcome = predict_scans(tmp_path / "scans", tmp_path / "out")
-    doubted = {found["code"]: found["scans"] for found in outcome.summary.warnings()}
+    doubted = {found.code: found.scans for found in outcome.summary.warnings()}
     assert doubted["low-confidence"] == ["scans/noisy"]

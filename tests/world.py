@@ -12,8 +12,10 @@ from scans import write_sequence
 
 from salsanext_cli import read_labels, write_labels
 from salsanext_cli.engines.settings import NetworkSettings
+from salsanext_cli.files.json_files import record_of
 from salsanext_cli.results.layout import SUFFIX_OF_FOLDER, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.stages.predict import predict_scans
 
 
@@ -83,5 +85,6 @@ def begin_and_end(
     overwrite: bool = False,
 ) -> OutputRun:
     """Register a run in an output folder, as one does that finds nothing to do."""
-    with output_run(out, stage, settings, folders, scans, overwrite=overwrite) as output:
+    typed = record_of(StageSettings, settings, Path("settings"))
+    with output_run(out, stage, typed, folders, scans, overwrite=overwrite) as output:
         return output

@@ -66,10 +66,10 @@ class Output:
         """Time since the command began."""
         return time.monotonic() - self.start
 
-    def result(self, data: Mapping[str, Any], shown: "RenderableType | None" = None) -> None:
+    def result(self, data: Mapping[str, object], shown: "RenderableType | None" = None) -> None:
         """Give the result: JSON if asked for, else what is to be shown, on stdout."""
         if self.json:
-            _print_json(dict(data) | {"seconds": round(self.seconds, 3)})
+            _print_json({**data, "seconds": round(self.seconds, 3)})
         elif shown is not None:
             from rich.console import Console
 
@@ -122,9 +122,11 @@ def usage_errors(arguments: Sequence[str]) -> Iterator[None]:
         raise
 
 
-def _print_json(data: Mapping[str, Any]) -> None:
+def _print_json(data: Mapping[str, object]) -> None:
+    from salsanext_cli.files.json_files import plain
+
     # ASCII, since stdout may be no UTF-8.
-    typer.echo(json.dumps({"schema": SCHEMA} | escaped(data), allow_nan=False))
+    typer.echo(json.dumps({"schema": SCHEMA} | escaped(plain(data)), allow_nan=False))
 
 
 LINE_INTERVAL_S = 30.0  # Time between two lines in a log file

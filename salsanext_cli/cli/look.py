@@ -154,15 +154,15 @@ def report(
             by_distance=by_distance,
             options=run,
         )
-    found, missing = made.to_dict(), made.run.missing
-    output.result(found)
+    missing = made.run.missing
+    output.result(made.to_dict())
     run_end.name_failures(made.failures)
     for reason in made.unmapped:
         tell(f"error: {reason}")
     for name, reason in made.shown.items():
         output.say(f"  {name}: {reason}")
-    scans = f"{counted(found['scans'], 'scan')}{run_end.left_out(missing)}"
-    output.say(f"report: {scans} → {made.page} ({found['bytes'] / 1e6:.1f} MB)")
+    scans = f"{counted(len(made.run.rows), 'scan')}{run_end.left_out(missing)}"
+    output.say(f"report: {scans} → {made.page} ({made.page.stat().st_size / 1e6:.1f} MB)")
     run_end.leave(made.failures, missing, failed=bool(made.unmapped))
 
 

@@ -88,7 +88,7 @@ def import_weights(
         half=half,
         overwrite=overwrite,
     )
-    output.result({"stage": "import-weights", **describe_weights(target)})
+    output.result({"stage": "import-weights", **describe_weights(target).to_dict()})
     output.say(f"import-weights: {source} → {target}")
 
 

@@ -219,10 +219,10 @@ def import_labels(
         )
     output.result(made.to_dict(), imported_table(made.scans) if made.scans else None)
     for failure in made.failures:
-        tell(f"error: {failure['reason']}")
+        tell(f"error: {failure.reason}")
     for line in imported_lines(made, dataset):
         output.say(printable(line))
-    if merged := sum(len(scan["files"]) > 1 for scan in made.scans):
+    if merged := sum(len(scan.files) > 1 for scan in made.scans):
         output.say(f"merged from several files: {counted(merged, 'scan')}")
     raise typer.Exit(console.FAILED if made.failures else console.DONE)
 

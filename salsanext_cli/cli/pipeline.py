@@ -85,6 +85,29 @@ class Extras:
         metavar="ERROR",
     )
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the further results, as `predict_scans` takes them."""
+        wanted = {
+            "pixel_labels": self.pixel_labels,
+            "probabilities": self.probabilities,
+            "uncertainty/error": self.error,
+            "votes": self.fuse and not self.probabilities,
+            "objects": self.objects,
+        }
+        return tuple(name for name in wanted if wanted[name])
+
+    @property
+    def threshold(self) -> float | Literal["risk"] | None:
+        """Error above which points are unlabelled, as `predict_scans` takes it."""
+        return "risk" if self.reject == "risk" else options.share("--reject", self.reject)
+
+    def require_fusable(self) -> None:
+        """Refuse what fused labels do not have."""
+        if self.objects or self.reject is not None:
+            found, remedy = "with --objects or --reject", "those are of the labels of single scans"
+            raise UsageError("--fuse", found, "one of them", remedy)
+
 
 def predict(
     context: typer.Context,
@@ -114,21 +137,14 @@ def predict(
     Example: salsanext predict seq/velodyne out/
     """
     from salsanext_cli.fitting.label_scan import projected_sensor
-    from salsanext_cli.results.layout import ERROR
     from salsanext_cli.stages.predict import predict_range_images, predict_scans
 
     source, out = options.sources(context, scans, out, dataset, topic)
-    rejects, reject = extras.reject is not None, extras.reject
     if extras.fuse:
         from salsanext_cli.stages.fuse import require_fusable
 
-        if extras.objects or rejects:
-            found, remedy = "with --objects or --reject", "those are of the labels of single scans"
-            raise UsageError("--fuse", found, "one of them", remedy)
+        extras.require_fusable()
         require_fusable(source, out, running)
-    wanted = {"pixel_labels": extras.pixel_labels, "probabilities": extras.probabilities}
-    wanted |= {ERROR: extras.error, "votes": extras.fuse and not extras.probabilities}
-    wanted |= {"objects": extras.objects}
     settings = replace(settings, classes=named_label_space(classes))
     with over_scans("predict", running, output.quiet) as run:
         if not isinstance(source, Path) or projected_sensor(source) is None:
@@ -136,16 +152,15 @@ def predict(
                 *(source, out),
                 settings=settings,
                 knn=knn,
-                extras=tuple(name for name in wanted if wanted[name]),
-                reject="risk" if reject == "risk" else options.share("--reject", reject),
+                extras=extras.names,
+                reject=extras.threshold,
                 batch=_batch_size(batch),
                 selection=selection,
                 options=run,
             )
         else:
-            names = ("probabilities", "error", "fuse", "objects")
-            of_points = {f"--{name}": getattr(extras, name) for name in names}
-            _require_no_scans(knn, batch, of_points | {"--reject": rejects})
+            names = ("probabilities", "error", "fuse", "objects", "reject")
+            _require_no_scans(knn, batch, {f"--{name}": getattr(extras, name) for name in names})
             outcome = predict_range_images(
                 source, out, settings=settings, selection=selection, options=run
             )
@@ -231,12 +246,12 @@ def knn_refine(
 
     Example: salsanext knn-refine out/
     """
-    from salsanext_cli.results.stage_records import StageRecords
+    from salsanext_cli.results.provenance import Provenance
     from salsanext_cli.stages.knn_refine import knn_refine_scans
 
     seen = options.sensor(sensor)
     if columns is not None:
-        seen = with_columns(seen or StageRecords(out).sensor(), columns)
+        seen = with_columns(seen or Provenance(out).sensor(), columns)
     with over_scans("knn-refine", running, output.quiet) as run:
         outcome = knn_refine_scans(
             out,

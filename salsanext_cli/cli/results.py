@@ -150,7 +150,7 @@ def evaluate(
     files, space = folder.predicted(query.selection, query.label_space, query.classes)
     part = part_of(folder, files, query.selection)
     with over_scans("eval", running, output.quiet) as run:
-        settings = folder.provenance(query.selection)
+        settings, rejection = folder.provenance(query.selection), folder.rejection()
         found = stage(
             files,
             out,
@@ -161,7 +161,7 @@ def evaluate(
             settings=settings,
             labels=query.label_space,
         )
-    output.result(found.to_dict(), _evaluation_shown(found, settings["reject"]))
+    output.result(found.to_dict(), _evaluation_shown(found, rejection.above if rejection else None))
     run_end.name_failures(found.failures)
     scans = f"{counted(found.counts.scans, 'scan')}{run_end.left_out(found.missing)}"
     output.say(f"eval: {scans} → {found.folder}/scores.txt, eval.json, eval_*.png")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
@@ -77,15 +78,16 @@ def _as_data(outcome: Outcome) -> dict[str, Any]:
     if outcome.kept_points:
         found["points"], found["kept_points"] = outcome.kept_points
     if summary := outcome.summary:
-        from salsanext_cli.engines.settings import recorded_view
+        from salsanext_cli.files.json_files import plain
+        from salsanext_cli.sensors.sensor import NOISE
 
-        found["sensor"] = recorded_view(summary.sensor)
+        found["sensor"] = summary.sensor.to_dict(NOISE)
         found["unlabelled_share"] = round(summary.unlabelled_share, 4)
         found["largest_classes"] = summary.largest_classes()
         found["ego_share"] = round(summary.ego_share, 4)
         expected = summary.expected_accuracy()
-        found["expected_accuracy"] = expected and expected.to_dict()
-        found["warnings"] = summary.warnings()
+        found["expected_accuracy"] = expected and asdict(expected)
+        found["warnings"] = plain(summary.warnings())
     return found
 
 

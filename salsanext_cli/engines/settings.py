@@ -5,7 +5,7 @@ import logging
 from contextlib import suppress
 from dataclasses import KW_ONLY, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from salsanext_cli.errors import NOTICE, UsageError
 from salsanext_cli.options import network_option, option_group
@@ -161,32 +161,12 @@ class NetworkSettings:
             sha256=network.backend.sha256,
         )
 
-    def record(self, network: "Network") -> dict[str, Any]:
-        """Return what the results of a stage depend on, as plain data for its record."""
-        backend, card = network.backend, network.card
-        known: dict[str, Any] = {"weights_version": card.version, "inherited": card.inherited()}
-        known["trained_on"] = "".join(sorted(card.trained_on))
-        return {key: value for key, value in known.items() if value} | {
-            "weights": backend.sha256,
-            "label_space": network.space.to_dict(),
-            "sensor": recorded_view(network.sensor),
-            "precision": backend.precision,
-            "engine": backend.library,
-        }
-
 
 def weights_file(path: Path | None) -> Path:
     """Return a weights file, that of the package for none or for the name `DEFAULT_WEIGHTS`."""
     from salsanext_cli.network.card import default_weights
 
     return default_weights() if path in (None, DEFAULT_WEIGHTS) else path
-
-
-def recorded_view(sensor: "Sensor") -> dict[str, Any]:
-    """Return what labels depend on of a sensor, and its name, as plain data."""
-    from salsanext_cli.sensors.sensor import NOISE
-
-    return sensor.to_dict(NOISE)
 
 
 def with_columns(sensor: "Sensor", columns: str | None) -> "Sensor":

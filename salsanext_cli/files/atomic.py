@@ -130,3 +130,17 @@ def write_bytes(path: Path, content: bytes, *, durable: bool = False) -> None:
     """Write a file whole or not at all."""
     with writing(path, durable=durable) as file:
         file.write(content)
+
+
+def append_line(path: Path, line: bytes, *, durable: bool = False) -> None:
+    """Append a line to a file that other processes append to as well, or raise `OutputError`."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Unbuffered, it is one write, and those of other processes do not mix with it. The line
+        # end comes first too: the line before may have been cut off.
+        with path.open("ab", buffering=0) as file:
+            file.write(b"\n" + line + b"\n")
+            if durable:
+                os.fsync(file.fileno())
+    except OSError as error:
+        raise refusal(path, error) from error

@@ -1,71 +1,123 @@
 # SPDX-License-Identifier: MIT
-"""Small records as JSON files, and the settings of a stage read back from one."""
+"""JSON files of records: frozen dataclasses as JSON objects, and read back with their types."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from salsanext_cli.errors import OutputError
+import numpy as np
+
+from salsanext_cli.errors import OutputError, SalsanextError, error_text
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.reading import present, reading
 
+Json = dict[str, Any]
+"""JSON object, as `json.loads` returns it."""
+Kind = TypeVar("Kind")
+MALFORMED = (TypeError, KeyError, ValueError, AttributeError, SalsanextError)
+"""What `decoded` raises for data of another type."""
 
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write plain data as JSON, durably; names of files may be no text, so only ASCII."""
+
+def plain(value: Any) -> Any:
+    """Return plain data for JSON: records as objects, arrays and tuples as lists, NaN as None."""
+    if hasattr(value, "to_dict"):
+        value = value.to_dict()
+    if is_dataclass(value):
+        return {each.name: plain(getattr(value, each.name)) for each in fields(value)}
+    match value:
+        case float():
+            return None if math.isnan(value) else value
+        case Mapping():
+            return {key: plain(each) for key, each in value.items()}
+        case list() | tuple():
+            return [plain(each) for each in value]
+        case set() | frozenset():
+            return sorted(value)
+        case np.ndarray():
+            return plain(value.tolist())
+        case Path():
+            return str(value)
+    return value
+
+
+def as_json(value: Any) -> Any:
+    """Return `plain` data as a file gives it back: with strings for keys and for infinity."""
+    return json.loads(json.dumps(plain(value)), parse_constant=str)
+
+
+def decoded(kind: Any, value: Any) -> Any:
+    """Return plain data as a type, such as a record; raise one of `MALFORMED` for other data."""
+    origin, inner = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        if value is None and NoneType in inner:
+            return None
+        return decoded(next(each for each in inner if each is not NoneType), value)
+    if hasattr(kind, "from_dict"):
+        return kind.from_dict(value)
+    if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, dict):
+        types = _types(kind)
+        return kind(**{name: decoded(types[name], value[name]) for name in types if name in value})
+    if origin is tuple and inner[1:] != (...,):
+        return tuple(decoded(*each) for each in zip(inner, value, strict=True))
+    if origin in (list, tuple) and isinstance(value, list):
+        return origin(decoded(inner[0], each) for each in value)
+    if origin in (dict, Mapping) and isinstance(value, dict):
+        return {key: decoded(inner[1], each) for key, each in value.items()}
+    if kind is float and (type(value) is int or value == "Infinity"):
+        return float(value)
+    if kind not in (Any, object) and type(value) is not kind:
+        raise TypeError(f"{value!r} is no {getattr(kind, '__name__', kind)}")
+    return value
+
+
+@cache
+def _types(kind: type) -> dict[str, Any]:
+    hints = get_type_hints(kind)
+    return {each.name: hints[each.name] for each in fields(kind)}
+
+
+def write_json(path: Path, data: object) -> None:
+    """Write a record, or plain data, as JSON, durably."""
     write_bytes(path, encode_json(data), durable=True)
 
 
-def encode_json(data: Mapping[str, Any]) -> bytes:
-    """Return the content of a JSON file of plain data."""
-    return (json.dumps(data, indent=2, allow_nan=False) + "\n").encode("ascii")
+def encode_json(data: object) -> bytes:
+    """Return the content of a JSON file; names of files may be no text, so only ASCII."""
+    return (json.dumps(plain(data), indent=2, allow_nan=False) + "\n").encode("ascii")
 
 
-def read_json(path: Path) -> dict[str, Any] | None:
+def read_json(path: Path) -> Json | None:
     """Read what `write_json` wrote; None if there is no such file."""
     if not present(path):
         return None
     with reading(path) as file:
         text = file.read()
     try:
-        return dict[str, Any](json.loads(text).items())
+        return Json(json.loads(text).items())
     except (ValueError, RecursionError, AttributeError) as error:
         found, remedy = "damaged", "delete it or use another folder"
         raise OutputError(path, found, "a JSON object", remedy) from error
 
 
-class RecordedSettings(dict[str, Any]):
-    """Settings read back from a file `OUT/<stage>.json`; what was cut out of it is named."""
+def read_record(kind: type[Kind], path: Path) -> Kind | None:
+    """Read a record that `write_json` wrote; None if there is no such file."""
+    data = read_json(path)
+    return None if data is None else record_of(kind, data, path)
 
-    def __init__(self, values: Mapping[str, Any], path: Path) -> None:
-        super().__init__(values)
-        self.path = path
 
-    def __missing__(self, key: str) -> Any:
-        raise self._wrong(f"settings lack {key}", "what the stage wrote")
-
-    def table(self, key: str) -> RecordedSettings:
-        """Return a setting that is itself a mapping."""
-        return RecordedSettings(self._of_type(key, "a JSON object", dict), self.path)
-
-    def number(self, key: str) -> float:
-        """Return a setting that is a number."""
-        return float(self._of_type(key, "a number", int, float))
-
-    def numbers(self, key: str) -> tuple[float, ...]:
-        """Return a setting that is two numbers or more."""
-        value = self._of_type(key, "two numbers or more", list)
-        if len(value) < 2 or any(type(v) not in (int, float) for v in value):
-            raise self._wrong(f"settings have {key} {value!r}", "two numbers or more")
-        return tuple(map(float, value))
-
-    def _of_type(self, key: str, expected: str, *types: type) -> Any:
-        value = self[key]
-        if type(value) not in types:
-            raise self._wrong(f"settings have {key} {value!r}", expected)
-        return value
-
-    def _wrong(self, found: str, expected: str) -> OutputError:
-        return OutputError(self.path, found, expected, "delete it or use another folder")
+def record_of(kind: type[Kind], data: Mapping[str, object], path: Path) -> Kind:
+    """Return the record that the content of a file describes, or raise `OutputError`."""
+    try:
+        record: Kind = decoded(kind, data)
+    except MALFORMED as error:
+        remedy = "delete it or use another folder"
+        found = f"not what salsanext writes: {error_text(error)}"
+        raise OutputError(path, found, remedy=remedy) from error
+    return record

@@ -20,7 +20,7 @@ from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.options import KnnParameters
 from salsanext_cli.records import CHANNELS, Float, RangeImage, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
-from salsanext_cli.results.stage_records import StageRecords, differences, recorded_sensor
+from salsanext_cli.results.manifest import Manifest, differences
 from salsanext_cli.sensors.sensor import Sensor
 
 
@@ -98,7 +98,8 @@ def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> Float:
 
 def projected_sensor(folder: Path) -> Sensor | None:
     """Return the sensor of the range images in an output folder, None if it holds none."""
-    return recorded_sensor(StageRecords(folder).settings("project"))
+    projected = Manifest(folder).settings("project")
+    return projected.sensor if projected else None
 
 
 def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> Sensor:

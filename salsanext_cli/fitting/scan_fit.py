@@ -2,9 +2,9 @@
 """Network of a run, fitted to its scans: what their sensor does otherwise than that of training."""
 
 import logging
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,6 +14,7 @@ import numpy as np
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
+from salsanext_cli.files.json_files import as_json
 from salsanext_cli.fitting.scan_checks import check_scan
 from salsanext_cli.fitting.view_fit import fit_ego, fit_view, view_text
 from salsanext_cli.formats import read_scan
@@ -27,9 +28,10 @@ from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.scan_traits import kinds_of, sensor_of
 from salsanext_cli.records import Float, Scan
 from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.selection import evenly_spaced
-from salsanext_cli.results.stage_records import StageRecords, as_json, recorded_sensor
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.results.settings import StageSettings
+from salsanext_cli.sensors.sensor import FittedView, Sensor
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +39,6 @@ Scans = Sequence[ScanFile | Scan]
 Result = TypeVar("Result")
 
 MAX_SCANS = 16  # Scans that a fit reads, evenly spaced among all of a source
-FITTED = ("name", "fov_up", "fov_down", "up", "origin")  # Fields that a fit of the view changes
 VIEW_TOLERANCES = {"fov_up": 5.0, "fov_down": 5.0, "up": 0.1, "origin": 0.5}
 """Largest differences, in degrees, of a unit vector, in metres, of fits to scans of one sensor."""
 EGO = ("min_range", "ego_box")  # Fields that it finds unless they are told
@@ -89,7 +90,7 @@ class ScanSample:
         self, files: Scans, sensor: Sensor, image_of: Callable[[ScanFile], Float] | None = None
     ) -> None:
         self.files, self.sensor, self.image_of = evenly_spaced(files, MAX_SCANS), sensor, image_of
-        self._view: dict[str, Any] | None = None
+        self._view: object = None
         self._images: list[Float] = []
 
     @cached_property
@@ -218,7 +219,7 @@ def _fitted_view(
     if not (view or sought):
         return sensor
     if earlier is not None:
-        names = [*(FITTED if view else ()), *sought]
+        names = [*((f.name for f in fields(FittedView)) if view else ()), *sought]
         return replace(sensor, **{name: getattr(earlier, name) for name in names})
     fitted = fit_view(sample.scans, sensor) if view else fit_ego(sample.scans, sensor)
     if replace(fitted, **{name: getattr(sensor, name) for name in EGO}) != sensor:
@@ -246,7 +247,7 @@ def _method(settings: NetworkSettings, network: Network) -> str:
     return "none" if method == "none" else "match"
 
 
-def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, Any]:
+def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, object]:
     """Return by option what labels depend on besides weights and scans, before any fit."""
     view = (settings.named_sensor() or network.card.sensor).view() | {"fit": settings.fits_view}
     asked = {
@@ -259,17 +260,11 @@ def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, A
     return dict(as_json(asked))
 
 
-def view_record(sensor: Sensor) -> dict[str, Any]:
-    """Return what a fit of the view changes, as JSON gives it back."""
-    return dict(as_json({name: getattr(sensor, name) for name in FITTED}))
-
-
-def is_other_view(view: Mapping[str, Any], sensor: Sensor) -> bool:
-    """Say whether a sensor is not fitted as that of `view_record` was, or far otherwise."""
-    own = view_record(sensor)
-    other = own | dict(view)
-    return bool(own["name"] != other["name"]) or any(
-        np.abs(np.subtract(own[name], other[name])).max() > tolerance
+def is_other_view(view: FittedView, sensor: Sensor) -> bool:
+    """Return whether a sensor is fitted otherwise than a view, or far away from it."""
+    own = FittedView.of(sensor)
+    return own.name != view.name or any(
+        np.abs(np.subtract(getattr(own, name), getattr(view, name))).max() > tolerance
         for name, tolerance in VIEW_TOLERANCES.items()
     )
 
@@ -284,7 +279,22 @@ def network_of_run(
     image_of: Callable[[ScanFile], Float] | None = None,
 ) -> Network:
     """Return a network fitted to a run's scans, as earlier results in its folder were made."""
-    made = [] if overwrite else map(StageRecords(out).settings, ("predict", "uncertainty"))
-    earlier = next((s for s in made if s and s.get("weights") == network.backend.sha256), None)
+    made = [] if overwrite else map(Manifest(out).settings, ("predict", "uncertainty"))
+    earlier = next((s for s in made if s and s.weights == network.backend.sha256), None)
     sample = ScanSample(files, network.sensor, image_of)
-    return fit_scans(settings, network, sample, recorded_sensor(earlier))
+    return fit_scans(settings, network, sample, earlier.sensor if earlier else None)
+
+
+def settings_of_network(network: Network) -> StageSettings:
+    """Return what the results of a stage depend on of the network that computes them."""
+    backend, card = network.backend, network.card
+    return StageSettings(
+        weights=backend.sha256,
+        weights_version=card.version,
+        inherited=card.inherited() or None,
+        label_space=network.space,
+        sensor=network.sensor.without_noise(),
+        precision=backend.precision,
+        engine=backend.library,
+        trained_on="".join(sorted(card.trained_on)) or None,
+    )

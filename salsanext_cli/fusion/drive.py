@@ -5,7 +5,6 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,7 @@ class Drive:
         origins[self.parts[::-1]] = self.poses[::-1, :3, 3]
         return origins
 
-    def record(self, stems: Sequence[str]) -> dict[str, Any]:
+    def record(self, stems: Sequence[str]) -> dict[str, object]:
         """Return what is recorded of a drive whose scans have such stems."""
         digest = hashlib.sha256(encode_poses(self.poses)).hexdigest()
         return {"scans": [*stems], "poses": digest, "parts": self.parts.tolist()}

@@ -1,10 +1,17 @@
 # SPDX-License-Identifier: MIT
 """Softmax of points in a few bytes each: the most probable classes."""
 
+from pathlib import Path
+
 import numpy as np
 import numpy.typing as npt
 
+from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.errors import FormatError
+from salsanext_cli.files.reading import present
+from salsanext_cli.formats.npy import read_array, read_probabilities
 from salsanext_cli.records import Float
+from salsanext_cli.results.layout import ScanFile, output_path
 
 KEPT = 3  # Classes that are kept of each point
 LEVELS = 255  # Steps of a kept probability
@@ -29,3 +36,18 @@ def softmax_of(packed: npt.NDArray[np.uint16], classes: int) -> Float:
         softmax, (packed >> 8).astype(np.intp), (packed & 0xFF) / np.float32(LEVELS), 1
     )
     return softmax
+
+
+def kept_softmax(out: Path, file: ScanFile, count: int, space: LabelSpace) -> Float:
+    """Read the softmax (N, C) float32 that `predict` kept of a scan's points, or its votes."""
+    path = output_path(out, file.sequence, "probabilities", file.stem)
+    if present(path):
+        return read_probabilities(path, count, space.class_count).astype(np.float32)
+    votes = output_path(out, file.sequence, "votes", file.stem)
+    kept = min(KEPT, space.class_count)
+    packed = read_array(votes, "uint16", (count, kept))
+    if (packed >> 8).max(initial=0) >= space.class_count:
+        found = f"class {(packed >> 8).max()}"
+        expected = f"0 … {space.class_count - 1}, the classes of {space.name}"
+        raise FormatError(votes, found, expected, "predict again with --fuse")
+    return softmax_of(packed, space.class_count)

@@ -185,17 +185,8 @@ def fuse(
     SalsanextError
         If the arrays do not fit each other, or are no softmax or no rigid poses.
     """
-    known = space or label_space("semantic-kitti")
-    placed, of_all = np.asarray(poses, np.float64), f"for {counted(len(scans), 'scan')}"
-    if len(probabilities) != len(scans):
-        found = counted(len(probabilities), "array")
-        raise UsageError("probabilities", found, f"one each {of_all}")
-    if placed.shape != (len(scans), 4, 4):
-        raise UsageError("poses", f"an array {placed.shape}", f"({len(scans)}, 4, 4) {of_all}")
-    for index, pose in enumerate(placed):
-        if not (is_rigid(pose[:3]) and (pose[3] == [0, 0, 0, 1]).all()):
-            found = f"NaN, sheared, scaled, mirrored or {MAX_PLACE_M:g} m away"
-            raise UsageError(f"pose of scan {index}", found, "rotation and place, then 0 0 0 1")
+    known, placed = space or label_space("semantic-kitti"), np.asarray(poses, np.float64)
+    _require_poses(placed, len(scans), len(probabilities))
 
     def read(index: int) -> tuple[Float, Float, npt.NDArray[np.bool_]]:
         points, softmax = scans[index].points, np.asarray(probabilities[index], np.float32)
@@ -216,6 +207,20 @@ def fuse(
         raise UsageError("poses", found, "from each scan to the drive, in metres")
     window = FusionWindow(Drive(placed, parts), read, reach, movable_classes(known))
     return [window.tally(index) for index in range(len(scans))]
+
+
+def _require_poses(poses: Poses, scans: int, softmax_arrays: int) -> None:
+    """Refuse arrays that are not one for each of so many scans, or poses that are not rigid."""
+    of_all = f"for {counted(scans, 'scan')}"
+    if softmax_arrays != scans:
+        found = counted(softmax_arrays, "array")
+        raise UsageError("probabilities", found, f"one each {of_all}")
+    if poses.shape != (scans, 4, 4):
+        raise UsageError("poses", f"an array {poses.shape}", f"({scans}, 4, 4) {of_all}")
+    for index, pose in enumerate(poses):
+        if not (is_rigid(pose[:3]) and (pose[3] == [0, 0, 0, 1]).all()):
+            found = f"NaN, sheared, scaled, mirrored or {MAX_PLACE_M:g} m away"
+            raise UsageError(f"pose of scan {index}", found, "rotation and place, then 0 0 0 1")
 
 
 def voting(softmax: Float) -> npt.NDArray[np.bool_]:

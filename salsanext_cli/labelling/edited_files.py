@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +28,7 @@ from salsanext_cli.geometry.label_transfer import (
     merged_transfers,
     transfer_labels,
 )
+from salsanext_cli.labelling.label_records import ImportedScan
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ScanFile, counted_by_suffix
 
@@ -131,12 +131,14 @@ def read_file_labels(
 
 
 def edited_labels(
-    parts: Mapping[Path, tuple[LabelTransfer, str]], space: LabelSpace, unlabelled: int
-) -> tuple[RawIds, dict[str, Any]]:
+    scan: ScanFile,
+    parts: Mapping[Path, tuple[LabelTransfer, str]],
+    space: LabelSpace,
+    unlabelled: int,
+) -> tuple[RawIds, ImportedScan]:
     """Return the raw ids (N,) uint32 that files hold of a scan, with instances, and numbers of it.
 
-    Those `labelled`, with a class that counts, `unlabelled`, `ambiguous` and `missing` are N;
-    `unmatched` are none of the scan's points, and each file has one label of `contradicted` ones.
+    `unlabelled`: raw id of the points without a label.
     """
     transfers = [transfer for transfer, _ in parts.values()]
     merged = merged_transfers(transfers, unlabelled)
@@ -148,15 +150,18 @@ def edited_labels(
         text = f"{scalar}: none of the {counted(len(raw), 'point')} has a class that counts"
         remedy = "label some, or name the scalar with --scalar"
         raise LabelError(first_few([*parts]), text, "at least one", remedy)
-    return raw, {
-        "labelled": labelled,
-        "unlabelled": int(merged.known.sum()) - labelled,
-        "ambiguous": int(merged.ambiguous.sum()),
-        "missing": int(merged.missing.sum()),
-        "unmatched": len(merged.unmatched),
-        "contradicted": int((merged.ambiguous & ~in_one_file).sum()),
-        "scalar": scalar,
-    }
+    return raw, ImportedScan(
+        scan=scan.name,
+        files=tuple(map(str, parts)),
+        points=len(raw),
+        labelled=labelled,
+        unlabelled=int(merged.known.sum()) - labelled,
+        ambiguous=int(merged.ambiguous.sum()),
+        missing=int(merged.missing.sum()),
+        unmatched=len(merged.unmatched),
+        contradicted=int((merged.ambiguous & ~in_one_file).sum()),
+        scalar=scalar,
+    )
 
 
 def _of_all_points(path: Path, points: Float) -> LabelledCloud:

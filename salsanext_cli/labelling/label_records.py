@@ -1,26 +1,30 @@
 # SPDX-License-Identifier: MIT
-"""Imports of labels, their record, and label files that still hold the first guess of a network.
+"""Imports of labels, their record, and label files that still hold the pre-labels of a network.
 
-``ROOT/pick.json`` has the SHA-256 of each label file that `pick` wrote, and
-``ROOT/import-labels.json`` that of each imported one, by sequence/scan. A label file is a first
-guess while it is as `pick` wrote it and was not imported; copies of a data set are no exception.
+``ROOT/pick.json`` has the SHA-256 of each label file that `pick` wrote.
+``ROOT/import-labels.jsonl`` has a line for each import of a scan, appended before its label file is
+written: in an import that is cut off, the label file counts as what it was. Older versions wrote
+``ROOT/import-labels.json``. A label file is a pre-label while it is as `pick` wrote it and was not
+imported; copies of a data set are no exception.
 """
 
 import hashlib
+import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import LabelError, SalsanextError, counted
+from salsanext_cli.files.atomic import append_line
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.files.json_files import encode_json, read_json
-from salsanext_cli.files.reading import present
+from salsanext_cli.files.json_files import MALFORMED, decoded, plain, read_json
+from salsanext_cli.files.reading import present, reading
 from salsanext_cli.measures.scan_summary import largest_classes
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile
@@ -30,7 +34,41 @@ from salsanext_cli.version import __version__
 
 PICKED, GUESSES = "pick.json", "guesses"  # Record of `pick`, and its key for the digests
 STAGE = "import-labels"
-IMPORTED = f"{STAGE}.json"
+IMPORTED = (f"{STAGE}.json", f"{STAGE}.jsonl")  # Record of older versions, and that of this one
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedScan:
+    """Labels of one scan that were imported, in numbers of points."""
+
+    scan: str  # Sequence and stem
+    files: tuple[str, ...]  # Files that the labels came from
+    points: int
+    labelled: int  # Points with a class that counts, and the others with a label
+    unlabelled: int
+    ambiguous: int  # Points of several labels
+    missing: int  # Points of the scan that no file has
+    unmatched: int  # Points of the files that are none of the scan's
+    contradicted: int  # Points that different files label differently
+    scalar: str  # Names of the scalars that held the labels
+
+
+@dataclass(frozen=True, slots=True)
+class FailedImport:
+    """Files that were not imported."""
+
+    files: tuple[str, ...]
+    reason: str
+    code: str  # Of the error
+
+
+@dataclass(frozen=True, slots=True)
+class LabelOrigin:
+    """Origin of the labels in a label file, as the record of imports has it."""
+
+    sha256: str = ""  # Of the label file
+    files: tuple[str, ...] = ("?",)  # Files that are not recorded may be any.
+    contradicted: int = 0
 
 
 @dataclass(slots=True)
@@ -39,15 +77,12 @@ class LabelImport:
 
     space: LabelSpace  # Classes of the labels
     class_points: Counts  # (C,) int64: number of imported points by train id
-    # Of each imported scan: `scan` as sequence/stem, its `files`, `scalar`, number of `points`,
-    # `labelled`, `unlabelled`, `ambiguous`, `missing` and `unmatched`, as `edited_labels` has them
-    scans: list[dict[str, Any]] = field(default_factory=list)
-    # What was not imported: `files`, `reason` and `code` of the error
-    failures: list[dict[str, Any]] = field(default_factory=list)
-    # Files that hold the first guess of `pick`, all of it; they are not imported
+    scans: list[ImportedScan] = field(default_factory=list)
+    failures: list[FailedImport] = field(default_factory=list)
+    # Files that hold the pre-labels of `pick`, all of them; they are not imported
     unedited: list[str] = field(default_factory=list)
     kept: int = 0  # Number of scans of the data set that keep the labels they have, or have none
-    # Scans of the data set whose label file is still the first guess, as sequence/stem
+    # Scans of the data set whose label file still holds pre-labels, as sequence/stem
     first_guesses: list[str] = field(default_factory=list)
 
     def largest_classes(self) -> dict[str, float]:
@@ -56,13 +91,12 @@ class LabelImport:
 
     def fail(self, files: Iterable[Path], error: SalsanextError) -> None:
         """Note files that are not imported."""
-        named = {"files": [str(path) for path in files]}
-        self.failures.append(named | {"reason": str(error), "code": error.code})
+        self.failures.append(FailedImport(tuple(map(str, files)), str(error), error.code))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         names = ("scans", "failures", "unedited", "kept", "first_guesses")
-        found = {name: getattr(self, name) for name in names}
+        found = {name: plain(getattr(self, name)) for name in names}
         return {"stage": STAGE, **found, "largest_classes": self.largest_classes()}
 
 
@@ -79,12 +113,20 @@ class LabelRecords:
         self.owned = OwnedFolder(root, STAGE)
 
     @cached_property
-    def _guesses(self) -> dict[str, Any]:
+    def _guesses(self) -> Mapping[str, object]:
         return _table(self.owned.root / PICKED, GUESSES)
 
     @cached_property
-    def _imported(self) -> dict[str, dict[str, Any]]:
-        return _table(self.owned.record_path, "scans")
+    def _imported(self) -> dict[str, LabelOrigin]:
+        older, lines = (self.owned.root / name for name in IMPORTED)
+        entries = dict(_table(older, "scans"))
+        if present(lines):
+            with reading(lines) as file:
+                for line in file:
+                    with suppress(*MALFORMED):  # A line that was cut off says nothing.
+                        entry = json.loads(line)
+                        entries[entry["scan"]] = entry
+        return {name: _origin(entry) for name, entry in entries.items()}
 
     @cached_property
     def _states(self) -> States:
@@ -99,29 +141,26 @@ class LabelRecords:
         if scan.name not in self._guesses or not present(scan.label_path):
             return False
         digest = fingerprint(scan.label_path)
-        confirmed = self._imported.get(scan.name, {}).get("sha256") == digest
-        return self.is_guess(scan, digest) and not confirmed
+        imported = self._imported.get(scan.name)
+        return self.is_guess(scan, digest) and not (imported and imported.sha256 == digest)
 
     def is_replaceable(self, scan: ScanFile, edited: Iterable[Path], contradicted: int = 0) -> bool:
         """Say whether the label file of a scan, if there is one, may give way to edited files."""
-        path, earlier = scan.label_path, self._imported.get(scan.name, {"files": []})
-        # Files that are not recorded may be any.
-        imported = Counter(Path(file).name for file in earlier.get("files", ["?"]))
+        path, earlier = scan.label_path, self._imported.get(scan.name, LabelOrigin(files=()))
+        imported = Counter(Path(file).name for file in earlier.files)
         lost = imported - Counter(file.name for file in edited)
-        more = imported and contradicted > earlier.get("contradicted", 0)
+        more = imported and contradicted > earlier.contradicted
         if (lost or more) and present(path):
             return False
         changed = self.owned.foreign_files([path], self._states)
         return not changed or self.holds_guess(scan)
 
-    def write(self, scan: ScanFile, content: bytes, about: Mapping[str, Any]) -> None:
+    def write(self, scan: ScanFile, content: bytes, imported: ImportedScan) -> None:
         """Write the imported label file of a scan, and record it and what is known about it."""
         digest = hashlib.sha256(content).hexdigest()
-        self._imported[scan.name] = {"sha256": digest, **about}
-        scans = dict(sorted(self._imported.items()))
-        record = {"stage": STAGE, "version": __version__, "scans": scans}
-        # Where this is cut off in between, the label file counts as what it was.
-        self.owned.write(self.owned.record_path, encode_json(record), durable=True)
+        line = json.dumps({"sha256": digest, "version": __version__, **plain(imported)})
+        append_line(self.owned.root / IMPORTED[1], line.encode(), durable=True)
+        self._imported[scan.name] = LabelOrigin(digest, imported.files, imported.contradicted)
         self.owned.write(scan.label_path, content, durable=True)
 
 
@@ -145,6 +184,12 @@ def require_truth(scans: Iterable[ScanFile]) -> None:
         raise LabelError(guesses[0].label_path, found, "labels by a person", remedy)
 
 
-def _table(path: Path, key: str) -> dict[str, Any]:
+def _origin(entry: object) -> LabelOrigin:
+    with suppress(*MALFORMED):
+        return decoded(LabelOrigin, entry)
+    return LabelOrigin()
+
+
+def _table(path: Path, key: str) -> Mapping[str, object]:
     table = (read_json(path) or {}).get(key)
-    return dict(table) if isinstance(table, Mapping) else {}
+    return table if isinstance(table, Mapping) else {}

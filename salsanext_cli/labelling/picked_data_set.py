@@ -4,24 +4,27 @@
 import hashlib
 import logging
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import yaml
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, OutputError, UsageError
 from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.json_files import plain, read_record, write_json
 from salsanext_cli.files.reading import filled, present, reading
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.fusion.poses import CALIBRATION, POSES, line_numbers
 from salsanext_cli.labelling.label_records import IMPORTED
+from salsanext_cli.measures.scan_summary import ScanWarning
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, output_path
+from salsanext_cli.results.manifest import require_same_settings, settings_json
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
-from salsanext_cli.results.stage_records import require_same_settings
+from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.version import __version__
 
@@ -52,32 +55,37 @@ class PickedScan:
 
 
 @dataclass(frozen=True, slots=True)
+class PickSettings:
+    """Settings that decide which scans are picked."""
+
+    network: StageSettings
+    strategy: str
+    count: int  # Number of scans to pick
+    seed: int
+    scans: str  # Number and digest of the scans to choose from
+    labelled: str | None  # The same of those that are labelled already
+    disagreement: Mapping[str, str] | None  # Digests of the settings behind the disagreement
+    samples: int  # Monte-Carlo passes of a scan
+
+    def to_dict(self) -> dict[str, object]:
+        """Return all settings in one table."""
+        own = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {**plain(own.pop("network")), **own}
+
+
+@dataclass(frozen=True, slots=True)
 class PickRecord:
     """Record of a run of `pick`."""
 
-    # Resolved settings that decide what is picked, as JSON gives them back
-    settings: dict[str, Any]
+    settings: dict[str, object]  # As `settings_json` returns them
     picked: list[PickedScan]  # In the order of their rank
     # `scan`, `reason` and `code` of each scan that could not be looked at
     failures: list[dict[str, str]]
-    warnings: list[dict[str, Any]]  # Reasons to doubt scans, as `RunSummary.warnings` lists them
+    warnings: list[ScanWarning]  # Reasons to doubt scans
     # SHA-256 of the guessed labels that were written, by name of the scan
     guesses: dict[str, str] = field(default_factory=dict)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the content of the record's file."""
-        return {"stage": STAGE, "version": __version__, **asdict(self)}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any], path: Path) -> "PickRecord":
-        """Read what `to_dict` returned from a file; `OutputError` if it is something else."""
-        try:
-            picked = [PickedScan(**row) for row in data["picked"]]
-            failures, warnings = data["failures"], data["warnings"]
-            return cls(data["settings"], picked, failures, warnings, data["guesses"])
-        except (TypeError, KeyError) as error:
-            remedy = "delete it or use another folder"
-            raise OutputError(path, f"not what `{STAGE}` writes", remedy=remedy) from error
+    stage: str = STAGE
+    version: str = __version__
 
 
 class ScanPaths(NamedTuple):
@@ -113,7 +121,7 @@ class PickedDataSet(OwnedFolder):
         digests = {file.name: hashlib.sha256(missing[file]).hexdigest() for file in missing}
         guesses = dict(sorted({**record.guesses, **digests}.items()))
         # Recorded first: in a run that is cut off nothing passes for labels of a person.
-        self.begin(replace(record, guesses=guesses).to_dict())
+        self._write_record(replace(record, guesses=guesses))
         for file, content in missing.items():
             self.write_missing(paths[file], content)
 
@@ -165,7 +173,7 @@ class PickedDataSet(OwnedFolder):
             found = f"{self.root} holds the scans to choose from"
             raise UsageError("OUT", found, "another folder, for those that are picked")
 
-    def earlier(self, settings: Mapping[str, Any], *, overwrite: bool) -> PickRecord | None:
+    def earlier(self, settings: PickSettings, *, overwrite: bool) -> PickRecord | None:
         """Return the record of an earlier run with the same settings; None to begin anew."""
         self.require_new()
         record = self._record()
@@ -173,7 +181,7 @@ class PickedDataSet(OwnedFolder):
             self._require_unchanged(record)
             return None
         if record:
-            require_same_settings(self.record_path, record.settings, settings)
+            require_same_settings(self.record_path, record.settings, settings_json(settings))
         return record
 
     def begin_anew(self, record: PickRecord) -> None:
@@ -181,11 +189,15 @@ class PickedDataSet(OwnedFolder):
         if earlier := self._record():
             # Labels may have been corrected while the scans were looked at.
             self._require_unchanged(earlier)
-        self.begin(record.to_dict(), self._files(earlier) if earlier else [])
+            self.remove_own(self._files(earlier))
+        self._write_record(record)
 
     def _record(self) -> PickRecord | None:
-        data = self.recorded()
-        return None if data is None else PickRecord.from_dict(data, self.record_path)
+        return read_record(PickRecord, self.record_path)
+
+    def _write_record(self, record: PickRecord) -> None:
+        if record != self._record():
+            write_json(self.record_path, record)
 
     def _certain_files(self, record: PickRecord) -> list[Path]:
         files = [self.root / name for name in (LABEL_SPACE, TABLE, SHEET)]
@@ -198,9 +210,9 @@ class PickedDataSet(OwnedFolder):
 
     def _require_unchanged(self, record: PickRecord) -> None:
         """Refuse to replace files that are not as `pick` wrote them, and imported labels."""
-        if present(self.root / IMPORTED):
+        if imports := [path for path in map(self.root.joinpath, IMPORTED) if present(path)]:
             found = "says that labels were imported, which are kept"
-            raise OutputError(self.root / IMPORTED, found, remedy="choose another folder")
+            raise OutputError(imports[0], found, remedy="choose another folder")
         self.require_own(self._files(record))
         for each in record.picked:
             labels = self.paths(each.sequence, each.scan).labels

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from salsanext_cli.errors import counted
+from salsanext_cli.network.card import AccuracyLine
 
 DEVIATIONS = 2.0
 """Half the width of the interval, in root mean squares of expected minus measured accuracy. Of the
@@ -47,13 +47,9 @@ class ExpectedAccuracy:
         scans = f" of {counted(self.scans, 'scan')}" if reasons else ""
         return f"expected accuracy{scans}: {low} to {high} %, from the confidence{others}"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return asdict(self)
-
 
 def expected_accuracy(
-    line: Mapping[str, float],
+    line: AccuracyLine | None,
     confidences: Mapping[str, float],
     warnings: Mapping[str, Collection[str]],
 ) -> ExpectedAccuracy | None:
@@ -62,7 +58,7 @@ def expected_accuracy(
     `line`: as `WeightsCard.accuracy`; `confidences`: mean of the largest probabilities of each
     scan's points, 0…1, by name; `warnings`: names of scans by code. None without line or scans.
     """
-    if not line or not confidences:
+    if line is None or not confidences:
         return None
     withheld = {code: {*warnings.get(code, ())} & confidences.keys() for code in WITHHELD_FOR}
     counts = {code: len(names) for code, names in sorted(withheld.items()) if names}
@@ -74,8 +70,8 @@ def expected_accuracy(
         return ExpectedAccuracy(None, None, 0, counts)
     # Rounded, since the order of the scans is that of the workers.
     mean = min(max(round(math.fsum(usual) / len(usual), 6), EDGE), 1 - EDGE)
-    logit = line["slope"] * math.log(mean / (1 - mean)) + line["offset"]
+    logit = line.slope * math.log(mean / (1 - mean)) + line.offset
     accuracy = (1 + math.tanh(logit / 2)) / 2  # The logistic function, without overflow
-    margin = DEVIATIONS * line["deviation"]
+    margin = DEVIATIONS * line.deviation
     interval = (round(max(accuracy - margin, 0), 4), round(min(accuracy + margin, 1), 4))
     return ExpectedAccuracy(round(accuracy, 4), interval, len(usual), counts)

@@ -5,11 +5,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.measures.scan_counts import BAND_NAMES
 from salsanext_cli.measures.scores import (
     Counts,
@@ -17,7 +18,6 @@ from salsanext_cli.measures.scores import (
     Ratios,
     ious,
     largest_confusions,
-    plain,
     ratio,
 )
 from salsanext_cli.results.layout import ScanFile
@@ -153,7 +153,7 @@ class RunComparison:
         differing = (pair for pair in self.pairs if changed(pair.turned))
         return sorted(differing, key=lambda pair: (-changed(pair.turned), pair.file))[:NAMED]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON; null stands for NaN."""
         in_bands = ("coverage", "risk") if self.rejecting else ("accuracy", "iou_mean_same")
         gain = "risk" if self.rejecting else "gain"

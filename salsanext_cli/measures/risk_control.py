@@ -18,6 +18,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few
 from salsanext_cli.measures.scores import Counts, Ratios, scored_rows
+from salsanext_cli.network.card import RiskThreshold
 
 PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
 """Classes whose points are of people."""
@@ -170,19 +171,19 @@ class RiskBoundCheck:
 
     @classmethod
     def of_scans(
-        cls, promised: Mapping[str, Any], scans: Mapping[str, tuple[int, int, int]]
+        cls, promised: RiskThreshold, scans: Mapping[str, tuple[int, int, int]]
     ) -> Self | None:
         """Compare with points, kept and wrong ones of scans, by name; None without any points."""
         judged = {name: wrong / points for name, (points, _, wrong) in scans.items() if points}
         if not judged:
             return None
-        losses, unit = np.array([*judged.values()]), promised.get("unit", "scan")
+        losses, unit = np.array([*judged.values()]), promised.unit
         if unit == "drive":
             drives = np.array([name.rpartition("/")[0] for name in judged])
             losses = means_of_units(losses, drives)
-        above = int((losses > promised["at_most"]).sum())
+        above = int((losses > promised.at_most).sum())
         found = len(losses), above, float(losses.mean()), float(losses.max())
-        return cls(promised["at_most"], promised["confidence"], unit, *found)
+        return cls(promised.at_most, promised.confidence, unit, *found)
 
     @property
     def is_exceeded(self) -> bool:
@@ -208,20 +209,20 @@ class RiskBoundCheck:
         )
 
 
-def promise(risk: Mapping[str, Any]) -> str:
+def promise(risk: RiskThreshold) -> str:
     """Say what the threshold of weights holds for, of the `risk` in their card."""
-    level, scans = f"{100 * risk['at_most']:.3g} %", counted(risk["scans"], "scan")
-    kept = f"{risk['kind']} up to {risk['threshold']:.4g} kept"
-    chosen, unit = f"({scans} of {first_few(risk['sequences'])})", risk.get("unit", "scan")
+    level, scans = f"{100 * risk.at_most:.3g} %", counted(risk.scans, "scan")
+    kept = f"{risk.kind} up to {risk.threshold:.4g} kept"
+    chosen, unit = f"({scans} of {first_few(risk.sequences)})", risk.unit
     like = f"of the drives that it was chosen on {chosen}, not of others"
     if unit == "drive":
         like = f"like those that it was chosen on {chosen}"
-    classes = [name for name, above in risk.get("classes", {}).items() if above > KEEPS_NONE]
+    classes = [name for name, above in risk.classes.items() if above > KEEPS_NONE]
     alike = f"; the same of the points labelled as each of {first_few(classes)}" if classes else ""
-    if risk["confidence"] is None:
+    if risk.confidence is None:
         expected = f"{level} of the points of known classes are expected to be kept and wrong"
         return f"{kept}: of another {unit} {like}, at most {expected}{alike}"
-    sure = f"{100 * risk['confidence']:.3g} %"
-    rest = f"{100 - 100 * risk['confidence']:.3g} %"
+    sure = f"{100 * risk.confidence:.3g} %"
+    rest = f"{100 - 100 * risk.confidence:.3g} %"
     more = f"more than {level} of their points of known classes kept and wrong"
     return f"{kept}: with {sure} confidence, at most {rest} of {unit}s {like} have {more}{alike}"

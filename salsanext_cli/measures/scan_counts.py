@@ -4,17 +4,17 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from operator import add
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import LabelSpace, RawIds
+from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import LabelError, counted, first_few
 from salsanext_cli.files.reading import present
@@ -46,8 +46,8 @@ from salsanext_cli.measures.scores import (
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Indices, Scan
 from salsanext_cli.results.layout import ScanFile, output_path
+from salsanext_cli.results.provenance import Provenance, Rejection
 from salsanext_cli.results.result_folder import read_kind
-from salsanext_cli.results.stage_records import Rejection
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -55,7 +55,6 @@ SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of
 OF_SOFTMAX = {"least_confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
 """Uncertainties that come from the probabilities, where no file has them or classes are merged."""
 EVALUATED_KINDS = (*dict.fromkeys((*OF_SOFTMAX, *UNCERTAINTY)),)  # In the order of reports
-SCORES_OF_SCAN = ("points", "accuracy", "iou_mean_present")
 CLASS, DISTANCE = "class", "distance"
 OF_ERROR = ("error", "calibration")  # Key of the histogram of the error as a probability
 MIN_ACCURACY, MIN_JUDGED = 0.2, 10_000
@@ -63,6 +62,15 @@ MIN_ACCURACY, MIN_JUDGED = 0.2, 10_000
 that of other ids was 0.02, that of the default weights in streets 0.75 or more."""
 BAND_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # The last band has no end
 BAND_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
+
+
+@dataclass(frozen=True, slots=True)
+class ScanScores:
+    """Scores of one scan, as `Scores` has them."""
+
+    points: int
+    accuracy: float
+    iou_mean_present: float
 
 
 @dataclass(slots=True)
@@ -90,7 +98,7 @@ class ScanCounts:
     # `CLASS`, which is the most probable class for the confidence, else the true one
     histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)
     by_sequence: dict[str, Counts] = field(default_factory=dict)
-    by_scan: dict[str, dict[str, Any]] = field(default_factory=dict)  # Some scores, by name
+    by_scan: dict[str, ScanScores] = field(default_factory=dict)  # By name of the scan
 
     @classmethod
     def none(cls, space: LabelSpace, by_distance: bool) -> ScanCounts:
@@ -101,19 +109,31 @@ class ScanCounts:
 
     def add(self, other: ScanCounts) -> None:
         """Add the counts of other scans, which are used up."""
-        for name in (each.name for each in fields(self)):
-            own, added = getattr(self, name), getattr(other, name)
-            if isinstance(own, dict):
-                for key, value in added.items():
-                    if key in own:
-                        own[key] += value
-                    else:
-                        own[key] = value
-            elif isinstance(own, tuple):
-                setattr(self, name, tuple(map(add, own, added)))
+        self.confusion += other.confusion
+        self.segments += other.segments
+        self.bands = tuple(map(add, self.bands, other.bands))
+        self.unknown_truth += other.unknown_truth
+        self.unknown_predictions += other.unknown_predictions
+        self.files += other.files
+        self.scans += other.scans
+        self.trained_on += other.trained_on
+        self.left_out += other.left_out
+        self.calibrated += other.calibrated
+        self.missing += other.missing
+        self.calibration_errors += other.calibration_errors
+        self.errors += other.errors
+        self.kept |= other.kept
+        self.by_scan |= other.by_scan
+        for key, histogram in other.histograms.items():
+            if key in self.histograms:
+                self.histograms[key] += histogram
             else:
-                own += added
-                setattr(self, name, own)
+                self.histograms[key] = histogram
+        for name, confusion in other.by_sequence.items():
+            if name in self.by_sequence:
+                self.by_sequence[name] += confusion
+            else:
+                self.by_sequence[name] = confusion
 
     def label_warnings(self, space: LabelSpace) -> Iterator[str]:
         """Yield what the scores do not tell, or may tell wrongly, in words."""
@@ -161,98 +181,155 @@ class CountsApart:
         return self.trained_on
 
 
-def count_scan(
-    scan: ScanFile,
-    out: Path,
-    space: LabelSpace,
-    by_distance: bool = False,
-    sensor: Sensor | None = None,
-    labels: LabelSpace | None = None,
-    merging: ClassMerging | None = None,
-    trained_on: Collection[str] = (),
-    objects: bool = False,
-    rejection: Rejection | None = None,
-) -> ScanCounts:
-    """Count one scan; one without predictions counts as missing.
+class JudgedLabels(NamedTuple):
+    """Labels of the N points of a scan beside the truth."""
 
-    Points whose truth is scored are counted by probability and uncertainty too, where there are
-    any. Points that `predict --reject` left unlabelled are missed ones, and have no uncertainty.
+    truth: TrainIds  # (N,)
+    predicted: TrainIds  # (N,)
+    scored: Mask  # (N,): points whose truth counts
+    bands: Indices | None  # (N,): index into `BAND_NAMES`, -1 without a measurement
 
-    `space`: classes that are compared, and meaning of the raw ids; `by_distance`: whether to count
-    distance bands too; `labels`: meaning of the raw ids of the truth, if another; `merging`: of
-    the classes of the probabilities into those compared; `trained_on`: digests of scans;
-    `objects`: whether the predictions have instances.
-    """
-    counts = ScanCounts.none(space, by_distance)
-    predictions = output_path(out, scan.sequence, "predictions", scan.stem)
-    if not present(predictions):
-        counts.missing.append(scan)
-        return counts
-    cloud = read_scan(scan.path, sensor) if by_distance else None
-    raw_truth, raw_predicted = _labels(scan, predictions, sensor, cloud)
-    of_truth = labels or space
-    truth = of_truth.to_train(raw_truth, strict=False, source=scan.label_path)
-    predicted = space.to_train(raw_predicted, strict=False, source=predictions)
-    counts.scans = 1
-    read = cache(lambda: cloud or read_scan(scan.path, sensor))
-    counts.trained_on = int(is_among(trained_on, len(truth), read))
-    counts.unknown_truth.update(of_truth.unknown_ids(raw_truth))
-    counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
-    counts.confusion = confusion_matrix(truth, predicted, space.class_count)
-    counts.by_sequence[scan.sequence] = counts.confusion.copy()
-    own = scores(counts.confusion, space).to_dict()
-    counts.by_scan[scan.name] = {key: own[key] for key in SCORES_OF_SCAN}
-    if objects:
-        instances = (truth, raw_truth), (predicted, raw_predicted)
-        counts.segments = count_segments(*instances, space.scored)
-    scored = space.scored[truth]
-    true_class, wrong = truth[scored], (predicted != truth)[scored]
-    groups: dict[str, tuple[npt.NDArray[Any], int]] = {CLASS: (true_class, space.class_count)}
-    if cloud is not None:
-        seen = in_sensor_frame(cloud, sensor_of(cloud, sensor)) if sensor else cloud
-        band = band_of_point(seen.points)
-        counts.bands = tuple(
-            confusion_matrix(truth[band == i], predicted[band == i], space.class_count)
-            for i in range(len(BAND_NAMES))
+    @property
+    def wrong(self) -> Mask:
+        """Whether each of the M scored points is wrong, (M,)."""
+        return (self.predicted != self.truth)[self.scored]
+
+    def groups(self, class_count: int) -> dict[str, tuple[npt.NDArray[Any], int]]:
+        """Return the group (M,) of the scored points, by grouping, and the number of groups."""
+        groups: dict[str, tuple[npt.NDArray[Any], int]] = {}
+        groups[CLASS] = self.truth[self.scored], class_count
+        if self.bands is not None:
+            # Points without a measurement are a group of their own.
+            count = len(BAND_NAMES) + 1
+            groups[DISTANCE] = self.bands[self.scored] % count, count
+        return groups
+
+
+@dataclass(frozen=True, slots=True)
+class ScanComparison:
+    """Settings with which the results of scans are compared with their labels."""
+
+    out: Path  # Output folder
+    space: LabelSpace  # Classes that are compared, and meaning of the predicted raw ids
+    labels: LabelSpace  # Meaning of the raw ids of the truth
+    merging: ClassMerging | None  # Of the classes of the probabilities into those of `space`
+    sensor: Sensor  # Sensor of the range images, and origin of the scans
+    rejection: Rejection | None = None
+    trained_on: frozenset[str] = frozenset()  # Digests of scans
+    by_distance: bool = False  # Whether to count distance bands too
+    objects: bool = False  # Whether the predictions have instances
+
+    @classmethod
+    def of_results(
+        cls, results: Provenance, space: LabelSpace, labels: LabelSpace, *, by_distance: bool
+    ) -> ScanComparison:
+        """Return the settings that the records of an output folder tell."""
+        return cls(
+            results.root,
+            space,
+            labels,
+            results.merging_into(space),
+            results.sensor(),
+            results.rejection(),
+            results.trained_on(),
+            by_distance,
         )
-        # Points without a measurement are a group of their own.
-        groups[DISTANCE] = band[scored] % (len(BAND_NAMES) + 1), len(BAND_NAMES) + 1
-    values, derived = dict[str, Float](), dict[str, Float]()
-    if present(path := output_path(out, scan.sequence, SOFTMAX, scan.stem)):
+
+    def count(self, scan: ScanFile) -> ScanCounts:
+        """Count one scan; one without predictions counts as missing.
+
+        Points whose truth is scored are counted by probability and uncertainty too, where there are
+        any. Points that were rejected are missed ones, and have no uncertainty.
+        """
+        space, counts = self.space, ScanCounts.none(self.space, self.by_distance)
+        predictions = output_path(self.out, scan.sequence, "predictions", scan.stem)
+        if not present(predictions):
+            counts.missing.append(scan)
+            return counts
+        cloud = read_scan(scan.path, self.sensor) if self.by_distance else None
+        raw_truth, raw_predicted = _labels(scan, predictions, self.sensor, cloud)
+        truth = self.labels.to_train(raw_truth, strict=False, source=scan.label_path)
+        predicted = space.to_train(raw_predicted, strict=False, source=predictions)
+        read = cache(lambda: cloud or read_scan(scan.path, self.sensor))
+        counts.scans = 1
+        counts.trained_on = int(is_among(self.trained_on, len(truth), read))
+        counts.unknown_truth.update(self.labels.unknown_ids(raw_truth))
+        counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
+        counts.confusion = confusion_matrix(truth, predicted, space.class_count)
+        counts.by_sequence[scan.sequence] = counts.confusion.copy()
+        own = scores(counts.confusion, space)
+        counts.by_scan[scan.name] = ScanScores(own.points, own.accuracy, own.iou_mean_present)
+        if self.objects:
+            instances = (truth, raw_truth), (predicted, raw_predicted)
+            counts.segments = count_segments(*instances, space.scored)
+        bands = None
+        if cloud is not None:
+            seen = in_sensor_frame(cloud, sensor_of(cloud, self.sensor))
+            bands = band_of_point(seen.points)
+            counts.bands = tuple(
+                confusion_matrix(truth[bands == i], predicted[bands == i], space.class_count)
+                for i in range(len(BAND_NAMES))
+            )
+        judged = JudgedLabels(truth, predicted, space.scored[truth], bands)
+        values = self._count_softmax(scan, judged, counts)
+        values |= self._uncertainties(scan, judged, counts)
+        if self.rejection:
+            labelled = predicted[judged.scored] != 0
+            kept = int(labelled.sum()), int((labelled & judged.wrong).sum())
+            counts.kept[scan.name] = len(labelled), *kept
+            counts.calibrated = int(is_among(self.rejection.chosen_on, len(truth), read))
+            values = {kind: np.where(labelled, each, np.nan) for kind, each in values.items()}
+        _count_uncertainties(values, judged, space.class_count, counts)
+        return counts
+
+    def _count_softmax(
+        self, scan: ScanFile, judged: JudgedLabels, counts: ScanCounts
+    ) -> dict[str, Float]:
+        """Count the probabilities of scored points, if any; return uncertainties of them."""
+        path = output_path(self.out, scan.sequence, SOFTMAX, scan.stem)
+        if not present(path):
+            return {}
         counts.files[SOFTMAX] = 1
-        softmax = read_softmax(path, scored, space, merging)
-        errors = softmax_errors(softmax, true_class)
-        by_prediction = groups | {CLASS: (errors.predicted, space.class_count)}
-        for name, group in by_prediction.items():
+        softmax = read_softmax(path, judged.scored, self.space, self.merging)
+        errors = softmax_errors(softmax, judged.truth[judged.scored])
+        groups = judged.groups(self.space.class_count)
+        groups[CLASS] = errors.predicted, self.space.class_count
+        for name, group in groups.items():
             counts.histograms[SOFTMAX, name] = confidence_histogram(errors, *group)
         of_scan = counts.histograms[SOFTMAX, CLASS].total()
         if of_scan.points[0]:
             error = reliability(of_scan.counts[:, 0], SCAN_BINS).error
             counts.calibration_errors.append(error)
-        derived = {kind: derive(softmax) for kind, derive in OF_SOFTMAX.items()}
-    for kind in UNCERTAINTY:
-        folder = f"uncertainty/{kind}"
-        if present(path := output_path(out, scan.sequence, folder, scan.stem)):
-            counts.files[folder] = 1
-            values[kind] = read_kind(path, kind, len(scored))[scored]
-    if rejection:
-        labelled = predicted[scored] != 0
-        kept = int(labelled.sum()), int((labelled & wrong).sum())
-        counts.kept[scan.name] = len(labelled), *kept
-        counts.calibrated = int(is_among(rejection.chosen_on, len(truth), read))
-    # Of merged classes the files do not tell the confidence.
-    values = derived | values if merging is None else values | derived
-    if rejection:
-        values = {kind: np.where(labelled, each, np.nan) for kind, each in values.items()}
+        return {kind: derive(softmax) for kind, derive in OF_SOFTMAX.items()}
+
+    def _uncertainties(
+        self, scan: ScanFile, judged: JudgedLabels, counts: ScanCounts
+    ) -> dict[str, Float]:
+        """Read the uncertainties of scored points, by kind."""
+        values = {}
+        for kind in UNCERTAINTY:
+            folder = f"uncertainty/{kind}"
+            if present(path := output_path(self.out, scan.sequence, folder, scan.stem)):
+                counts.files[folder] = 1
+                # Of merged classes the files do not tell the confidence.
+                if self.merging is None or kind not in OF_SOFTMAX or SOFTMAX not in counts.files:
+                    values[kind] = read_kind(path, kind, len(judged.scored))[judged.scored]
+        return values
+
+
+def _count_uncertainties(
+    values: Mapping[str, Float], judged: JudgedLabels, class_count: int, counts: ScanCounts
+) -> None:
+    """Count the uncertainties (M,) of scored points, by kind."""
+    wrong, groups = judged.wrong, judged.groups(class_count)
     for kind, of_points in values.items():
         for name, group in groups.items():
             counts.histograms[kind, name] = uncertainty_histogram(of_points, wrong, *group)
     if "error" in values:
         counts.histograms[OF_ERROR] = error_histogram(values["error"], wrong)
-        if (judged := ~np.isnan(values["error"])).any():
-            means = values["error"][judged].mean(dtype=np.float64), wrong[judged].mean()
+        if (known := ~np.isnan(values["error"])).any():
+            means = values["error"][known].mean(dtype=np.float64), wrong[known].mean()
             counts.errors.append((float(means[0]), float(means[1])))
-    return counts
 
 
 def read_softmax(
@@ -268,7 +345,7 @@ def read_softmax(
 
 
 def _labels(
-    scan: ScanFile, predictions: Path, sensor: Sensor | None, cloud: Scan | None
+    scan: ScanFile, predictions: Path, sensor: Sensor, cloud: Scan | None
 ) -> tuple[RawIds, RawIds]:
     """Read truth and predictions; where their lengths differ, the scan tells which is wrong."""
     if cloud is None:

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from salsanext_cli.fitting.scan_checks import UNCHECKED, Finding, ScanCheck
 from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, groups_of
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.scores import Counts
+from salsanext_cli.network.card import AccuracyLine
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.results.owned_folder import Texts
@@ -93,6 +93,16 @@ def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Ite
         yield Finding("low-confidence", found, f"{USUAL}; {LOOK}")
 
 
+@dataclass(frozen=True, slots=True)
+class ScanWarning:
+    """Reason to doubt some scans, in the words for the first of them."""
+
+    code: str
+    message: str
+    remedy: str
+    scans: list[str]  # Names of the scans, or of their sequences
+
+
 @dataclass(slots=True)
 class RunSummary:
     """Summary of the scans that a run has worked on."""
@@ -109,15 +119,19 @@ class RunSummary:
     ego_shares: list[tuple[float, int]] = field(default_factory=list)
     # Mean of the largest probabilities of the points, 0…1, by name of the scan
     confidences: dict[str, float] = field(default_factory=dict)
-    accuracy: Mapping[str, float] = field(default_factory=dict)  # As in `WeightsCard`
+    accuracy: AccuracyLine | None = None  # As in `WeightsCard`
     first: ScanFile | None = None  # First scan of the run, whose data set may describe others
 
     @classmethod
     def of_scans(
-        cls, scans: Sequence[ScanFile], sensor: Sensor, space: LabelSpace | None = None
+        cls,
+        scans: Sequence[ScanFile],
+        sensor: Sensor,
+        space: LabelSpace | None = None,
+        accuracy: AccuracyLine | None = None,
     ) -> RunSummary:
         """Begin the summary of a run over some scans."""
-        return cls(sensor, space, first=scans[0] if scans else None)
+        return cls(sensor, space, accuracy=accuracy, first=scans[0] if scans else None)
 
     @property
     def labelled(self) -> bool:
@@ -185,13 +199,12 @@ class RunSummary:
                     self.add_finding(name, Finding(*texts))
             self.finished()
 
-    def warnings(self) -> list[dict[str, Any]]:
+    def warnings(self) -> list[ScanWarning]:
         """Return what was found, by code, in the words of the first scan, with all scans."""
         warnings = []
         for code in sorted(self.findings):
-            names, findings = zip(*sorted(self.findings[code], key=itemgetter(0)), strict=True)
-            words = {"message": findings[0].found, "remedy": findings[0].remedy}
-            warnings.append({"code": code, **words, "scans": list(names)})
+            names, (first, *_) = zip(*sorted(self.findings[code], key=itemgetter(0)), strict=True)
+            warnings.append(ScanWarning(code, first.found, first.remedy, [*names]))
         return warnings
 
     @property
@@ -223,11 +236,10 @@ def log_finding(name: str, finding: Finding) -> None:
     log.warning("%s: %s; %s (%s)", _text(name), finding.found, finding.remedy, finding.code)
 
 
-def log_recorded(warnings: Iterable[Mapping[str, Any]]) -> None:
-    """Log what an earlier run found, as `RunSummary.warnings` lists it."""
+def log_recorded(warnings: Iterable[ScanWarning]) -> None:
+    """Log what an earlier run found."""
     for each in warnings:
-        finding = Finding(each["code"], each["message"], each["remedy"])
-        log_finding(first_few(each["scans"]), finding)
+        log_finding(first_few(each.scans), Finding(each.code, each.message, each.remedy))
 
 
 def _text(names: str) -> str:

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -91,10 +91,6 @@ class Scores:
         numbers |= {f"iou_{c.name}": c.iou_official for c in self.classes}
         return yaml.safe_dump(numbers, default_flow_style=False, allow_unicode=True)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; null stands for NaN."""
-        return dict(plain(asdict(self)))
-
 
 def band_rows(bands: Mapping[str, Scores]) -> list[tuple[str, Scores, float, list[str]]]:
     """Return name, scores, mean IoU of the same classes, and absent classes of each band."""
@@ -162,17 +158,3 @@ def scores(confusion: Counts, space: LabelSpace) -> Scores:
 
 def _mean(values: Ratios) -> float:
     return float(values.mean()) if len(values) else math.nan
-
-
-def plain(value: Any) -> Any:
-    """Return data for JSON: arrays and tuples as lists, NaN as None."""
-    match value:
-        case float():
-            return None if math.isnan(value) else value
-        case dict():
-            return {key: plain(each) for key, each in value.items()}
-        case list() | tuple():
-            return [plain(each) for each in value]
-        case np.ndarray():
-            return plain(value.tolist())
-    return value

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field, fields
 from operator import add
-from typing import Any
 
 import numpy as np
 
@@ -64,7 +63,7 @@ class Survey:
         highest = int(np.searchsorted(cumulated, 1 - OUTLIERS)) + 1
         return highest * ELEVATION_STEP_DEG - 90, lowest * ELEVATION_STEP_DEG - 90
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         up, down = self.field_of_view()
         return {

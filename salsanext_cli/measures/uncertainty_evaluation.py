@@ -4,12 +4,13 @@
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any, Generic, TypeVar
+from dataclasses import dataclass, fields
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.measures.calibration import (
     CalibrationScores,
     Reliability,
@@ -34,7 +35,7 @@ from salsanext_cli.measures.scan_counts import (
     SOFTMAX,
     ScanCounts,
 )
-from salsanext_cli.measures.scores import Ratios, plain
+from salsanext_cli.measures.scores import Ratios
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
 log = logging.getLogger(__name__)
@@ -54,13 +55,13 @@ class GroupedScores(Generic[Scores]):
     classes: dict[int, Scores]  # Scores by train id
     by_distance: dict[str, Scores]  # Scores by name of the distance band; empty if not requested
 
-    def to_dict(self, space: LabelSpace) -> dict[str, Any]:
+    def to_json(self, space: LabelSpace) -> dict[str, object]:
         """Return plain data for JSON, the scores first; null stands for NaN."""
-        data = {name: value for name, value in asdict(self).items() if value is not None}
-        scores, classes, bands = (data.pop(k) for k in ("scores", "classes", "by_distance"))
+        data = {f.name: v for f in fields(self) if (v := getattr(self, f.name)) is not None}
+        scores, classes, bands = (plain(data.pop(k)) for k in ("scores", "classes", "by_distance"))
         counts = {key: data.pop(key) for key in ("scans", "left_out")}
         named = [{"name": space.names[i], "train_id": i, **each} for i, each in classes.items()]
-        return dict(plain({**counts, **scores, **data, "classes": named, "by_distance": bands}))
+        return {**counts, **scores, **plain(data), "classes": named, "by_distance": bands}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,16 +99,14 @@ class UncertaintyEvaluation:
     kinds: dict[str, RankingResult]  # Results by kind of uncertainty
     kept: KeptPoints | None = None  # A threshold worth using, if a kind is known of all scans
 
-    def to_dict(self, space: LabelSpace) -> dict[str, Any]:
+    def to_json(self, space: LabelSpace) -> dict[str, object]:
         """Return plain data for JSON, without absent parts; null stands for NaN."""
-        data: dict[str, Any] = {}
-        if self.calibration:
-            data["calibration"] = self.calibration.to_dict(space)
-        if self.kinds:
-            data["uncertainty"] = {k: found.to_dict(space) for k, found in self.kinds.items()}
-        if self.kept:
-            data["kept"] = plain(asdict(self.kept) | {"sentence": self.kept.sentence})
-        return data
+        parts = {
+            "calibration": self.calibration and self.calibration.to_json(space),
+            "uncertainty": {kind: each.to_json(space) for kind, each in self.kinds.items()},
+            "kept": self.kept and plain(self.kept) | {"sentence": self.kept.sentence},
+        }
+        return {name: part for name, part in parts.items() if part}
 
 
 def evaluate_uncertainty(counts: ScanCounts, space: LabelSpace) -> UncertaintyEvaluation:
@@ -140,11 +139,15 @@ def _kept(counts: ScanCounts) -> KeptPoints | None:
 
 
 def _calibration_result(counts: ScanCounts, space: LabelSpace) -> CalibrationResult:
-    errors = counts.calibration_errors
+    errors, by_class = counts.calibration_errors, counts.histograms[SOFTMAX, CLASS]
     return CalibrationResult(
-        **_grouped(calibration_scores, counts, SOFTMAX, space),
+        scores=calibration_scores(by_class),
+        scans=by_class.scans,
+        left_out=by_class.left_out,
+        classes=_of_classes(calibration_scores, by_class, space),
+        by_distance=_of_bands(calibration_scores, counts, SOFTMAX),
         ece_per_scan=math.fsum(errors) / len(errors) if errors else math.nan,
-        reliability=reliability(counts.histograms[SOFTMAX, CLASS].total().counts[:, 0]),
+        reliability=reliability(by_class.total().counts[:, 0]),
     )
 
 
@@ -152,31 +155,31 @@ def _ranking_result(counts: ScanCounts, kind: str, space: LabelSpace) -> Ranking
     by_class = counts.histograms[kind, CLASS]
     present, means = by_class.points > 0, by_class.means("uncertainty")
     risk, thresholds = risk_coverage(*by_class.total().counts[:, 0])
-    of_error: dict[str, Any] = {}
-    if kind == "error":
-        diagram = reliability(counts.histograms[OF_ERROR].counts[:, 0])
-        by_scan = np.array(sorted(counts.errors)).reshape(-1, 2)
-        of_error = {"ece": diagram.error, "reliability": diagram, "by_scan": by_scan}
+    of_error = counts.histograms[OF_ERROR].counts[:, 0] if kind == "error" else None
+    diagram = None if of_error is None else reliability(of_error)
     return RankingResult(
-        **_grouped(ranking_scores, counts, kind, space),
+        scores=ranking_scores(by_class),
+        scans=by_class.scans,
+        left_out=by_class.left_out,
+        classes=_of_classes(ranking_scores, by_class, space),
+        by_distance=_of_bands(ranking_scores, counts, kind),
         class_size_correlation=spearman(means[present], by_class.points[present]),
         risk_coverage=risk,
         thresholds=thresholds,
-        **of_error,
+        ece=diagram.error if diagram else None,
+        reliability=diagram,
+        by_scan=np.array(sorted(counts.errors)).reshape(-1, 2) if diagram else None,
     )
 
 
-def _grouped(
-    divide: Callable[[Histogram], Scores], counts: ScanCounts, key: str, space: LabelSpace
-) -> dict[str, Any]:
-    """Return the fields of `GroupedScores`."""
-    by_class, by_band = counts.histograms[key, CLASS], counts.histograms.get((key, DISTANCE))
-    return {
-        "scores": divide(by_class),
-        "scans": by_class.scans,
-        "left_out": by_class.left_out,
-        "classes": {i: divide(by_class.group(i)) for i in np.flatnonzero(space.scored).tolist()},
-        "by_distance": {
-            name: divide(by_band.group(i)) for i, name in enumerate(BAND_NAMES) if by_band
-        },
-    }
+def _of_classes(
+    divide: Callable[[Histogram], Scores], by_class: Histogram, space: LabelSpace
+) -> dict[int, Scores]:
+    return {i: divide(by_class.group(i)) for i in np.flatnonzero(space.scored).tolist()}
+
+
+def _of_bands(
+    divide: Callable[[Histogram], Scores], counts: ScanCounts, key: str
+) -> dict[str, Scores]:
+    by_band = counts.histograms.get((key, DISTANCE))
+    return {name: divide(by_band.group(i)) for i, name in enumerate(BAND_NAMES) if by_band}

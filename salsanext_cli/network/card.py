@@ -8,10 +8,9 @@ import json
 import math
 import re
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import safetensors
@@ -19,21 +18,20 @@ import safetensors
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import FormatError, UsageError, WeightsError, error_text, shortened
 from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.json_files import Json, decoded, plain
 from salsanext_cli.files.optional_packages import import_openvino
 from salsanext_cli.files.reading import is_folder, present, reading, refusing_damage
 from salsanext_cli.network.error_model import ErrorModel, valid_temperature
 from salsanext_cli.records import Scan
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.sensors.sensor import FittedView, Sensor
 from salsanext_cli.version import __version__
 
 KEY = "salsanext"  # The only key: safetensors writes several in an order drawn each time
 FORMAT = "salsanext-2"
 TABLES = ("architecture", "label_space", "sensor", "recipe", "scores")  # Mappings of a card
-FITTED = {"risk": ("threshold", "at_most", "scans"), "accuracy": ("slope", "offset", "deviation")}
-"""Parts that are mappings and may be absent, and the numbers that each holds."""
 OF_ERROR = re.compile(r"The error is fitted to ([^.]*)\. ?")
 """Sentence on the error model in the description of older files."""
-INHERITED = "inherited_from"  # Key of a fitted part: names the weights that it was fitted to
+INHERITED = "inherited_from"  # Key of an error model: names the weights that it was fitted to
 ONNX_SUFFIX = ".onnx"
 DIGITS = 24  # Of a digest: by chance, two of 20 000 scans agree once in 10¹¹ cases
 
@@ -57,32 +55,78 @@ def parted(text: object) -> list[str]:
     return [text[i : i + DIGITS] for i in range(0, len(text), DIGITS)]
 
 
+@dataclass(frozen=True, slots=True)
+class RiskThreshold:
+    """Threshold above which `predict --reject risk` rejects a label, and its guarantee."""
+
+    kind: str  # Kind of uncertainty that the threshold is of
+    threshold: float
+    at_most: float  # Largest share of the points that may be accepted and wrong, 0…1
+    confidence: float | None  # That the guarantee holds for most units; None: for their mean
+    scans: int  # Number of scans that it was chosen on
+    sequences: tuple[str, ...]  # Their sequences
+    unit: str = "scan"  # {"scan", "drive"}: what the guarantee is about
+    digests: str = ""  # Digests of these scans, joined
+    settings: Json = field(default_factory=dict)  # As of `labels_depend_on`
+    view: FittedView | None = None  # Fitted to these scans
+    other_views: tuple[FittedView, ...] = ()  # Of the other sensors, if there are several
+    # Thresholds of classes that have one of their own
+    classes: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        numbers = (self.threshold, self.at_most, *self.classes.values())
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError(f"risk holds {shortened(numbers)}")
+        parted(self.digests)  # Raises an error if these are no digests.
+
+    @property
+    def views(self) -> tuple[FittedView, ...]:
+        """Views of all sensors; empty where none was fitted."""
+        return (self.view, *self.other_views) if self.view else ()
+
+
+@dataclass(frozen=True, slots=True)
+class AccuracyLine:
+    """Line from the logit of a run's mean confidence to that of its accuracy."""
+
+    slope: float
+    offset: float
+    deviation: float  # Root mean square of the accuracy about the line, 0…1
+    inherited_from: str | None = None  # Weights that it was fitted to, if these are others
+
+    def to_dict(self) -> Json:
+        """Return plain data, without what is not set."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.slope, self.offset, self.deviation))):
+            raise ValueError(f"accuracy holds {self}")
+
+
+FITTED = {"error": ErrorModel, "risk": RiskThreshold, "accuracy": AccuracyLine}
+"""Parts of a card that may be absent."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightsCard:
     """Metadata of a weights file."""
 
     # Name and numbers of the network, as `registry.build` takes them
-    architecture: Mapping[str, Any]
+    architecture: Json
     space: LabelSpace  # The classes that the logits stand for
     sensor: Sensor  # The geometry and normalisation that the network was trained with
     # The resolved training recipe; empty if unknown
-    recipe: Mapping[str, Any] = field(default_factory=dict)
+    recipe: Json = field(default_factory=dict)
     # Measurements with these weights, and the data; empty if there are none
-    scores: Mapping[str, Any] = field(default_factory=dict)
+    scores: Json = field(default_factory=dict)
     description: str = ""  # A sentence or two on these weights
     # Divides the logits before the softmax, so that its values are probabilities; 1 if none was
     # fitted
     temperature: float = 1.0
     # Model of the probability that a label is wrong; None if none was fitted
     error: ErrorModel | None = None
-    # Threshold above which `predict --reject risk` rejects: its `kind` of uncertainty, `threshold`,
-    # `at_most`, `confidence`, `unit`, `scans` and `sequences` that it was chosen on, `settings`,
-    # those that labels depend on, by option, `view` that was fitted, and thresholds of `classes`
-    # that have their own; empty without
-    risk: Mapping[str, Any] = field(default_factory=dict)
-    # Line from the logit of a run's mean confidence to that of its accuracy: `slope`, `offset`, and
-    # `deviation` of the accuracy from it, 0…1; empty if none was fitted
-    accuracy: Mapping[str, Any] = field(default_factory=dict)
+    risk: RiskThreshold | None = None  # None if none was chosen
+    accuracy: AccuracyLine | None = None  # None if none was fitted
     # Digests of the scans that the weights were trained on, as far as they are known
     trained_on: frozenset[str] = frozenset()
     version: int | None = None  # Version of the default weights; None for other weights
@@ -100,15 +144,17 @@ class WeightsCard:
 
     def inherited(self) -> str:
         """Name the parts that were fitted to the weights that these began from; "" for none."""
-        parts = {"error model": self.error.scores if self.error else {}}
-        parts["expected accuracy"] = self.accuracy
-        of = {what: shortened(part[INHERITED]) for what, part in parts.items() if INHERITED in part}
+        parts = {
+            "error model": self.error and self.error.scores.get(INHERITED),
+            "expected accuracy": self.accuracy and self.accuracy.inherited_from,
+        }
+        of = {what: shortened(name) for what, name in parts.items() if name}
         names = " and ".join(dict.fromkeys(of.values()))
         return f"{' and '.join(of)} of {names}" if of else ""
 
     def changed(self, done: str) -> WeightsCard:
         """Return the card of changed weights, by a sentence: without scores and what was fitted."""
-        bare = replace(self, scores={}, error=None, risk={}, accuracy={}, version=None)
+        bare = replace(self, scores={}, error=None, risk=None, accuracy=None, version=None)
         return replace(bare, description=f"{self.description} {done}".lstrip())
 
     def to_metadata(self) -> dict[str, str]:
@@ -124,8 +170,7 @@ class WeightsCard:
             "recipe": dict(self.recipe),
             "scores": dict(self.scores),
         }
-        known: dict[str, Any] = {"error": self.error.to_dict() if self.error else {}}
-        known |= {name: dict(getattr(self, name)) for name in FITTED}
+        known = {name: plain(part) for name in FITTED if (part := getattr(self, name))}
         known |= {"trained_on": "".join(sorted(self.trained_on)), "weights_version": self.version}
         return {KEY: json.dumps(values | {name: part for name, part in known.items() if part})}
 
@@ -142,13 +187,9 @@ class WeightsCard:
             if form != FORMAT:
                 remedy = "use the version that wrote it"
                 raise WeightsError(source, f"format {shortened(form)}", FORMAT, remedy)
-            tables = (*TABLES, *(name for name in ("error", *FITTED) if name in values))
-            if bad := [key for key in tables if not isinstance(values[key], dict)]:
+            fitted = [name for name in FITTED if name in values]
+            if bad := [key for key in (*TABLES, *fitted) if not isinstance(values[key], dict)]:
                 raise TypeError(f"{bad[0]} is no table")
-            # A view that a threshold holds for is that of a sensor.
-            risk = values.get("risk", {})
-            for view in (risk.get("view", {}), *risk.get("other_views", ())):
-                Sensor.from_dict({**values["sensor"], **view}, source)
             if type(version := values.get("weights_version", 1)) is not int or version < 1:
                 raise ValueError(f"weights_version is {shortened(version)}")
             description, error = str(values["description"]), values.get("error")
@@ -164,8 +205,7 @@ class WeightsCard:
                 scores=values["scores"],
                 description=description,
                 temperature=valid_temperature(values["temperature"]),
-                error=None if error is None else ErrorModel.from_dict(error),
-                **{name: _numbers_of(name, values[name]) for name in FITTED if name in values},
+                **{name: decoded(FITTED[name], values[name]) for name in fitted},
                 trained_on=frozenset(parted(values.get("trained_on", ""))),
                 version=values.get("weights_version"),
             )
@@ -175,19 +215,30 @@ class WeightsCard:
             raise WeightsError(source, f"damaged metadata: {error_text(error)}") from error
 
 
-def _numbers_of(part: str, values: Any) -> dict[str, Any]:
-    """Check the numbers of a part that is a mapping."""
-    numbers = [values[name] for name in FITTED[part]]
-    if not all(type(each) in (int, float) and math.isfinite(each) for each in numbers):
-        raise ValueError(f"{part} holds {shortened(numbers)}")
-    if part == "risk":
-        of_risk = {"kind", "confidence", "sequences"} <= values.keys()
-        tables = [values.get(name, {}) for name in ("settings", "classes")]
-        if not (of_risk and all(isinstance(table, dict) for table in tables)):
-            raise ValueError("risk does not say what it holds for")
-        if not all(type(each) in (int, float) for each in tables[1].values()):
-            raise ValueError(f"risk holds {shortened(tables[1])}")
-    return dict(values)
+@dataclass(frozen=True, slots=True)
+class DescribedWeights:
+    """Card of a weights file, and its size and digest."""
+
+    path: Path
+    sha256: str
+    size: int  # In bytes
+    card: WeightsCard
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON."""
+        card = self.card
+        names = ("description", "architecture", "temperature", "recipe", "scores", "risk")
+        return {
+            "path": str(self.path),
+            **({"version": card.version} if card.version else {}),
+            "sha256": self.sha256,
+            "bytes": self.size,
+            **{name: plain(getattr(card, name)) for name in (*names, "accuracy", "sensor")},
+            "label_space": card.space.name,
+            "classes": list(card.space.names),
+            "error": card.error and dict(card.error.scores),
+            "trained_on": len(card.trained_on),
+        }
 
 
 def read_card(path: Path) -> WeightsCard:

@@ -35,6 +35,18 @@ class PaperFigures:
     determined: bool = True  # The text says all that the network is made of
 
 
+@dataclass(frozen=True, slots=True)
+class NetworkCosts:
+    """Costs of a network on range images, and the figures of its paper."""
+
+    name: str
+    parameters: int
+    multiply_accumulates: int
+    receptive_field: Sequence[int]  # Height and width in pixels
+    paper: PaperFigures
+    agrees: bool  # Whether the number of parameters is the paper's
+
+
 @cache
 def paper_figures() -> dict[str, PaperFigures]:
     """Return the figures of every network, by the name of the architecture."""

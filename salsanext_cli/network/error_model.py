@@ -97,7 +97,7 @@ class ErrorModel:
         logits = np.clip(last_values(features, self.layers), -30, 30)
         return (1 / (1 + np.exp(-logits))).astype(np.float32, copy=False)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data that `from_dict` accepts; numbers have seven digits."""
         layers = [[_rounded(weight), _rounded(bias)] for weight, bias in self.layers]
         data = {"features": list(self.features), "layers": layers, "scores": dict(self.scores)}

@@ -49,7 +49,7 @@ class Ignored:
     def __setstate__(self, state: object) -> None: ...
 
 
-STAND_INS: dict[str, Any] = {"collections.defaultdict": lambda *_: {}}
+STAND_INS: dict[str, object] = {"collections.defaultdict": lambda *_: {}}
 """Stand-ins that are filled as what they stand for: the state of an optimiser is one."""
 
 

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from rich.table import Table
 
 from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
@@ -61,7 +62,7 @@ class PickedLabels:
 def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) -> bytes:
     """Return a PLY of a scan, coloured by its labels, with scalars that CloudCompare shows."""
     scan, labels = labelled.scan, labelled.labels
-    columns: dict[str, Any] = dict(zip("xyz", scan.points.T, strict=True))
+    columns: dict[str, npt.NDArray[Any]] = dict(zip("xyz", scan.points.T, strict=True))
     columns |= zip(("red", "green", "blue"), space.colours[labels].T, strict=True)
     # CloudCompare takes properties of such names for scalars, without asking.
     columns["scalar_label"] = space.to_raw(labels)

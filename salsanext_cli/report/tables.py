@@ -13,7 +13,7 @@ from rich.text import Text
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few, printable
-from salsanext_cli.labelling.label_records import LabelImport
+from salsanext_cli.labelling.label_records import ImportedScan, LabelImport
 from salsanext_cli.measures.risk_control import promise
 from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores, band_rows
 from salsanext_cli.measures.survey import Survey
@@ -22,6 +22,8 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     RankingResult,
     UncertaintyEvaluation,
 )
+from salsanext_cli.network.card import DescribedWeights
+from salsanext_cli.network.complexity import NetworkCosts
 from salsanext_cli.records import CHANNELS
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -179,18 +181,18 @@ def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float)
     return table_of(("rate", "objective per point", ""), rows, title="Dropout rate")
 
 
-def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
+def network_table(networks: Sequence[NetworkCosts]) -> Table:
     """Return a table of the costs of networks, with the papers' figures in brackets."""
     rows = []
     for network in networks:
-        paper = network["paper"]
-        marks = ("" if network["agrees"] else "*") + ("" if paper["determined"] else "†")
-        height, width = network["receptive_field"]
-        flops = f"({paper['flops']} G)" if paper["flops"] else "(–)"
-        ious = (f"{paper[key] or ABSENT:>4}" for key in ("miou_pixels", "miou", "miou_test"))
-        parameters = f"{network['parameters']:,} ({paper['parameters']} M)"
-        macs = f"{network['multiply_accumulates'] / 1e9:.2f} G {flops:>10}"
-        name, field = network["name"] + marks, f"{height}×{width}"
+        paper = network.paper
+        marks = ("" if network.agrees else "*") + ("" if paper.determined else "†")
+        height, width = network.receptive_field
+        flops = f"({paper.flops} G)" if paper.flops else "(–)"
+        ious = (f"{iou or ABSENT:>4}" for iou in (paper.miou_pixels, paper.miou, paper.miou_test))
+        parameters = f"{network.parameters:,} ({paper.parameters} M)"
+        macs = f"{network.multiply_accumulates / 1e9:.2f} G {flops:>10}"
+        name, field = network.name + marks, f"{height}×{width}"
         rows.append((name, parameters, macs, field, " ".join(ious)))
     costs = ("parameters", "MACs at\n64×2048\n(FLOPs)", "receptive\nfield")
     headings = ("name", *costs, "mIoU\nwithout kNN,\nwith, on test")
@@ -201,26 +203,26 @@ def network_table(networks: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
-def card_table(card: Mapping[str, Any]) -> Table:
+def card_table(file: DescribedWeights) -> Table:
     """Return a table of the card of a weights file."""
-    sensor = card["sensor"]
-    view = f"{sensor['fov_up']:+g}° to {sensor['fov_down']:+g}°"
+    card, sensor, error = file.card, file.card.sensor, file.card.error
+    view = f"{sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
     rows = {
-        "weights": f"default weights version {card['version']}" if "version" in card else "",
-        "what": card["description"] or ABSENT,
-        "architecture": ", ".join(f"{k} {v}" for k, v in card["architecture"].items()),
-        "temperature": f"{card['temperature']:.4g}",
-        "label space": f"{card['label_space']}, {len(card['classes'])} classes",
-        "sensor": f"{sensor['name']}, {sensor['height']}×{sensor['width']}, {view}",
-        "scores of the scans that chose the weights": _scores(card["scores"]) or ABSENT,
-        "error model, on held-out scans": card["error"] and (_scores(card["error"]) or ABSENT),
-        "threshold of risk": card["risk"] and promise(card["risk"]),
-        "scans known from training": card["trained_on"] and f"{card['trained_on']:,}",
-        "size": f"{card['bytes'] / 1e6:.1f} MB",
-        "SHA-256": card["sha256"],
+        "weights": f"default weights version {card.version}" if card.version else "",
+        "what": card.description or ABSENT,
+        "architecture": ", ".join(f"{k} {v}" for k, v in card.architecture.items()),
+        "temperature": f"{card.temperature:.4g}",
+        "label space": f"{card.space.name}, {card.space.class_count} classes",
+        "sensor": f"{sensor.name}, {sensor.height}×{sensor.width}, {view}",
+        "scores of the scans that chose the weights": _scores(card.scores) or ABSENT,
+        "error model, on held-out scans": error and (_scores(error.scores) or ABSENT),
+        "threshold of risk": card.risk and promise(card.risk),
+        "scans known from training": card.trained_on and f"{len(card.trained_on):,}",
+        "size": f"{file.size / 1e6:.1f} MB",
+        "SHA-256": file.sha256,
     }
-    known = [(name, text) for name, text in rows.items() if text]
-    table = table_of(("", "value"), known, texts=["value"], title=card["path"])
+    known = [(name, str(text)) for name, text in rows.items() if text]
+    table = table_of(("", "value"), known, texts=["value"], title=str(file.path))
     table.show_header = False
     return table
 
@@ -277,19 +279,21 @@ def _class_table(total: Survey, space: LabelSpace) -> Table:
     return table_of(headings, rows, texts=headings[1:2], title="Classes")
 
 
-def imported_table(scans: Sequence[Mapping[str, Any]]) -> Table:
+def imported_table(scans: Sequence[ImportedScan]) -> Table:
     """Return a table with the numbers of points of each imported scan, and of all."""
+    points = [[getattr(scan, name) for name in IMPORTED] for scan in scans]
     rows = (
-        (scan["scan"], *(f"{scan[name]:,}" for name in IMPORTED), scan["scalar"]) for scan in scans
+        (scan.scan, *map("{:,}".format, numbers), scan.scalar)
+        for scan, numbers in zip(scans, points, strict=True)
     )
-    totals = (sum(scan[name] for scan in scans) for name in IMPORTED)
+    totals = map(sum, zip(*points, strict=True))
     all_scans = ("all", *(f"{total:,}" for total in totals))
     return table_of(("scan", *IMPORTED, "from"), rows, totals=[all_scans], texts=["from"])
 
 
 def imported_lines(made: LabelImport, dataset: Path) -> Iterator[str]:
     """Yield a line about what was imported, and one about each group of scans that was not."""
-    failed = sum(len(failure["files"]) for failure in made.failures)
+    failed = sum(len(failure.files) for failure in made.failures)
     others = f", {counted(failed, 'file')} failed" if failed else ""
     yield f"import-labels: {counted(len(made.scans), 'scan')}{others} → {dataset}"
     if shares := made.largest_classes():

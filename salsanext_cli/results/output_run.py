@@ -2,7 +2,7 @@
 """The owner of an output folder, in which several stages leave results of the same scans."""
 
 import io
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,16 +17,17 @@ from salsanext_cli.errors import OutputError, shortened
 from salsanext_cli.files.reading import filled
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.results.layout import DISAGREEMENT, ERROR, ScanFile, find_outputs, output_path
-from salsanext_cli.results.owned_folder import OwnedFolder, not_own
-from salsanext_cli.results.stage_records import (
+from salsanext_cli.results.manifest import (
     MAX_PATH_CHARACTERS,
+    Manifest,
     ScanSource,
     StageRecord,
-    StageRecords,
-    as_json,
     merged_sources,
     require_same_settings,
+    settings_json,
 )
+from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.settings import StageSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,45 +72,49 @@ class OutputRun(OwnedFolder):
 
     def claim(self, wanted: StageRecord) -> StageRecord:
         """Bring the records, which are locked, and the results to what the run wants, or refuse."""
-        known = StageRecords(self.root).records()
-        recorded = known.pop(self.stage, None)
-        before = recorded or StageRecord(self.stage, wanted.settings)
-        same = before.settings == wanted.settings
-        others = [each for each in known.values() if {*each.folders} & {*wanted.folders}]
-        if "predictions" in wanted.folders and not same and "fuse" in known:
+        known = self.manifest.records()
+        before = known.pop(self.stage, None) or StageRecord(self.stage, wanted.settings)
+        same = before.has_settings(wanted.settings)
+        others = [each for each in known.values() if {*each.writes} & {*wanted.writes}]
+        if "predictions" in wanted.writes and not same and "fuse" in known:
             others.append(known["fuse"])
         if not self.overwrite:
             require_same_settings(self.record_path, before.settings, wanted.settings)
             for other in others:
-                folder = next(name for name in wanted.folders if name in other.folders)
+                folder = next(name for name in wanted.writes if name in other.writes)
                 found = f"{folder}/ holds the results of `{other.stage}`"
                 remedy = "use another output folder, or --overwrite to replace them"
-                raise OutputError(self.root / f"{other.stage}.json", found, remedy=remedy)
+                raise OutputError(self.manifest.path(other.stage), found, remedy=remedy)
         # Nothing is removed before it is certain that the run may begin, but locks of killed runs.
         for each in (before, *others):
             of_stage = OwnedFolder(self.root, each.stage)
             if of_stage.is_shared() and not (same and each is before):
                 raise of_stage.busy()
-        kept = [] if same else self.remove_own(self._results_in(before.folders))
+        kept = [] if same else self.remove_own(self._results_in(before.writes))
         for other in others:
-            kept += self._take_over(other, wanted.folders)
-        taken = {folder for each in (before, *others) for folder in each.folders}
-        kept += self._remove_unrecorded(name for name in wanted.folders if name not in taken)
-        names = frozenset(path.relative_to(self.root).as_posix() for path in kept)
-        merged = replace(wanted, kept=names)
+            kept += self._take_over(other, wanted.writes)
+        taken = {folder for each in (before, *others) for folder in each.writes}
+        kept += self._remove_unrecorded(name for name in wanted.writes if name not in taken)
+        names = {path.relative_to(self.root).as_posix() for path in kept}
+        merged = replace(wanted, kept=tuple(sorted(names)))
         if same:
-            merged = _merged(before, merged)
+            merged = replace(
+                merged,
+                settings=before.settings,
+                writes=tuple(sorted({*before.writes, *wanted.writes})),
+                scans=merged_sources((before.scans, wanted.scans)),
+                kept=tuple(sorted({*before.kept, *names})),
+            )
         # The record comes last: without it, a run that was killed before begins anew.
-        if merged != recorded:
-            merged.write(self.root)
+        self.manifest.write(merged)
         return merged
 
     def _take_over(self, other: StageRecord, folders: Collection[str]) -> list[Path]:
         """Remove the results of another stage from folders, and what is known of its labels."""
         taken = {*folders, ERROR, DISAGREEMENT, "views"} if "predictions" in folders else {*folders}
-        kept = self.remove_own(self._results_in(each for each in other.folders if each in taken))
-        left = tuple(name for name in other.folders if name not in taken)
-        replace(other, folders=left).write(self.root)
+        kept = self.remove_own(self._results_in(each for each in other.writes if each in taken))
+        left = tuple(name for name in other.writes if name not in taken)
+        self.manifest.write(replace(other, writes=left))
         return kept
 
     def _remove_unrecorded(self, folders: Iterable[str]) -> list[Path]:
@@ -132,36 +137,30 @@ def encode_array(array: npt.NDArray[Any]) -> bytes:
         return file.getvalue()
 
 
-def _merged(recorded: StageRecord, wanted: StageRecord) -> StageRecord:
-    """Return a record of what was done before with the same settings, and of what is wanted."""
-    scans = merged_sources((recorded.scans, wanted.scans))
-    folders = tuple(sorted({*recorded.folders, *wanted.folders}))
-    return replace(wanted, folders=folders, scans=scans, kept=wanted.kept | recorded.kept)
-
-
 def _scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]:
     """Return where scans lie, and their files, by sequence; refuse others than recorded ones."""
-    known, sources = StageRecords(out).sources(), dict[str, ScanSource]()
+    known, suffixes = Manifest(out).sources(), dict[str, dict[str, str]]()
+    folders = dict[str, str]()
     for scan in scans:
-        folder, suffix = str(scan.path.parent), scan.path.name[len(scan.stem) :]
-        source = sources.setdefault(scan.sequence, ScanSource(folder, {}))
-        recorded = known.get(scan.sequence, source)
+        suffix = scan.path.name[len(scan.stem) :]
+        folder = folders.setdefault(scan.sequence, str(scan.path.parent))
+        recorded = known.get(scan.sequence, ScanSource(folder, {}))
         other = scan.stem + (recorded.suffixes.get(scan.stem) or suffix)
-        if recorded.folder != folder or other != scan.path.name:
+        if recorded.folder != str(scan.path.parent) or other != scan.path.name:
             came_from = shortened(str(Path(recorded.folder, other)), MAX_PATH_CHARACTERS)
             found = f"results of sequence {scan.sequence} came from {came_from}"
             raise OutputError(
                 out, found, f"that file, not {scan.path}", "use another output folder"
             )
-        source.suffixes[scan.stem] = suffix
-    return sources
+        suffixes.setdefault(scan.sequence, {})[scan.stem] = suffix
+    return {name: ScanSource(folders[name], suffixes[name]) for name in folders}
 
 
 @contextmanager
 def output_run(
     out: Path,
     stage: str,
-    settings: Mapping[str, Any],
+    settings: StageSettings,
     folders: Iterable[str],
     scans: Sequence[ScanFile],
     *,
@@ -176,7 +175,7 @@ def output_run(
     # A contradiction of the scans themselves is an error before a folder is made.
     sources = _scan_sources(out, scans) if record_scans else {}
     run = OutputRun(out, stage, folders=tuple(folders), overwrite=overwrite)
-    wanted = StageRecord(stage, as_json(settings), tuple(sorted(run.folders)), sources)
+    wanted = StageRecord(stage, settings_json(settings), tuple(sorted(run.folders)), sources)
     with ExitStack() as stack:
         with run.locked_records():
             recorded = run.claim(wanted)
@@ -185,7 +184,7 @@ def output_run(
         run = replace(run, kept=frozenset(run.foreign_files(out / name for name in recorded.kept)))
         todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
         yield replace(run, kept=frozenset(run.foreign_files(todo)))
-        record = StageRecords(out).record(stage)
-        if record is None or record.settings != wanted.settings:
+        record = run.manifest.record(stage)
+        if record is None or not record.has_settings(wanted.settings):
             found = "was removed or replaced while results were written into it"
             raise OutputError(out, found, remedy="run again with --overwrite")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The one owner of a folder that a stage fills: locks, record of settings, written files, findings.
+"""Folder that a stage fills: its locks, the list of the files that were written, its findings.
 
 ``FOLDER/.salsanext.files/<machine>.tsv`` holds a line per file: its path below the folder
 (percent-encoded), its size in bytes and its time of modification in nanoseconds. Lines are only
@@ -8,7 +8,6 @@ own, since appending to one file over a network loses lines. Files that are not 
 changed since, are never removed; `OwnedFolder.remove_own` is all that removes results.
 """
 
-import json
 import logging
 import os
 import re
@@ -18,15 +17,16 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 from urllib.parse import quote_from_bytes, unquote_to_bytes
 from uuid import uuid4
 
 from salsanext_cli.errors import OutputError, first_few
-from salsanext_cli.files.atomic import MARK, refusal, sweep, sweep_stale, writing
-from salsanext_cli.files.json_files import encode_json, read_json, write_json
+from salsanext_cli.files.atomic import MARK, append_line, refusal, sweep, sweep_stale, writing
+from salsanext_cli.files.json_files import read_record, write_json
 from salsanext_cli.files.locks import locked
 from salsanext_cli.files.reading import filled, present, reading
+from salsanext_cli.results.manifest import Manifest
 
 FILE_LISTS = ".salsanext.files"
 PLACES = (
@@ -44,6 +44,14 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
+class _Findings:
+    """Reasons to doubt the scans of all runs of a stage."""
+
+    stage: str
+    scans: dict[str, list[Texts]]  # By name of the scan
+
+
+@dataclass(frozen=True, slots=True)
 class OwnedFolder:
     """Folder that a stage fills; small enough to be sent to other processes."""
 
@@ -52,9 +60,14 @@ class OwnedFolder:
     part: str = ""  # Folder below the root that has lock and record, if it is not the root
 
     @property
+    def manifest(self) -> Manifest:
+        """Records of the stages that ran in the folder."""
+        return Manifest(self.root / self.part)
+
+    @property
     def record_path(self) -> Path:
         """Path of the record of the stage's settings."""
-        return self.root / self.part / f"{self.stage}.json"
+        return self.manifest.path(self.stage)
 
     @contextmanager
     def open(self, *, shared: bool = False) -> Iterator[None]:
@@ -98,23 +111,12 @@ class OwnedFolder:
     def _places(self) -> list[Path]:
         return [self.root, *(place for below in PLACES for place in self.root.glob(below))]
 
-    def recorded(self) -> dict[str, Any] | None:
-        """Return the record of an earlier run of the stage, None if there was none."""
-        return read_json(self.record_path)
-
     def require_new(self) -> None:
         """Refuse a folder that holds something, but no record of the stage."""
         if present(self.record_path) or not present(self.root):
             return
         if not self.root.is_dir() or any(p.name[0] != "." for p in self.root.iterdir()):
             raise OutputError(self.root, "holds something else", "a new or empty folder")
-
-    def begin(self, record: Mapping[str, Any], replaced: Iterable[Path] = ()) -> None:
-        """Remove what earlier runs wrote, and only then record what is written from now on."""
-        self.remove_own(replaced)
-        # JSON has lists for tuples.
-        if self.recorded() != json.loads(json.dumps(record)):
-            self.write(self.record_path, encode_json(record), durable=True)
 
     @contextmanager
     def writing(self, path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
@@ -202,12 +204,8 @@ class OwnedFolder:
 
     def findings(self) -> dict[str, list[Texts]]:
         """Return what runs of the stage found, by the name of the scan; empty if none is kept."""
-        scans = (read_json(self._findings_path) or {}).get("scans", {})
-        try:
-            return {name: [(c, m, r) for c, m, r in found] for name, found in scans.items()}
-        except (AttributeError, TypeError, ValueError) as error:
-            path, remedy = self._findings_path, "delete it or use another folder"
-            raise OutputError(path, f"not what `{self.stage}` writes", remedy=remedy) from error
+        recorded = read_record(_Findings, self._findings_path)
+        return recorded.scans if recorded else {}
 
     def keep_findings(
         self, found: Mapping[str, list[Texts]], looked_at: Collection[str]
@@ -218,8 +216,8 @@ class OwnedFolder:
             earlier = {name: texts for name, texts in known.items() if name not in looked_at}
             if present(self._findings_path) or found:
                 everything = {**earlier, **{name: sorted(texts) for name, texts in found.items()}}
-                content = {"stage": self.stage, "scans": dict(sorted(everything.items()))}
-                write_json(self._findings_path, content)
+                scans = dict(sorted(everything.items()))
+                write_json(self._findings_path, _Findings(self.stage, scans))
         return earlier
 
     @property
@@ -234,17 +232,8 @@ class OwnedFolder:
         machine = re.sub(r"[^\w.-]", "_", socket.gethostname())
         listing = self.root / FILE_LISTS / f"{machine}.tsv"
         name = quote_from_bytes(os.fsencode(path.relative_to(self.root)))
-        # The line end comes first too: the line before may have been cut off.
-        line = f"\n{name}\t{status.st_size}\t{status.st_mtime_ns}\n".encode()
-        try:
-            listing.parent.mkdir(parents=True, exist_ok=True)
-            # Unbuffered, it is one write, and those of other processes do not mix with it.
-            with listing.open("ab", buffering=0) as file:
-                file.write(line)
-                if durable:
-                    os.fsync(file.fileno())
-        except OSError as error:
-            raise refusal(listing, error) from error
+        line = f"{name}\t{status.st_size}\t{status.st_mtime_ns}".encode()
+        append_line(listing, line, durable=durable)
 
 
 def not_own(path: Path) -> OutputError:

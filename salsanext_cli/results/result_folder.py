@@ -37,6 +37,8 @@ from salsanext_cli.results.layout import (
     require_unique_stems,
     with_outputs,
 )
+from salsanext_cli.results.manifest import MAX_PATH_CHARACTERS, Manifest, ScanSource
+from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery
 from salsanext_cli.results.selection import (
     MissingResults,
@@ -45,7 +47,6 @@ from salsanext_cli.results.selection import (
     space_of_labels,
     with_splits,
 )
-from salsanext_cli.results.stage_records import MAX_PATH_CHARACTERS, ScanSource, StageRecords
 from salsanext_cli.results.uncertainty_kinds import MEANT_BY_UNCERTAINTY, PREDICT, UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -123,7 +124,7 @@ class ChosenResults:
 
 
 @dataclass(frozen=True, slots=True)
-class ResultFolder(StageRecords):
+class ResultFolder(Provenance):
     """Output folder of earlier stages, to be read."""
 
     dataset: Path | None = None  # Where scans and labels are, if not where the scans came from
@@ -155,14 +156,14 @@ class ResultFolder(StageRecords):
     def _require_current(self) -> None:
         """Refuse fused labels if those that they were fused of were made anew since."""
         fused = self.settings("fuse")
-        if fused is None or "fused_of" not in fused:
+        if fused is None or fused.fused_of is None:
             return
-        single = StageRecords(self.root / fused["fused_of"])
+        single = Manifest(self.root / fused.fused_of)
         origins = single.origins(SINGLE_SCAN_STAGES)
-        if origins and origins != fused["origins"]:
+        if origins and origins != fused.origins:
             out = os.path.normpath(single.root)
             found = f"fused of labels in {out} that were made anew since"
-            softmax = single.owner("votes") or single.owner("probabilities")
+            softmax = single.owner("votes", "probabilities")
             words = ["fuse", out, str(self.root)]
             words = words if softmax else ["predict", "SCANS", out, "--fuse"]
             remedy = f"run `salsanext {shlex.join(words)} --overwrite`"
@@ -232,20 +233,19 @@ class ResultFolder(StageRecords):
         labels = space_of_labels(scans, space, query.label_space)
         return ChosenResults(scans, space, labels, missing)
 
-    def provenance(self, selection: ScanSelection) -> dict[str, Any]:
+    def provenance(self, selection: ScanSelection) -> dict[str, object]:
         """Return, as plain data, what was chosen and which stage and weights predicted it."""
         stage = self.owner("predictions")
-        softmax: Mapping[str, Any] = self.settings("predict") or {}
-        estimated: Mapping[str, Any] = self.settings("uncertainty") or {}
+        softmax, estimated = self.settings("predict"), self.settings("uncertainty")
         made_by = {name for name in (stage, "uncertainty" if estimated else None) if name}
         recorded = {
             "dataset": str(self.dataset.absolute()) if self.dataset else None,
             "predictions_of": stage,
             "weights": self.weights("predictions"),
-            "temperature": softmax.get("temperature"),
+            "temperature": softmax.temperature if softmax else None,
             "reject": rejection.above if (rejection := self.rejection()) else None,
-            "uncertainty": {k: estimated[k] for k in UNCERTAINTY_SETTINGS if k in estimated}
-            or None,
+            "uncertainty": estimated
+            and {k: v for k in UNCERTAINTY_SETTINGS if (v := getattr(estimated, k)) is not None},
             "origins": self.origins(sorted(made_by)),
         }
         return asdict(selection) | recorded
@@ -267,7 +267,7 @@ class ResultFolder(StageRecords):
         count = len(scan)
         label, instance = _labels(self._path(file, "label"), count)
         recorded = self.settings_of("predictions")
-        if instance is not None and not (instance.any() or (recorded and "objects" in recorded)):
+        if instance is not None and not (instance.any() or (recorded and recorded.objects)):
             instance = None
         if label is not None and classes is not None:
             label = classes.to_raw(classes.to_train(label, strict=False))

@@ -6,7 +6,7 @@ import os
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class MissingResults:
             message = "%d of %d scans have no %s and are left out, the first is %s"
             log.error(message, len(self.scans), count, what, self.scans[0].name)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         missing = [str(scan.path) for scan in self.scans]
         return {"missing": missing, "not_asked_for": self.not_asked_for}

@@ -42,7 +42,7 @@ UP = (0.0, 0.0, 1.0)  # Direction of the z axis, away from the ground
 ORIGIN = (0.0, 0.0, 0.0)
 FITTED_NAME = "fitted"  # Name of a sensor whose view or mounting was found from scans
 OPTIONAL = (
-    *("columns", "up", "origin", "intensity_quantiles", "row_gaps", "min_range", "ego_box"),
+    *(*NOISE, "columns", "up", "origin", "intensity_quantiles", "row_gaps", "min_range", "ego_box"),
     *("traits", "others"),
 )
 """Fields that are written only where a sensor has another value than their default."""
@@ -141,6 +141,11 @@ class Sensor:
         """The sensor alone, and the others."""
         return replace(self, others=()), *self.others
 
+    def without_noise(self) -> Sensor:
+        """Return the sensor with what labels depend on, and its name."""
+        others = tuple(each.without_noise() for each in self.others)
+        return replace(self, others=others, range_noise=None, intensity_noise=None)
+
     def to_dict(self, without: Collection[str] = ()) -> dict[str, Any]:
         """Return plain data that `from_dict` accepts, without the defaults of `OPTIONAL`."""
         values = asdict(self) | {"others": tuple(each.to_dict(without) for each in self.others)}
@@ -180,6 +185,22 @@ class Sensor:
         """Return the same sensor with another image size."""
         height = self.height if height is None else height
         return replace(self, height=height, width=self.width if width is None else width)
+
+
+@dataclass(frozen=True, slots=True)
+class FittedView:
+    """What a fit of the view to scans changes of a sensor."""
+
+    name: str
+    fov_up: float  # Edges of the field of view in degrees
+    fov_down: float
+    up: tuple[float, ...] = UP  # Direction away from the ground
+    origin: tuple[float, ...] = ORIGIN  # Place of the sensor in the frame of the files, metres
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> FittedView:
+        """Return the view of a sensor."""
+        return cls(sensor.name, sensor.fov_up, sensor.fov_down, sensor.up, sensor.origin)
 
 
 def are_columns(names: tuple[str, ...]) -> bool:

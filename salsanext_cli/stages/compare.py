@@ -2,7 +2,8 @@
 """Stage `compare`: two runs on the same scans, what changed, and whether it is better."""
 
 import logging
-from collections.abc import Collection
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -24,7 +25,7 @@ from salsanext_cli.files.reading import present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.measures.paired import RunComparison, ScanPair
-from salsanext_cli.measures.scan_counts import ScanCounts, count_scan
+from salsanext_cli.measures.scan_counts import ScanComparison, ScanCounts
 from salsanext_cli.measures.scores import class_sums, confusion_matrix, scored_rows
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.comparison import change_picture, comparison_page
@@ -43,15 +44,11 @@ log = logging.getLogger(__name__)
 
 def compare_scan(
     file: ScanFile,
-    runs: tuple[ResultFolder, ResultFolder],
-    space: LabelSpace,
-    labels: LabelSpace,
-    by_distance: bool,
-    sensor: Sensor,
-    trained_on: Collection[str],
+    comparisons: tuple[ScanComparison, ScanComparison],
 ) -> tuple[ScanPair, list[ScanCounts]]:
     """Compare the labels of a scan by two runs with each other, and with the truth if there is."""
-    paths = [output_path(run.root, file.sequence, "predictions", file.stem) for run in runs]
+    space = comparisons[0].space
+    paths = [output_path(c.out, file.sequence, "predictions", file.stem) for c in comparisons]
     before, after = (space.to_train(read_labels(path), strict=False, source=path) for path in paths)
     if len(before) != len(after):
         found, remedy = counted(len(after), "label"), "compare runs on the same scans"
@@ -59,11 +56,9 @@ def compare_scan(
     pair = ScanPair(file, confusion_matrix(before, after, space.class_count))
     if not present(file.label_path):
         return pair, []
-    counts = []
-    for run in runs:
-        compared_in = (space, by_distance, sensor, labels, run.merging_into(space), trained_on)
-        counts.append(count_scan(file, run.root, *compared_in))
-        counts[-1].histograms.clear()
+    counts = [comparison.count(file) for comparison in comparisons]
+    for each in counts:
+        each.histograms.clear()
     parts = zip(*((each.confusion, *each.bands) for each in counts), strict=True)
     sums = [[class_sums(scored_rows(each, space)) for each in part] for part in parts]
     return pair._replace(sums=np.array(sums), trained_on=bool(counts[0].trained_on)), counts
@@ -91,11 +86,45 @@ def compare(
         raise UsageError("OUT_B", f"{after}, as OUT_A", "the folder of another run")
     runs = ResultFolder(before, query.dataset), ResultFolder(after, query.dataset)
     OwnedFolder(after).require_own([after / name for name in FILES])
-    (chosen, compared), (others, own) = (
+    both, alone, space = _common_scans(runs, query)
+    sensor, labels = runs[0].sensor(), space_of_labels(both, space, query.label_space)
+    trained_on = runs[0].trained_on() | runs[1].trained_on()
+    one, other = (
+        replace(
+            ScanComparison.of_results(run, space, labels, by_distance=by_distance),
+            sensor=sensor,
+            rejection=None,
+            trained_on=trained_on,
+        )
+        for run in runs
+    )
+    pairs, failures = _compared(both, (one, other), options)
+    rejecting = any(run.rejection() for run in runs)
+    result = RunComparison(space, sorted(pairs, key=lambda pair: pair.file), rejecting)
+    pictures = []
+    for pair in result.most_changed()[:SHOWN]:
+        try:
+            old, new = (run.read(pair.file, sensor, space, (labels, space)) for run in runs)
+            pictures.append(change_picture(pair, old, new, space, sensor))
+        except SalsanextError as error:
+            log.warning("not shown: %s", error)
+    content = {"stage": "compare", "before": str(before), "after": str(after), "alone": alone}
+    content |= {"weights": [run.weights("predictions") for run in runs], **result.to_dict()}
+    files = encode_json(escaped(content)), comparison_page(result, f"{before} → {after}", pictures)
+    OwnedFolder(after).replace(dict(zip((after / name for name in FILES), files, strict=True)))
+    return result, failures
+
+
+def _common_scans(
+    runs: tuple[ResultFolder, ResultFolder], query: ResultQuery
+) -> tuple[list[ScanFile], int, LabelSpace]:
+    """Return the scans with labels of both runs, the number of the others, and the classes."""
+    before, after = (run.root for run in runs)
+    (chosen, space), (others, own) = (
         run.predicted(query.selection, query.label_space, query.classes) for run in runs
     )
-    if not compared.fits(own):
-        found = f"{first_few(compared.differences(own))}"
+    if not space.fits(own):
+        found = f"{first_few(space.differences(own))}"
         raise UsageError(after, found, f"the classes of {before}", "merge both, --classes coarse")
     of_before, of_after = (
         {scan.name: scan for scan in with_outputs(each, run.root, "predictions")}
@@ -104,17 +133,21 @@ def compare(
     both = [scan for name, scan in of_before.items() if name in of_after]
     if not both:
         raise NoInputError(after, f"no scan that {before} has labels of", "the same scans")
-    sensor = runs[0].sensor()
     for _, members in groupby(both, lambda scan: scan.sequence):
-        _require_same(first := next(members), of_after[first.name], sensor)
+        _require_same(first := next(members), of_after[first.name], runs[0].sensor())
     if alone := len(of_before.keys() ^ of_after):
         log.warning("%s left out, with labels of one run only", counted(alone, "scan"))
-    labels = space_of_labels(both, compared, query.label_space)
-    trained_on = runs[0].trained_on() | runs[1].trained_on()
-    task = partial(compare_scan, runs=runs, space=compared, labels=labels, sensor=sensor)
-    task = partial(task, by_distance=by_distance, trained_on=trained_on)
+    return both, alone, space
+
+
+def _compared(
+    scans: Sequence[ScanFile],
+    comparisons: tuple[ScanComparison, ScanComparison],
+    options: RunOptions,
+) -> tuple[list[ScanPair], tuple[Failure, ...]]:
+    """Compare the labels of scans by two runs, and log what the scores do not tell."""
     pairs: list[ScanPair] = []
-    totals = [ScanCounts.none(compared, by_distance) for _ in runs]
+    totals = [ScanCounts.none(each.space, each.by_distance) for each in comparisons]
 
     def keep(found: tuple[ScanPair, list[ScanCounts]]) -> None:
         pairs.append(found[0])
@@ -122,23 +155,12 @@ def compare(
             for total, counts in zip(totals, found[1], strict=bool(found[1])):
                 total.add(counts)
 
-    outcome = run_over_scans(task, both, options, on_result=keep)
+    task = partial(compare_scan, comparisons=comparisons)
+    outcome = run_over_scans(task, scans, options, on_result=keep)
     if not pairs:
-        raise NoInputError(after, f"no scan could be compared, as {outcome.failures[0].reason}")
-    for total, run in zip(totals, runs, strict=True):
-        for text in total.label_warnings(compared):
-            log.warning("%s: %s", run.root, text)
-    rejecting = any(run.rejection() for run in runs)
-    result = RunComparison(compared, sorted(pairs, key=lambda pair: pair.file), rejecting)
-    pictures = []
-    for pair in result.most_changed()[:SHOWN]:
-        try:
-            old, new = (run.read(pair.file, sensor, compared, (labels, compared)) for run in runs)
-            pictures.append(change_picture(pair, old, new, compared, sensor))
-        except SalsanextError as error:
-            log.warning("not shown: %s", error)
-    content = {"stage": "compare", "before": str(before), "after": str(after), "alone": alone}
-    content |= {"weights": [run.weights("predictions") for run in runs], **result.to_dict()}
-    files = encode_json(escaped(content)), comparison_page(result, f"{before} → {after}", pictures)
-    OwnedFolder(after).replace(dict(zip((after / name for name in FILES), files, strict=True)))
-    return result, outcome.failures
+        reason = outcome.failures[0].reason
+        raise NoInputError(comparisons[1].out, f"no scan could be compared, as {reason}")
+    for total, comparison in zip(totals, comparisons, strict=True):
+        for text in total.label_warnings(comparison.space):
+            log.warning("%s: %s", comparison.out, text)
+    return pairs, outcome.failures

@@ -13,6 +13,7 @@ from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, require_none_hidden
+from salsanext_cli.results.manifest import StageRecord
 from salsanext_cli.results.owned_folder import OwnedFolder
 
 TIMES = "times.txt"
@@ -48,7 +49,7 @@ def convert(
         before = sorted(place.iterdir()) if place.is_dir() else []
         scans = [path for path in before if not path.name.startswith(".")]
         owned.require_own([*scans, place.parent / TIMES])
-        owned.begin(_source_of(listed[0], owned))
+        owned.manifest.write(_source_of(listed[0], owned))
         empty: set[str] = set()
         task = partial(_convert_scan, owned=owned, place=place)
 
@@ -80,15 +81,15 @@ def _convert_scan(scan: ScanFile, owned: OwnedFolder, place: Path) -> tuple[str,
     return ()
 
 
-def _source_of(first: ScanFile, owned: OwnedFolder) -> dict[str, str]:
+def _source_of(first: ScanFile, owned: OwnedFolder) -> StageRecord:
     """Return the record of where scans come from; refuse a folder with those of another topic."""
     recording = recording_of(first.path) or first.path
     topic = str(first.path.parent.relative_to(recording))
-    wanted = {"stage": "convert", "recording": recording.name, "topic": topic, "first": first.stem}
-    recorded = owned.recorded()
-    if recorded is not None and recorded != wanted:
-        of_topic = (shortened(recorded.get(key)) for key in ("recording", "topic"))
+    wanted = {"recording": recording.name, "topic": topic, "first": first.stem}
+    recorded = owned.manifest.record(owned.stage)
+    if recorded and recorded.settings != wanted:
+        of_topic = (shortened(recorded.settings.get(key)) for key in ("recording", "topic"))
         found = f"scans of {', '.join(of_topic)}"
         expected = f"those of {recording.name}, {topic}"
         raise OutputError(owned.record_path.parent, found, expected, "choose another folder")
-    return wanted
+    return recorded or StageRecord(owned.stage, wanted)

@@ -4,22 +4,20 @@
 import hashlib
 import logging
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import LabelError, NoInputError, counted, escaped
-from salsanext_cli.files.json_files import encode_json
+from salsanext_cli.files.json_files import Json, as_json, encode_json, plain
 from salsanext_cli.files.reading import present
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.panoptic import panoptic_quality
 from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED, KeptLabels, RiskBoundCheck
-from salsanext_cli.measures.scan_counts import BAND_NAMES, CountsApart, ScanCounts, count_scan
-from salsanext_cli.measures.scores import Scores, band_rows, plain, scores
+from salsanext_cli.measures.scan_counts import BAND_NAMES, CountsApart, ScanComparison, ScanCounts
+from salsanext_cli.measures.scores import Scores, band_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
@@ -31,7 +29,6 @@ from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import MissingResults, space_of_labels
-from salsanext_cli.results.stage_records import as_json
 from salsanext_cli.version import __version__
 
 FILES = ("scores.txt", *PICTURES, "eval.json")  # An evaluation may write these
@@ -51,7 +48,7 @@ class Evaluation:
     by_distance: dict[str, Scores]  # Scores by name of the band; empty if not requested
     missing: MissingResults  # Scans without predictions, left out
     failures: tuple[Failure, ...]  # Scans that could not be compared, left out
-    settings: dict[str, Any]  # Settings of the evaluation and of the predictions
+    settings: dict[str, object]  # Settings of the evaluation and of the predictions
     # Results for the probabilities and uncertainties, if there are any
     uncertainty: UncertaintyEvaluation
     kept: KeptLabels | None  # Coverage and risk of the labels of a run that rejected some
@@ -59,7 +56,7 @@ class Evaluation:
     folder: Path  # Where it is written
     by_sequence: dict[str, Scores]
     # Panoptic quality, if objects were predicted and the labels have instances
-    panoptic: dict[str, Any] | None
+    panoptic: Json | None
 
     @property
     def object_sentence(self) -> str:
@@ -68,11 +65,29 @@ class Evaluation:
         qualities = ", ".join(f"{name.upper()} {100 * share:.1f} %" for name, share in means)
         return f"Objects, mean of the classes present: {qualities}."
 
-    def to_dict(self) -> dict[str, Any]:
+    def log_warnings(self) -> None:
+        """Log what the scores do not tell, or may tell wrongly."""
+        for text in self.counts.label_warnings(self.space):
+            log.warning("%s", text)
+        if self.promise and self.promise.is_exceeded:
+            log.warning("%s", RISK_BOUND_EXCEEDED)
+        compared = self.counts.scans + len(self.failures) + len(self.counts.missing)
+        self.missing.log_error(compared, "predictions")
+
+    def files(self) -> dict[str, bytes]:
+        """Return the content of the files of an evaluation by name."""
+        heading = f"# {ON_TRAINING_SCANS}\n" if self.counts.trained_on else ""
+        return {
+            "scores.txt": (heading + self.scores.official_yaml()).encode(),
+            **evaluation_pictures(self.scores, self.counts.confusion, self.uncertainty, self.space),
+            "eval.json": encode_json(escaped(self.to_dict())),
+        }
+
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON; null stands for NaN."""
         counts = self.counts
         unknown_ids = {"truth": counts.unknown_truth, "predictions": counts.unknown_predictions}
-        return {
+        content = {
             "stage": "eval",
             "version": __version__,
             "settings": self.settings,
@@ -81,22 +96,22 @@ class Evaluation:
             "trained_on": counts.left_out,
             "on_training_scans": counts.trained_on > 0,
             **self.missing.to_dict(),
-            "failures": [failure.to_dict() for failure in self.failures],
+            "failures": self.failures,
             "unknown_ids": {name: dict(sorted(ids.items())) for name, ids in unknown_ids.items()},
-            "scores": self.scores.to_dict(),
+            "scores": self.scores,
             "by_distance": {
-                name: band.to_dict() | {"iou_mean_same": plain(mean), "absent": absent}
+                name: plain(band) | {"iou_mean_same": mean, "absent": absent}
                 for name, band, mean, absent in band_rows(self.by_distance)
             },
-            "by_sequence": {name: each.to_dict() for name, each in self.by_sequence.items()},
+            "by_sequence": self.by_sequence,
             "by_scan": dict(sorted(counts.by_scan.items())),
             **({"panoptic": self.panoptic} if self.panoptic else {}),
-            "classes": list(self.space.names),
-            "confusion": counts.confusion.tolist(),
-            **self.uncertainty.to_dict(self.space),
-            "rejection": self.kept
-            and asdict(self.kept) | {"promise": self.promise and asdict(self.promise)},
+            "classes": self.space.names,
+            "confusion": counts.confusion,
+            **self.uncertainty.to_json(self.space),
+            "rejection": self.kept and plain(self.kept) | {"promise": self.promise},
         }
+        return dict(plain(content))
 
 
 def evaluate(
@@ -107,7 +122,7 @@ def evaluate(
     part: str = "",
     *,
     by_distance: bool = False,
-    settings: Mapping[str, Any] | None = None,
+    settings: dict[str, object] | None = None,
     labels: LabelSpace | None = None,
 ) -> Evaluation:
     """Compare the predictions in an output folder with the labels of the scans.
@@ -118,41 +133,32 @@ def evaluate(
     """
     folder = out / "eval" / part if part else out
     results = ResultFolder(out)
-    labels, merging = space_of_labels(scans, space, labels), results.merging_into(space)
-    own = {"by_distance": by_distance, "label_space": space.to_dict()}
-    if labels.learning_map != space.learning_map:
-        own["label_space_of_labels"] = labels.to_dict()
-    settings = dict(as_json({**(settings or {}), **own}))
+    labels = space_of_labels(scans, space, labels)
     own_files = [folder / name for name in FILES]
     OwnedFolder(out).require_own(own_files)
     _require_labels(scans)
-    apart = CountsApart(space, by_distance)
     recorded, promised = results.settings_of("predictions"), results.promised(space)
     # Those of other programs may have instances.
-    objects = recorded is None or bool(recorded.get("objects"))
-    count = partial(count_scan, out=out, space=space, labels=labels, merging=merging)
-    count = partial(count, by_distance=by_distance, sensor=results.sensor(), objects=objects)
-    count = partial(count, trained_on=results.trained_on(), rejection=results.rejection())
-    outcome = run_over_scans(count, scans, options, on_result=apart.add)
-    counts = apart.scored()
-    if not counts.scans:
-        if outcome.failures:
-            raise NoInputError(out, f"no scan could be compared, as {outcome.failures[0].reason}")
-        found = f"no predictions for any of {counted(len(counts.missing), 'scan')}"
-        remedy = "run `salsanext predict` first, or say where they are: salsanext eval OUT"
-        raise NoInputError(out, found, remedy=remedy)
+    comparison = replace(
+        ScanComparison.of_results(results, space, labels, by_distance=by_distance),
+        objects=recorded is None or bool(recorded.objects),
+    )
+    counts, failures = _counted(comparison, scans, options)
     panoptic = None
     if counts.segments[:, -1].any():
         panoptic = panoptic_quality(counts.segments, space, space.movable)
     bands = zip(BAND_NAMES, counts.bands, strict=by_distance)
+    compared_in = {"by_distance": by_distance, "label_space": space}
+    if labels.learning_map != space.learning_map:
+        compared_in["label_space_of_labels"] = labels
     evaluation = Evaluation(
         space=space,
         counts=counts,
         scores=scores(counts.confusion, space),
         by_distance={name: scores(band, space) for name, band in bands},
         missing=results.missing_predictions(counts.missing),
-        failures=outcome.failures,
-        settings=settings,
+        failures=failures,
+        settings=as_json({**(settings or {}), **compared_in}),
         uncertainty=evaluate_uncertainty(counts, space),
         folder=folder,
         by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
@@ -160,21 +166,27 @@ def evaluate(
         kept=KeptLabels.of_confusion(counts.confusion, space, counts.kept) if counts.kept else None,
         promise=RiskBoundCheck.of_scans(promised, counts.kept) if promised else None,
     )
-    for text in counts.label_warnings(space):
-        log.warning("%s", text)
-    if evaluation.promise and evaluation.promise.is_exceeded:
-        log.warning("%s", RISK_BOUND_EXCEEDED)
-    compared = counts.scans + len(evaluation.failures) + len(counts.missing)
-    evaluation.missing.log_error(compared, "predictions")
-    heading = f"# {ON_TRAINING_SCANS}\n" if counts.trained_on else ""
-    files = {
-        "scores.txt": (heading + evaluation.scores.official_yaml()).encode(),
-        **evaluation_pictures(evaluation.scores, counts.confusion, evaluation.uncertainty, space),
-        "eval.json": encode_json(escaped(evaluation.to_dict())),
-    }
-    absent = [path for path in own_files if path.name not in files]
-    OwnedFolder(out).replace({folder / name: content for name, content in files.items()}, absent)
+    evaluation.log_warnings()
+    files = {folder / name: content for name, content in evaluation.files().items()}
+    absent = [path for path in own_files if path not in files]
+    OwnedFolder(out).replace(files, absent)
     return evaluation
+
+
+def _counted(
+    comparison: ScanComparison, scans: Sequence[ScanFile], options: RunOptions
+) -> tuple[ScanCounts, tuple[Failure, ...]]:
+    """Count scans, but those that the weights were trained on unless all were; name failures."""
+    apart = CountsApart(comparison.space, comparison.by_distance)
+    outcome = run_over_scans(comparison.count, scans, options, on_result=apart.add)
+    counts, out = apart.scored(), comparison.out
+    if not counts.scans:
+        if outcome.failures:
+            raise NoInputError(out, f"no scan could be compared, as {outcome.failures[0].reason}")
+        found = f"no predictions for any of {counted(len(counts.missing), 'scan')}"
+        remedy = "run `salsanext predict` first, or say where they are: salsanext eval OUT"
+        raise NoInputError(out, found, remedy=remedy)
+    return counts, outcome.failures
 
 
 def part_of(folder: ResultFolder, scans: Sequence[ScanFile], selection: ScanSelection) -> str:

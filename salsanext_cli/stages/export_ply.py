@@ -28,11 +28,12 @@ from salsanext_cli.options import FusionReach
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
 from salsanext_cli.results.layout import PREDICTION_STAGES, ScanFile, drive_order
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, scalar_columns
-from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 
 FORMATS = ("ply", "las", "laz")
@@ -104,12 +105,9 @@ def export_ply(
     """
     results = ResultFolder(out, query.dataset)
     require_colouring([colour], scale)
+    _require_format(form)
     if max_error is not None and not 0 <= max_error <= 1:
         raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
-    if form not in FORMATS:
-        raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
-    if form != "ply":
-        import_laspy(f"--format {form}", compressed=form == "laz")
     if voxel is not None:
         if max_error is not None or options.shard.count > 1 or colour in ("truth", "wrong"):
             raise UsageError("--map", "with --max-error, --shard or the truth", "none of these")
@@ -125,26 +123,20 @@ def export_ply(
     sensor = results.sensor()
     stage, folder = _place(out, colour, form)
     made_of, earlier = results.origins(PREDICTION_STAGES), results.settings(stage)
-    overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
-    if scale is None and voxel is None and earlier is not None and not overwrite:
+    overwrite = options.overwrite or (earlier is not None and earlier.origins != made_of)
+    if scale is None and voxel is None and earlier and earlier.scale and not overwrite:
         # A run that goes on colours alike.
-        marks = earlier.numbers("scale")
+        marks = earlier.scale
     else:
         marks = scale or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
     colours = PointColours(colour, marks, space)
     if voxel is not None:
         return _export_maps(results, chosen, colours, form, voxel, options)
-    settings = {
-        "colour": colour,
-        "scale": list(marks),
-        "label_space": space.to_dict(),
-        "origins": made_of,
-        **({} if max_error is None else {"max_error": max_error}),
-    }
-    rejected = list[int]()
-    with output_run(
-        *(out, stage, settings, (folder,), scans), overwrite=overwrite, record_scans=False
-    ) as output:
+    settings = StageSettings(
+        colour=colour, scale=marks, label_space=space, origins=made_of, max_error=max_error
+    )
+    rejected, run = list[int](), (out, stage, settings, (folder,), scans)
+    with output_run(*run, overwrite=overwrite, record_scans=False) as output:
         task = partial(export_scan, colours=colours, sensor=sensor, output=output)
         task = partial(task, classes=query.classes, labels=chosen.labels, max_error=max_error)
         outcome = run_over_scans(
@@ -155,10 +147,17 @@ def export_ply(
     return replace(outcome, missing=chosen.missing, rejected_points=total)
 
 
+def _require_format(form: str) -> None:
+    if form not in FORMATS:
+        raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
+    if form != "ply":
+        import_laspy(f"--format {form}", compressed=form == "laz")
+
+
 def _place(out: Path, colour: str, form: str) -> tuple[str, str]:
     """Return the name of the record of a colouring, and the folder for its clouds."""
-    first = StageRecords(out).settings("export-ply")
-    if first is None or first["colour"] == colour:
+    first = Manifest(out).settings("export-ply")
+    if first is None or first.colour == colour:
         return "export-ply", form
     return f"export-ply-{colour}", f"{form}/{colour}"
 
@@ -212,7 +211,7 @@ def map_of_drive(
             clouds[:] = [one_per_voxel(clouds, voxel, origins)]
 
     fused = results.settings("fuse")
-    reach = fused.table("reach")["reach"] if fused else FusionReach().reach
+    reach = ((fused.reach if fused else None) or FusionReach()).reach
     task = MapTask(results, files, drive, space, voxel, reach)
     outcome = run_over_scans(task, files, options, on_result=add)
     return one_per_voxel(clouds, voxel, origins) if clouds else {}, outcome

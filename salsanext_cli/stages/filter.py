@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -35,11 +34,12 @@ from salsanext_cli.results.layout import (
     output_path,
     with_outputs,
 )
+from salsanext_cli.results.manifest import StageRecord, require_same_settings, settings_json
 from salsanext_cli.results.output_run import encode_array
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder, read_kind
-from salsanext_cli.results.stage_records import as_json, require_same_settings
+from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 
 MASKS = "masks"  # Folder of a sequence with masks of its scans' points
@@ -66,6 +66,17 @@ def named_classes(names: Collection[str], space: LabelSpace) -> Mask:
     for name in names:
         meant |= known[name]
     return meant
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilterSettings(StageSettings):
+    """Settings that decide which points of scans stay."""
+
+    results: str  # Folder of the labels, absolute
+    classes: tuple[str, ...]  # Classes whose points stay
+    split: bool
+    indices: bool
+    measured_only: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,30 +176,22 @@ def filter_scans(
     results, owned = ResultFolder(out, query.dataset), OwnedFolder(folder, "filter")
     chosen = results.chosen(query)
     scans, space = chosen.scans, chosen.space
-    stays = named_classes(keep, space) if keep else np.ones(space.class_count, bool)
-    stays &= ~named_classes(drop, space)
+    stays = named_classes(keep or space.names, space) & ~named_classes(drop, space)
     measured_only = MOVING in drop
     if max_error is not None and not with_outputs(scans, out, ERROR):
         raise results.missing_column("error", scans[0])
     recording = None if indices else recording_of(scans[0].path)
-    if recording and (split or options.shard.count > 1):
-        raise UsageError("--split, --shard", "a bag is written whole", "neither, or --indices")
-    if recording and not is_bag(recording):
-        remedy = f"`salsanext convert {recording} DATA` first, or masks of it with --indices"
-        raise UsageError(recording, "a recording, which is not written", "files of scans", remedy)
-    if odd := [name for name in space.names if split and Path(name).name != name]:
-        raise UsageError("--split", f"class {odd[0]}", "names that folders can have")
-    settings = {
-        "stage": "filter",
-        "results": str(out.absolute()),
-        "classes": [name for name, each in zip(space.names, stays, strict=True) if each],
-        "max_error": max_error,
-        "split": split,
-        "indices": indices,
-        "label_space": space.to_dict(),
-        "origins": results.origins(PREDICTION_STAGES),
-    }
-    settings |= {"measured_only": True} if measured_only else {}
+    _require_usable(recording, space, split, options)
+    settings = FilterSettings(
+        results=str(out.absolute()),
+        classes=tuple(np.array(space.names)[stays].tolist()),
+        split=split,
+        indices=indices,
+        measured_only=measured_only or None,
+        max_error=max_error,
+        label_space=space,
+        origins=results.origins(PREDICTION_STAGES),
+    )
     sensor = results.sensor()
     task = PointFilter(
         results, owned, space, stays, measured_only, max_error, split, indices, sensor
@@ -196,7 +199,7 @@ def filter_scans(
     counts = list[Count]()
     with ExitStack() as stack:
         with owned.locked_records():
-            _begin(owned, as_json(settings), options.overwrite)
+            _begin(owned, settings, options.overwrite)
             stack.enter_context(owned.open(shared=True))
         parts = [task.path(file, part) for file in scans for part in task.folders]
         task = replace(task, kept=frozenset(owned.foreign_files(parts)))
@@ -210,6 +213,19 @@ def filter_scans(
     if empty := sorted(name for name, _, kept in counts if not kept):
         log.warning("no point stays of %s: %s", counted(len(empty), "scan"), first_few(empty))
     return replace(outcome, missing=chosen.missing, kept_points=total)
+
+
+def _require_usable(
+    recording: Path | None, space: LabelSpace, split: bool, options: RunOptions
+) -> None:
+    """Refuse what a recording, or the name of a class, makes impossible."""
+    if recording and (split or options.shard.count > 1):
+        raise UsageError("--split, --shard", "a bag is written whole", "neither, or --indices")
+    if recording and not is_bag(recording):
+        remedy = f"`salsanext convert {recording} DATA` first, or masks of it with --indices"
+        raise UsageError(recording, "a recording, which is not written", "files of scans", remedy)
+    if odd := [name for name in space.names if split and Path(name).name != name]:
+        raise UsageError("--split", f"class {odd[0]}", "names that folders can have")
 
 
 def _filter_bags(
@@ -281,13 +297,17 @@ def _files_in(target: Path) -> list[Path]:
     return [*target.rglob("*")] if is_folder(target) else [target]
 
 
-def _begin(owned: OwnedFolder, settings: dict[str, Any], overwrite: bool) -> None:
+def _begin(owned: OwnedFolder, settings: FilterSettings, overwrite: bool) -> None:
     """Record the settings in a new folder or one with the same; overwriting replaces others."""
-    if (recorded := owned.recorded()) is None:
+    wanted = StageRecord(owned.stage, settings_json(settings))
+    recorded = owned.manifest.record(owned.stage)
+    if recorded is None:
         owned.require_new()
-    replaced = [] if recorded in (None, settings) else owned.written()
-    if replaced and not overwrite:
-        require_same_settings(owned.record_path, recorded or {}, settings)
-    if replaced and owned.is_shared():
-        raise owned.busy()
-    owned.begin(settings, [path for path in replaced if path != owned.record_path])
+    elif not recorded.has_settings(wanted.settings):
+        replaced = [path for path in owned.written() if path != owned.record_path]
+        if replaced and not overwrite:
+            require_same_settings(owned.record_path, recorded.settings, wanted.settings)
+        if replaced and owned.is_shared():
+            raise owned.busy()
+        owned.remove_own(replaced)
+    owned.manifest.write(wanted)

@@ -5,7 +5,7 @@ import logging
 import os
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,7 +15,6 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import (
     NOTICE,
-    FormatError,
     NoInputError,
     OutputError,
     SalsanextError,
@@ -28,12 +27,11 @@ from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.scan_checks import Finding
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.npy import read_array, read_probabilities
 from salsanext_cli.fusion.drive import DRIVE, Drive, recorded_drive
 from salsanext_cli.fusion.pose_checks import best_reading, require_fitting
 from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, pose_readings, read_fused_poses
 from salsanext_cli.fusion.registration import register
-from salsanext_cli.fusion.top_classes import KEPT, softmax_of
+from salsanext_cli.fusion.top_classes import kept_softmax
 from salsanext_cli.fusion.window import (
     FusionWindow,
     disagreement,
@@ -60,13 +58,12 @@ from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.selection import choose, scans_of
+from salsanext_cli.results.selection import MissingResults, choose, scans_of
+from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 
 FUSED = "fused"  # Folder of the fused labels in that of the labels of single scans
 SOFTMAX_FOLDERS = ("probabilities", "votes")
-ABOUT_THE_NETWORK = ("weights", "weights_version", "trained_on", "temperature")
-"""Settings of `predict` that the record of fused labels repeats."""
 
 Found = TypeVar("Found")
 
@@ -130,19 +127,82 @@ class FuseTask:
         return ScanSummary.of_labels(file, fused, self.space)
 
 
-def kept_softmax(out: Path, file: ScanFile, count: int, space: LabelSpace) -> Float:
-    """Read the softmax (N, C) float32 that `predict` kept of a scan's points, or its votes."""
-    path = output_path(out, file.sequence, "probabilities", file.stem)
-    if present(path):
-        return read_probabilities(path, count, space.class_count).astype(np.float32)
-    votes = output_path(out, file.sequence, "votes", file.stem)
-    kept = min(KEPT, space.class_count)
-    packed = read_array(votes, "uint16", (count, kept))
-    if (packed >> 8).max(initial=0) >= space.class_count:
-        found = f"class {(packed >> 8).max()}"
-        expected = f"0 … {space.class_count - 1}, the classes of {space.name}"
-        raise FormatError(votes, found, expected, "predict again with --fuse")
-    return softmax_of(packed, space.class_count)
+@dataclass(frozen=True, slots=True)
+class FusibleResults:
+    """Labels and softmax of single scans that can be fused."""
+
+    results: ResultFolder
+    scans: Sequence[ScanFile]  # Scans that are wanted, with labels and softmax
+    members: Mapping[str, Sequence[ScanFile]]  # All scans with both in the order of the drive
+    space: LabelSpace
+    sensor: Sensor
+    missing: MissingResults  # Wanted scans without labels or softmax
+
+    @property
+    def sequences(self) -> list[str]:
+        """Names of the sequences of the wanted scans."""
+        return list(dict.fromkeys(file.sequence for file in self.scans))
+
+    def given_drives(
+        self, poses: Path | None, options: RunOptions
+    ) -> dict[str, Drive | SalsanextError | None]:
+        """Read the poses of each sequence, by default those in its folder; None without any."""
+        if poses is not None and len(self.sequences) > 1:
+            found = f"one file for {counted(len(self.sequences), 'sequence')}"
+            raise UsageError("--poses", found, remedy="choose one of them with --sequences")
+
+        def given_of(name: str) -> Drive | None:
+            files = self.members[name]
+            path = poses or _beside(files)
+            return _checked(path, _read_given(path, files), files, self.sensor) if path else None
+
+        return _of_each(self.sequences, given_of, options)
+
+    def settings(self, reach: FusionReach, target: Path) -> tuple[StageSettings, StageSettings]:
+        """Return the settings to record beside the labels of single scans, and the fused ones."""
+        origins = self.results.origins(SINGLE_SCAN_STAGES)
+        of_single = StageSettings(reach=reach, origins=origins)
+        network = self.results.settings("predict") or StageSettings()
+        return of_single, replace(
+            of_single,
+            weights=network.weights,
+            weights_version=network.weights_version,
+            trained_on=network.trained_on,
+            temperature=network.temperature,
+            label_space=self.space,
+            sensor=self.sensor,
+            fused_of=os.path.relpath(self.results.root, target),
+        )
+
+
+def fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
+    """Find what `predict` left in a folder to be fused; refuse labels that cannot be."""
+    if (predicted := OwnedFolder(out, "predict")).is_shared():
+        raise predicted.busy()
+    results = ResultFolder(out, query.dataset)
+    if results.rejection():
+        found, remedy = "labels of which some were rejected", "predict without --reject"
+        raise OutputError(out, found, "all labels: others vote for what was rejected", remedy)
+    present_scans = results.scans()
+    known = with_outputs(present_scans, out, *SOFTMAX_FOLDERS)
+    known = with_outputs(known, out, "predictions")
+    space, of_softmax = results.label_space(), results.label_space(*SOFTMAX_FOLDERS)
+    if not known or space is None or of_softmax is None:
+        words = "--fuse --overwrite" if results.record("fuse") else "--fuse"
+        remedy = f"run `salsanext predict SCANS {out} {words}`, or with --probabilities"
+        raise NoInputError(out, "no softmax of any scan", "votes or probabilities", remedy)
+    if not space.fits(of_softmax):
+        found = f"labels in the classes of {space.name}, softmax in those of {of_softmax.name}"
+        raise OutputError(out, found, "the same for both", "predict both again")
+    compared = results.compared_space(known, own_ids=True)
+    wanted, has_softmax = choose(present_scans, query.selection, compared, out), {*known}
+    scans = [file for file in wanted if file in has_softmax]
+    missing = results.missing_predictions({*wanted} - {*scans})
+    missing.log_error(len(wanted), "softmax and labels")
+    members: dict[str, list[ScanFile]] = {}
+    for file in sorted(known, key=drive_order):
+        members.setdefault(file.sequence, []).append(file)
+    return FusibleResults(results, scans, members, space, results.sensor(), missing)
 
 
 def fuse_results(
@@ -162,80 +222,34 @@ def fuse_results(
     target = target or out / FUSED
     if target.resolve() == out.resolve():
         raise UsageError("TARGET", f"{target}, the folder of the single labels", "another folder")
-    if (predicted := OwnedFolder(out, "predict")).is_shared():
-        raise predicted.busy()
-    results = ResultFolder(out, query.dataset)
-    if results.rejection():
-        found, remedy = "labels of which some were rejected", "predict without --reject"
-        raise OutputError(out, found, "all labels: others vote for what was rejected", remedy)
-    present_scans = results.scans()
-    known = with_outputs(present_scans, out, *SOFTMAX_FOLDERS)
-    known = with_outputs(known, out, "predictions")
-    space, of_softmax = results.label_space(), results.label_space(*SOFTMAX_FOLDERS)
-    if not known or space is None or of_softmax is None:
-        words = "--fuse --overwrite" if results.record("fuse") else "--fuse"
-        remedy = f"run `salsanext predict SCANS {out} {words}`, or with --probabilities"
-        raise NoInputError(out, "no softmax of any scan", "votes or probabilities", remedy)
-    if not space.fits(of_softmax):
-        found = f"labels in the classes of {space.name}, softmax in those of {of_softmax.name}"
-        raise OutputError(out, found, "the same for both", "predict both anew")
-    wanted = choose(
-        present_scans, query.selection, results.compared_space(known, own_ids=True), out
-    )
-    has_softmax = {*known}
-    scans = [file for file in wanted if file in has_softmax]
-    missing = results.missing_predictions({*wanted} - {*scans})
-    missing.log_error(len(wanted), "softmax and labels")
-    members: dict[str, list[ScanFile]] = {}
-    for file in sorted(known, key=drive_order):
-        members.setdefault(file.sequence, []).append(file)
-    chosen = dict.fromkeys(file.sequence for file in scans)
-    if poses is not None and len(chosen) > 1:
-        found = f"one file for {counted(len(chosen), 'sequence')}"
-        raise UsageError("--poses", found, remedy="choose one of them with --sequences")
-    sensor = results.sensor()
-    movable_classes(space)  # Warns here, not in each worker.
-
-    def given_of(name: str) -> Drive | None:
-        files, path = members[name], poses or _beside(members[name])
-        return _checked(path, _read_given(path, files), files, sensor) if path else None
-
-    given = _of_each(chosen, given_of, options)
-    made_with = {"reach": asdict(reach), "origins": results.origins(SINGLE_SCAN_STAGES)}
-    network: Mapping[str, Any] = results.settings("predict") or {}
-    of_labels = {
-        **{key: network[key] for key in ABOUT_THE_NETWORK if key in network},
-        "label_space": space.to_dict(),
-        "sensor": sensor.to_dict(),
-        "fused_of": os.path.relpath(out, target),
-    }
-    summary = RunSummary.of_scans(scans, sensor, space)
+    found = fusible_results(out, query)
+    movable_classes(found.space)  # Warns here, not in each worker.
+    given, sensor, scans = found.given_drives(poses, options), found.sensor, found.scans
+    summary = RunSummary.of_scans(scans, sensor, found.space)
     kinds, overwrite = (DISAGREEMENT, "views"), options.overwrite
-    single = output_run(out, "fuse", made_with, kinds, scans, overwrite=overwrite)
-    folders = (*kinds, "predictions")
-    fused = output_run(target, "fuse", made_with | of_labels, folders, scans, overwrite=overwrite)
-    with single as of_single, fused as of_fused, summary.kept_in(of_fused, scans):
-        drives = _of_each(
-            chosen,
-            lambda name: _drive_of(members[name], given[name], of_single, of_fused, sensor),
-            options,
-        )
+    of_single, of_fused = found.settings(reach, target)
+    with (
+        output_run(out, "fuse", of_single, kinds, scans, overwrite=overwrite) as single,
+        output_run(
+            target, "fuse", of_fused, (*kinds, "predictions"), scans, overwrite=overwrite
+        ) as fused,
+        summary.kept_in(fused, scans),
+    ):
+
+        def drive_of(name: str) -> Drive:
+            return _drive_of(found.members[name], given[name], single, fused, sensor)
+
+        def is_done(file: ScanFile) -> bool:
+            is_known = isinstance(drives[file.sequence], Drive)
+            return is_known and single.is_done(file) and fused.is_done(file)
+
+        drives = _of_each(found.sequences, drive_of, options)
         for name, of_drive in drives.items():
             if isinstance(of_drive, Drive):
-                summary.add_sequence(name, _findings(members[name], of_drive))
-        task = FuseTask(members, drives, space, sensor, reach, of_single, of_fused)
-        outcome = run_over_scans(
-            task,
-            scans,
-            options,
-            is_done=lambda file: (
-                isinstance(drives[file.sequence], Drive)
-                and of_single.is_done(file)
-                and of_fused.is_done(file)
-            ),
-            summary=summary,
-        )
-    return replace(outcome, missing=missing)
+                summary.add_sequence(name, _findings(found.members[name], of_drive))
+        task = FuseTask(found.members, drives, found.space, sensor, reach, single, fused)
+        outcome = run_over_scans(task, scans, options, is_done=is_done, summary=summary)
+    return replace(outcome, missing=found.missing)
 
 
 def _of_each(

@@ -140,7 +140,7 @@ def _import_scan(
         path: part for path, part in read.items() if is_named or not is_guess(part[0].filled(none))
     }
     if edited:
-        raw, numbers = edited_labels(edited, space, none)
+        raw, numbers = edited_labels(scan, edited, space, none)
         if is_guess(raw):
             if is_named:
                 log.warning("%s: holds the first guess, all of it", paths[0])
@@ -150,7 +150,7 @@ def _import_scan(
     imported.unedited += [str(path) for path in paths if path not in edited]
     if not edited:
         return
-    if contradicted := numbers["contradicted"]:
+    if contradicted := numbers.contradicted:
         text = "%s: %s left unlabelled, of different labels in %s"
         log.warning(text, scan.name, counted(contradicted, "point"), first_few([*edited]))
     in_place = [*paths] == [scan.label_path]
@@ -159,8 +159,7 @@ def _import_scan(
         text += "or the files contradict each other"
         remedy = "leave out older files, move the labels, or replace them with --overwrite"
         raise OutputError(scan.label_path, text, remedy=remedy)
-    about = {"files": [*map(str, edited)], "points": len(points), **numbers}
-    records.write(scan, encode_labels(raw), about)
-    imported.scans.append({"scan": scan.name, **about})
+    records.write(scan, encode_labels(raw), numbers)
+    imported.scans.append(numbers)
     train = space.to_train(raw, strict=False)
     imported.class_points += np.bincount(train, minlength=space.class_count)

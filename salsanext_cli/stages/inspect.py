@@ -4,11 +4,11 @@
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NoInputError, counted
 from salsanext_cli.files.atomic import require_absent, write_bytes
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.label_scan import check_with_remedy
 from salsanext_cli.fitting.scan_checks import ALONE, FIT
@@ -18,7 +18,7 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.network_input import NO_INTENSITY
 from salsanext_cli.geometry.projection import project, without_ego
 from salsanext_cli.geometry.scan_traits import kinds_of
-from salsanext_cli.measures.scan_summary import APART, RunSummary, ScanSummary
+from salsanext_cli.measures.scan_summary import APART, RunSummary, ScanSummary, ScanWarning
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.options import ScanSelection
@@ -40,9 +40,9 @@ class Inspection:
     sensor: Sensor  # Sensor of the range images
     space: LabelSpace  # Names of the classes
     failures: tuple[Failure, ...]  # Scans that could not be read, or cannot be right
-    warnings: list[dict[str, Any]]  # Reasons to doubt scans, as `RunSummary.warnings` lists them
+    warnings: list[ScanWarning]  # Reasons to doubt scans
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         return {
             "stage": "inspect",
@@ -50,7 +50,7 @@ class Inspection:
             "total": self.total.to_dict(),
             "sequences": {name: survey.to_dict() for name, survey in self.sequences.items()},
             "failures": [failure.to_dict() for failure in self.failures],
-            "warnings": self.warnings,
+            "warnings": plain(self.warnings),
         }
 
     def fitted_sensor(self, name: str, *, images: bool = True) -> Sensor:

@@ -2,7 +2,7 @@
 """Stage `knn-refine`: pixel labels, or any point labels, to point labels by neighbours."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,9 +21,10 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import RangeImage
 from salsanext_cli.results.layout import ScanFile, find_scans, output_path, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, space_of
-from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 
 
@@ -94,7 +95,7 @@ def _require_all_labels(out: Path, labels: Path | None) -> None:
     folder = "predictions" if labels else "pixel_labels"
     # Labels may lie in ROOT/sequences/<seq>/predictions, with the records in ROOT.
     roots = (labels, *labels.absolute().parents[2:3]) if labels else (out,)
-    if any(StageRecords(root).rejection(folder) for root in roots):
+    if any(Provenance(root).rejection(folder) for root in roots):
         found, remedy = "labels of which some were rejected", "predict without --reject"
         expected = "all labels: the vote brings back what was rejected"
         raise OutputError(labels or out, found, expected, remedy)
@@ -131,11 +132,14 @@ def knn_refine_scans(
     if labels is not None:
         _require_some(labels, scans)
     sensor = sensor or results.sensor()
-    used = {"label_space": space.to_dict(), "sensor": sensor.to_dict(), "knn": asdict(knn)}
-    settings = {"labels": str(labels.absolute()) if labels else None, **used}
-    if labels is None:
+    settings = StageSettings(
+        labels=str(labels.absolute()) if labels else None,
+        label_space=space,
+        sensor=sensor,
+        knn=knn,
         # Labels of other weights must not be kept as those of these.
-        settings |= {"origins": results.origins(["predict"])}
+        origins=None if labels else results.origins(["predict"]),
+    )
     summary = RunSummary.of_scans(scans, sensor, space)
     wanted, overwrite = (out, "knn-refine", settings, ("predictions",), scans), options.overwrite
     run = output_run(*wanted, overwrite=overwrite, record_scans=dataset is not None)

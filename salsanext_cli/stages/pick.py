@@ -4,10 +4,9 @@
 import hashlib
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,8 +15,9 @@ from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, FormatError, NoInputError, counted
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
-from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
+from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans, settings_of_network
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.picked_data_set import (
     SHEET,
@@ -26,9 +26,10 @@ from salsanext_cli.labelling.picked_data_set import (
     PickedDataSet,
     PickedScan,
     PickRecord,
+    PickSettings,
 )
 from salsanext_cli.labelling.scan_choice import choose_scans, require_choice
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, log_recorded
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWarning, log_recorded
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
@@ -41,9 +42,9 @@ from salsanext_cli.report.picked import (
     picked_sheet,
 )
 from salsanext_cli.results.layout import DISAGREEMENT, ScanFile, find_scans, output_path
+from salsanext_cli.results.manifest import Manifest, settings_json
 from salsanext_cli.results.result_folder import ResultFolder, read_kind
 from salsanext_cli.results.selection import choose, evenly_spaced, scans_of, space_of
-from salsanext_cli.results.stage_records import StageRecords, as_json
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import require_sampling
 from salsanext_cli.uncertainty.scan_description import (
@@ -64,17 +65,16 @@ class Picking:
     picked: tuple[PickedScan, ...]  # The scan most worth labelling first
     scans: int  # Number of scans to choose from
     outcome: Outcome  # Picked scans written and there already; all scans that failed, picked or not
-    # Reasons to doubt scans, picked or not, as `RunSummary.warnings` lists them
-    warnings: list[dict[str, Any]]
+    warnings: list[ScanWarning]  # Reasons to doubt scans, picked or not
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         return {
             "stage": STAGE,
             "scans": self.scans,
-            "picked": [asdict(each) for each in self.picked],
-            "failures": [failure.to_dict() for failure in self.outcome.failures],
-            "warnings": self.warnings,
+            "picked": plain(self.picked),
+            "failures": plain(self.outcome.failures),
+            "warnings": plain(self.warnings),
         }
 
 
@@ -136,9 +136,9 @@ def pick(
 ) -> Picking:
     """Pick the scans most worth labelling; write a data set of them in SemanticKITTI's layout.
 
-    Files that are there stay, since they may be edited; a pick that nobody changed may be
-    overwritten. `labelled`: data sets of scans that others are picked unlike; `disagreement`:
-    output folder of `fuse`, whose mean disagreement over a scan counts as its uncertainty.
+    Files that are there stay; a pick that nobody changed may be overwritten. `labelled`: data sets
+    of scans that others are picked unlike; `disagreement`: output folder of `fuse`, whose mean
+    disagreement over a scan counts as its uncertainty.
     """
     require_choice(count, strategy, seed)
     network = settings.load()
@@ -146,27 +146,28 @@ def pick(
     every, data_set = scans_of(source), PickedDataSet(out)
     data_set.require_apart(every)
     space = space_of(every, network.space)
-    selected = choose(every, replace(selection, limit=None), space, source)
-    scans = evenly_spaced(selected, selection.limit or 0)
+    scans = _candidates(every, selection, space, source)
     if disagreement is not None:
         ResultFolder(disagreement).require_column("disagreement", scans)
     known = {scan.name for path in labelled for scan in find_scans(path)}
-    done = {scan for scan in scans if scan.name in known}
-    if len(done) == len(scans):
+    if len(done := {scan for scan in scans if scan.name in known}) == len(scans):
         raise NoInputError(source, "every scan is labelled already", "others to pick")
     with data_set.open():
         network = fit_scans(settings, network, ScanSample(every, network.sensor))
-        choice = {"strategy": strategy, "count": count, "seed": seed, "scans": _digest(scans)}
-        if labelled:
-            choice["labelled"] = _digest(sorted(done))
-        if disagreement is not None:
-            choice["disagreement"] = StageRecords(disagreement).origins(["fuse"])
-        recorded = as_json(choice | {"samples": SAMPLES} | settings.record(network))
+        recorded = PickSettings(
+            network=settings_of_network(network),
+            strategy=strategy,
+            count=count,
+            seed=seed,
+            scans=_digest(scans),
+            labelled=_digest(sorted(done)) if labelled else None,
+            disagreement=Manifest(disagreement).origins(["fuse"]) if disagreement else None,
+            samples=SAMPLES,
+        )
         record = data_set.earlier(recorded, overwrite=options.overwrite)
         if record and data_set.is_complete(record):
             log_recorded(record.warnings)
-            outcome = Outcome(len(record.picked), _failures(record, scans), 0)
-            return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
+            return _picking(record, scans)
         resolved = settings.resolved(network)
         if record is None:
             describe: Callable[[Network], DescribeJob]
@@ -175,26 +176,28 @@ def pick(
                 describe = partial(DisagreementJob, samples=0, seed=seed, folder=disagreement)
             task = NetworkTask(describe, resolved, network, batch=1)
             summary = RunSummary.of_scans(scans, network.sensor)
-            of_scan: dict[ScanFile, ScanDescription] = {}
-
-            def keep(scan: ScanDescription) -> None:
-                of_scan[scan.file] = scan
-                summary.add(ScanSummary(scan.file, scan.check))
-
-            failures = run_over_scans(task, scans, options, on_result=keep).failures
-            described = [of_scan[scan] for scan in scans if scan in of_scan]
-            warnings = summary.finished().warnings()
-            if all(scan.file in done for scan in described):
-                return Picking((), len(scans), Outcome(0, failures, 0), warnings)
-            picked = _chosen(described, count, strategy, seed, done)
-            failed = [failure.to_dict() for failure in failures]
-            record = PickRecord(recorded, picked, failed, warnings)
+            if not (record := _chosen(task, scans, recorded, done, summary, options)).picked:
+                return _picking(record, scans)
             data_set.begin_anew(record)
         write = partial(PickJob, seed=seed, data_set=data_set)
         task = NetworkTask(write, resolved, network, batch=1)
         classes = space if space.fits(network.space) else space_of([], network.space)
         outcome = _written(task, data_set, record, scans, options, classes)
+    return replace(_picking(record, scans), outcome=outcome)
+
+
+def _picking(record: PickRecord, scans: Sequence[ScanFile]) -> Picking:
+    """Return a result of which every scan was written before."""
+    outcome = Outcome(len(record.picked), _failures(record, scans), 0)
     return Picking(tuple(record.picked), len(scans), outcome, record.warnings)
+
+
+def _candidates(
+    every: list[ScanFile], selection: ScanSelection, space: LabelSpace, source: Path
+) -> list[ScanFile]:
+    """Return the scans to choose from, those of a limit evenly spaced."""
+    selected = choose(every, replace(selection, limit=None), space, source)
+    return evenly_spaced(selected, selection.limit or 0)
 
 
 def _digest(scans: Sequence[ScanFile]) -> str:
@@ -205,15 +208,34 @@ def _digest(scans: Sequence[ScanFile]) -> str:
 
 
 def _chosen(
-    described: Sequence[ScanDescription], count: int, strategy: str, seed: int, done: set[ScanFile]
-) -> list[PickedScan]:
+    task: NetworkTask,
+    scans: Sequence[ScanFile],
+    settings: PickSettings,
+    done: set[ScanFile],
+    summary: RunSummary,
+    options: RunOptions,
+) -> PickRecord:
+    """Describe scans, and choose those unlike each other and unlike those that are done."""
+    of_scan: dict[ScanFile, ScanDescription] = {}
+
+    def keep(scan: ScanDescription) -> None:
+        of_scan[scan.file] = scan
+        summary.add(ScanSummary(scan.file, scan.check))
+
+    failures = run_over_scans(task, scans, options, on_result=keep).failures
+    described = [of_scan[scan] for scan in scans if scan in of_scan]
     labelled = [index for index, scan in enumerate(described) if scan.file in done]
-    if count > (left := len(described) - len(labelled)):
-        log.log(NOTICE, "only %s: all are picked", counted(left, "scan"))
-    features = np.stack([scan.features for scan in described])
-    uncertainty = [scan.uncertainty for scan in described]
-    choices = choose_scans(features, uncertainty, count, strategy, seed, labelled)
-    return picked_scans(choices, [scan.file for scan in described], strategy)
+    picked: list[PickedScan] = []
+    if left := len(described) - len(labelled):
+        if settings.count > left:
+            log.log(NOTICE, "only %s: all are picked", counted(left, "scan"))
+        features = np.stack([scan.features for scan in described])
+        uncertainty = [scan.uncertainty for scan in described]
+        how = (settings.count, settings.strategy, settings.seed)
+        choices = choose_scans(features, uncertainty, *how, labelled)
+        picked = picked_scans(choices, [scan.file for scan in described], settings.strategy)
+    failed, warnings = [each.to_dict() for each in failures], summary.finished().warnings()
+    return PickRecord(settings_json(settings), picked, failed, warnings)
 
 
 def _written(

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, NoInputError, UsageError
-from salsanext_cli.files.json_files import RecordedSettings
 from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.animation import animate, animation_path
@@ -27,7 +26,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import FOLDERS, ChosenResults, ResultFolder, scalar_columns
 from salsanext_cli.results.selection import MissingResults, choose, scans_of, space_of_labels
-from salsanext_cli.results.stage_records import recorded_sensor
+from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor, sensor
 
 STAGE, FOLDER = "picture", "pictures"
@@ -85,26 +84,21 @@ def picture(
     for colour in colours:
         results.require_column(colour, scans)
     made_of, earlier = results.origins(PREDICTION_STAGES), results.settings(STAGE)
-    overwrite = options.overwrite or (earlier is not None and earlier["origins"] != made_of)
+    overwrite = options.overwrite or (earlier is not None and earlier.origins != made_of)
     going_on = None if overwrite else earlier
-    seen = results.known_sensor() or recorded_sensor(going_on)
+    seen = results.known_sensor() or (going_on.sensor if going_on else None)
     seen = seen or fitted_view(scans, sensor("hdl64"))
     values = [c for c in colours or COLOURINGS if c not in CLASS_COLOURS]
     values = [colour for colour in values if results.with_column(colour, scans)]
     scales: Scales = dict.fromkeys(values, scale) if scale else {}
     if not scale:
         # A run that goes on colours alike.
-        recorded = going_on.table("scales") if going_on is not None else RecordedSettings({}, out)
-        scales = {colour: recorded.numbers(colour) for colour in recorded}
+        scales = dict((going_on.scales if going_on else None) or {})
         unknown = [colour for colour in values if colour not in scales]
         scales |= common_scales(out, scans, unknown, space, seen)
-    settings = {
-        "colours": colours,
-        "scales": {colour: list(ends) for colour, ends in scales.items()},
-        "sensor": seen.to_dict(),
-        "label_space": space.to_dict(),
-        "origins": made_of,
-    }
+    settings = StageSettings(
+        colours=tuple(colours), scales=scales, sensor=seen, label_space=space, origins=made_of
+    )
     if gif:
         OwnedFolder(out).require_own({animation_path(out, scan.sequence) for scan in scans})
     with output_run(

@@ -5,10 +5,10 @@ import csv
 import io
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from salsanext_cli.fitting.scan_fit import (
     is_other_view,
     labels_depend_on,
     network_of_run,
+    settings_of_network,
 )
 from salsanext_cli.formats import read_scan
 from salsanext_cli.fusion.top_classes import top_classes
@@ -40,6 +41,7 @@ from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.risk_control import promise
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
+from salsanext_cli.network.card import RiskThreshold
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -65,20 +67,26 @@ OTHER_VIEW = (
 log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelRejection:
+    """Rule by which points are left unlabelled."""
+
+    kind: str  # Kind of uncertainty: error or least_confidence
+    above: Float  # (C,): largest uncertainty of an accepted point, by its label
+
+
 @dataclass(frozen=True, slots=True)
 class LabelWriter:
     """Writer of the results that are asked for of a scan, the labels last."""
 
     knn: KnnParameters  # Neighbours in the kNN refinement
     output: OutputRun  # Takes the results
-    # (C,) or None: points whose uncertainty is above that of their label are unlabelled
-    reject: Float | None
-    reject_by: str = "error"  # Kind of that uncertainty
+    reject: LabelRejection | None = None
 
     def write(self, scan: LabelledScan, network: Network) -> ScanSummary:
         """Write the results of a scan; return numbers about it."""
-        file, image, pixels, labels = scan.file, scan.image, scan.pixels, scan.labels
-        space, output = network.space, self.output
+        file, image, pixels, space = scan.file, scan.image, scan.pixels, network.space
+        output = self.output
         least_confidence = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
         output.write_array(file, LEAST_CONFIDENCE, least_confidence)
         values = {"least_confidence": least_confidence}
@@ -92,22 +100,22 @@ class LabelWriter:
         if "votes" in output.folders:
             output.write_array(file, "votes", top_classes(of_points))
         if ERROR in output.folders and pixels.softmax is not None:
-            values["error"] = error_probability(network, image, pixels.softmax, labels)
+            values["error"] = error_probability(network, image, pixels.softmax, scan.labels)
             output.write_array(file, ERROR, values["error"])
-        rejected = np.zeros(len(labels), bool)
-        if self.reject is not None:
-            rejected = values[self.reject_by] > self.reject[labels]
-        labels[rejected] = 0
-        raw = space.to_raw(labels)
+        if self.reject:
+            rejected = values[self.reject.kind] > self.reject.above[scan.labels]
+            scan = replace(scan, labels=np.where(rejected, np.uint8(0), scan.labels))
+        else:
+            rejected = np.zeros(len(scan.labels), bool)
+        raw = space.to_raw(scan.labels)
         if "objects" in output.folders:
-            objects = find_objects(image, labels, space.movable)
+            objects = find_objects(image, scan.labels, space.movable)
             output.write(output.path(file, "objects"), object_table(scan, objects, space))
             raw |= objects.astype(np.uint32) << 16
         output.write_labels(file, raw)
         summary = ScanSummary.of_scan(scan, space, int(rejected.sum()))
-        of_points = least_confidence[~np.isnan(least_confidence)]
-        mean = 1 - float(of_points.mean()) if of_points.size else np.nan
-        return replace(summary, confidence=mean)
+        known = least_confidence[~np.isnan(least_confidence)]
+        return replace(summary, confidence=1 - float(known.mean()) if known.size else np.nan)
 
 
 def object_table(scan: LabelledScan, objects: Objects, space: LabelSpace) -> bytes:
@@ -168,64 +176,68 @@ def predict_scans(
     network = settings.load()
     found = scans_of(source)
     scans = choose(found, selection, space_of(found, network.card.space), source)
-    reject_by, risk = "error", dict[str, Any]()
-    if reject == "risk":
-        risk = _chosen_threshold(settings, network, knn)
-        reject, reject_by = float(risk["threshold"]), str(risk["kind"])
-    if reject is not None:
-        if not 0 <= reject <= 1:
-            raise UsageError("--reject", f"{reject:g}", "a probability from 0 to 1")
-        if reject_by == "error":
-            extras = tuple(dict.fromkeys((*extras, ERROR)))
+    risk = _chosen_threshold(settings, network, knn) if reject == "risk" else None
+    above = risk.threshold if risk else reject
+    if isinstance(above, str) or not 0 <= (above or 0) <= 1:
+        raise UsageError("--reject", f"{above}", "a probability from 0 to 1")
+    kind = risk.kind if risk else "error"
+    if above is not None and kind == "error":
+        extras = tuple(dict.fromkeys((*extras, ERROR)))
     if ERROR in extras:
         error_model(network)
     if "objects" in extras:
         network.space.require_movable("--objects")
     network = network_of_run(settings, network, found, out, overwrite=options.overwrite)
-    views = [risk["view"], *risk.get("other_views", ())] if "view" in risk else []
-    others = (all(is_other_view(view, s) for view in views) for s in network.sensor.members)
-    if views and any(others):
-        log.warning("--reject risk: %s", OTHER_VIEW)
-    temperature = network.card.temperature
-    recorded = settings.record(network) | {"temperature": temperature, "knn": asdict(knn)}
-    recorded |= {} if reject is None else {"reject": reject}
-    if reject is None and network.card.accuracy:
-        recorded["accuracy"] = network.card.accuracy
-    recorded |= {"promised": risk} if risk else {}
-    recorded |= {} if reject_by == "error" else {"reject_by": reject_by}
-    recorded |= {"objects": True} if "objects" in extras else {}
-    summary = RunSummary.of_scans(scans, network.sensor, network.space)
-    summary.accuracy = recorded.get("accuracy", {})
+    _warn_of_other_view(risk, network)
+    accuracy = network.card.accuracy if above is None else None
+    recorded = replace(
+        settings_of_network(network),
+        temperature=network.card.temperature,
+        knn=knn,
+        reject=above,
+        reject_by=None if kind == "error" else kind,
+        accuracy=accuracy,
+        promised=risk,
+        objects="objects" in extras or None,
+    )
+    rejection = None
+    if above is not None:
+        of_classes = risk.classes if risk else {}
+        limits = [of_classes.get(name, above) for name in network.space.names]
+        rejection = LabelRejection(kind, np.array(limits, np.float32))
+    summary = RunSummary.of_scans(scans, network.sensor, network.space, accuracy)
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
-        of_classes = risk.get("classes", {})
-        limits = [of_classes.get(name, reject) for name in network.space.names]
-        above = None if reject is None else np.array(limits, np.float32)
-        writer = LabelWriter(knn, output, above, reject_by)
-        job = partial(PredictJob, writer=writer)
+        job = partial(PredictJob, writer=LabelWriter(knn, output, rejection))
         task = NetworkTask(job, settings.resolved(network), network, batch)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
-    rejected = None if reject is None else summary.rejected_points
-    return replace(outcome, rejected_points=rejected)
+    return replace(outcome, rejected_points=summary.rejected_points if rejection else None)
 
 
 def _chosen_threshold(
     settings: NetworkSettings, network: Network, knn: KnnParameters
-) -> dict[str, Any]:
-    """Return the threshold in the weights, with what it holds for; refuse where it is void."""
-    risk = dict(network.card.risk)
-    if not risk:
+) -> RiskThreshold:
+    """Return the threshold in the weights; refuse settings that its guarantee does not cover."""
+    risk = network.card.risk
+    if risk is None:
         remedy = "`salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%` chooses one"
         raise WeightsError(network.backend.name, "no threshold of risk", "weights with one", remedy)
-    own = {"--classes": network.merging, "--knn-…": knn != KnnParameters()}
-    tuned, given = risk.get("settings", {}), labels_depend_on(settings, network)
-    own |= {name: given[name] != tuned.get(name) for name in given}
-    if others := [name for name, given in own.items() if given]:
-        found = "`--reject risk` promises nothing of other labels"
-        raise UsageError(others[0], found, "the settings of `tune risk`")
+    tuned, given = risk.settings, labels_depend_on(settings, network)
+    others = {"--classes": network.merging, "--knn-…": knn != KnnParameters()}
+    others |= {name: given[name] != tuned.get(name) for name in given}
+    if changed := [name for name, is_other in others.items() if is_other]:
+        found = "the guarantee of `--reject risk` does not cover other labels"
+        raise UsageError(changed[0], found, "the settings of `tune risk`")
     log.log(NOTICE, "--reject risk: %s", promise(risk))
     return risk
+
+
+def _warn_of_other_view(risk: RiskThreshold | None, network: Network) -> None:
+    """Warn if a sensor was fitted otherwise than those that the threshold was chosen for."""
+    views, members = risk.views if risk else (), network.sensor.members
+    if views and any(all(is_other_view(view, each) for view in views) for each in members):
+        log.warning("--reject risk: %s", OTHER_VIEW)
 
 
 class PreparedImage(NamedTuple):
@@ -290,7 +302,7 @@ def predict_range_images(
         overwrite=options.overwrite,
         image_of=lambda file: range_image(file, folder, network.sensor),
     )
-    recorded, folders = settings.record(network), ("pixel_labels",)
+    recorded, folders = settings_of_network(network), ("pixel_labels",)
     summary = RunSummary(network.sensor)
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):

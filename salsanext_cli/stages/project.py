@@ -11,9 +11,10 @@ from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.results.stage_records import StageRecords, recorded_sensor
+from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 
 FOLDERS = ("range", "pixels")
@@ -54,9 +55,9 @@ def project_scans(
     """Project scans to `OUT/sequences/<seq>/range` and `pixels`, to fit with their own view."""
     listed = scans_of(source)
     scans = choose(listed, selection, space_of(listed), source)
-    recorded = None if options.overwrite else StageRecords(out).settings("project")
-    sensor = fitted_view(listed, sensor, recorded_sensor(recorded), view=fit)
-    settings, summary = {"sensor": sensor.to_dict()}, RunSummary.of_scans(scans, sensor)
+    recorded = None if options.overwrite else Manifest(out).settings("project")
+    sensor = fitted_view(listed, sensor, recorded.sensor if recorded else None, view=fit)
+    settings, summary = StageSettings(sensor=sensor), RunSummary.of_scans(scans, sensor)
     run = output_run(out, "project", settings, FOLDERS, scans, overwrite=options.overwrite)
     with run as output, summary.kept_in(output, scans):
         job = ProjectJob(sensor, output)

@@ -6,21 +6,20 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import TypedDict, Unpack
 
 import numpy as np
 
 from salsanext_cli.errors import NoInputError, OutputError, SalsanextError, escaped
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.fusion.drive_map import apart, drive_of_map
-from salsanext_cli.measures.scan_counts import CountsApart, ScanCounts
-from salsanext_cli.measures.scores import plain
+from salsanext_cli.measures.scan_counts import CountsApart, ScanComparison, ScanCounts
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.colours import PointColours, legend_of, map_on_dark
 from salsanext_cli.report.page.clouds import encode_cloud, scales_of
 from salsanext_cli.report.page.html import html_of
 from salsanext_cli.report.page.run_results import (
     Comparison,
-    RunReader,
     RunResults,
     ScanRow,
     ShownScan,
@@ -35,7 +34,6 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import evenly_spaced
-from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.export_ply import map_of_drive
 
 PAGE = "report.html"
@@ -62,7 +60,7 @@ class Report:
     failures: tuple[Failure, ...]  # Scans that could not be read, left out
     unmapped: list[str]  # Reasons why maps of fused drives are missing
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON; null stands for NaN."""
         counts, scores = self.run.counts, self.compared and self.compared.scores
         best, kept = (c.uncertainty.kept, c.kept) if (c := self.compared) else (None, None)
@@ -164,13 +162,13 @@ class RunServer(PageServer):
         )
         self.page = page.encode()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         failures = [failure.to_dict() for failure in self.failures]
         found = {"stage": "view", "url": self.url, "scans": self.scans}
         return found | self.missing.to_dict() | {"failures": failures}
 
-    def cloud(self, place: int) -> dict[str, Any] | None:
+    def cloud(self, place: int) -> dict[str, object] | None:
         """Read a scan; a kind of values keeps the scale that it first got."""
         if place >= self.scans:
             return None
@@ -208,18 +206,19 @@ def read_run(
     """Read the results of all scans of a run, and name the scans that cannot be read."""
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
-    merging, sensor = results.merging_into(chosen.space), results.sensor()
-    reader = RunReader(out, chosen.space, chosen.labels, merging, sensor, results.rejection())
-    rows, counts, failures = _rows(chosen.scans, reader, by_distance, options)
+    reader = ScanComparison.of_results(
+        results, chosen.space, chosen.labels, by_distance=by_distance
+    )
+    rows, counts, failures = _rows(chosen.scans, reader, options)
     return RunResults(reader, rows, counts, chosen.missing), failures
 
 
 def _rows(
-    files: Sequence[ScanFile], reader: RunReader, by_distance: bool, options: RunOptions
+    files: Sequence[ScanFile], reader: ScanComparison, options: RunOptions
 ) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
     """Read the results of all scans; count those with labels."""
     rows: list[ScanRow] = []
-    counts = CountsApart(reader.space, by_distance)
+    counts = CountsApart(reader.space, reader.by_distance)
     trained_on: set[ScanRow] = set()
 
     def keep(found: tuple[ScanRow, ScanCounts | None]) -> None:
@@ -230,8 +229,7 @@ def _rows(
             if of_scan.trained_on:
                 trained_on.add(row)
 
-    known = StageRecords(reader.out).trained_on()
-    task = partial(read_row, reader=reader, by_distance=by_distance, trained_on=known)
+    task = partial(read_row, reader=reader)
     outcome = run_over_scans(task, files, options, on_result=keep)
     if not rows:
         raise NoInputError(reader.out, f"no results can be read, as {outcome.failures[0].reason}")

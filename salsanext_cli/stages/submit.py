@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import count
 from pathlib import Path, PurePosixPath
-from typing import Any
 from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
@@ -88,7 +87,7 @@ class Submission:
     lengths_checked: bool  # Whether all numbers of labels were compared with those of points
     problems: tuple[Problem, ...]  # By sequence; without any, the file is written
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
         return {"stage": "submit", **asdict(self)}
 

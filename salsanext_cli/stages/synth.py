@@ -4,7 +4,7 @@
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -20,17 +20,41 @@ from salsanext_cli.files.reading import filled
 from salsanext_cli.formats.kitti import encode_bin, encode_labels, read_labels
 from salsanext_cli.parallel.run import Progress, RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.manifest import StageRecord, require_same_settings, settings_json
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.stage_records import as_json, require_same_settings
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.rig import RIGS
-from salsanext_cli.version import __version__
 
-MANIFEST = "synth.json"
+STAGE = "synth"
 LABEL_SPACE = "labels.yaml"
 MAX_DRIVE_M = 3000.0  # Longest drive of a sequence, whose street is held in memory
 SEQUENCE_FILES = ("poses.txt", "times.txt", "calib.txt")
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
+
+
+@dataclass(frozen=True, slots=True)
+class SynthSettings:
+    """Settings that decide what a data set of synthetic streets is."""
+
+    splits: dict[str, tuple[str, ...]]  # Names of the sequences by split
+    scans: int  # Number of scans of a sequence
+    seed: int
+    spacing: float  # Distance between scans in metres
+    sensor: str  # Name of one of `RIGS`
+
+    @classmethod
+    def of(
+        cls, counts: Mapping[str, int], scans: int, seed: int, spacing: float, sensor: str
+    ) -> "SynthSettings":
+        """Name the sequences by their number in each split."""
+        names = map("{:02d}".format, range(sum(counts.values())))
+        splits = {split: tuple(islice(names, count)) for split, count in counts.items()}
+        return cls(splits, scans, seed, spacing, sensor)
+
+    @property
+    def record(self) -> StageRecord:
+        """Record of the stage with these settings."""
+        return StageRecord(STAGE, settings_json(self))
 
 
 def synthesise(
@@ -56,12 +80,12 @@ def synthesise(
     _check({f"--{split}": count for split, count in counts.items()}, scans, seed, spacing)
     if sensor not in RIGS:
         raise UsageError("--sensor", sensor, f"one of {', '.join(RIGS)}")
-    made_with = manifest(counts, scans, seed, spacing, sensor)
-    splits = made_with["settings"]["splits"]
+    made_with = SynthSettings.of(counts, scans, seed, spacing, sensor)
+    splits = made_with.splits
     names = [name for members in splits.values() for name in members]
     files = [path for name in names for path in _files(out / "sequences" / name, scans)]
     files.append(out / LABEL_SPACE)
-    owned = OwnedFolder(out, "synth")
+    owned = OwnedFolder(out, STAGE)
     owned.require_new()
     if overwrite or not all(map(filled, files)):
         import_open3d()
@@ -77,17 +101,7 @@ def synthesise(
         text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
         owned.write_missing(out / LABEL_SPACE, text.encode())
     made = {"scans": len(names) * scans, "splits": splits, "points": dict(sorted(points.items()))}
-    return {"stage": "synth", **made}
-
-
-def manifest(
-    counts: Mapping[str, int], scans: int, seed: int, spacing: float, sensor: str
-) -> dict[str, Any]:
-    """Return the record of a data set, its sequences by split; parameters as of `synthesise`."""
-    names = map("{:02d}".format, range(sum(counts.values())))
-    splits = {split: tuple(islice(names, count)) for split, count in counts.items()}
-    settings = {"scans": scans, "seed": seed, "spacing": spacing, "sensor": sensor}
-    return {"stage": "synth", "version": __version__, "settings": {"splits": splits} | settings}
+    return {"stage": STAGE, **made}
 
 
 def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float) -> None:
@@ -104,29 +118,27 @@ def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float) -> 
 
 
 def _begin(
-    owned: OwnedFolder, made_with: dict[str, Any], files: list[Path], overwrite: bool
+    owned: OwnedFolder, made_with: SynthSettings, files: list[Path], overwrite: bool
 ) -> None:
     """Record what is made, after removing an earlier data set if that is to be replaced."""
-    out, earlier = owned.root, owned.recorded()
-    whole = earlier is not None and all(map(filled, files))
-    if earlier is not None and not overwrite:
-        before, now = (_settings(each, version=not whole) for each in (earlier, as_json(made_with)))
+    out, wanted = owned.root, made_with.record
+    if (earlier := owned.manifest.record(STAGE)) and not overwrite:
+        # A data set that is whole may be of another version.
+        whole = all(map(filled, files))
+        before, now = (
+            {**each.settings, **({} if whole else {"version": each.version})}
+            for each in (earlier, wanted)
+        )
         require_same_settings(owned.record_path, before, now)
         if whole:
             return
     folders = {folder for path in files for folder in path.parents if out in folder.parents}
     links = sorted(folder for folder in folders if folder.is_symlink())
-    owned.require_own([*links, owned.record_path, *files])
+    owned.require_own([*links, *files])
     # The record stays until it is replaced, so that a run that is killed before may go on.
-    generated = [path for path in owned.written() if _is_generated(path, out)]
-    owned.begin(made_with, generated if overwrite else [])
-
-
-def _settings(record: Mapping[str, Any], *, version: bool) -> dict[str, Any]:
-    """Return what a data set was made with; one that is whole may be of another version."""
-    settings = record.get("settings")
-    settings = dict(settings) if isinstance(settings, dict) else {}
-    return settings | {"version": record.get("version")} if version else settings
+    if overwrite:
+        owned.remove_own([path for path in owned.written() if _is_generated(path, out)])
+    owned.manifest.write(wanted)
 
 
 def _is_generated(path: Path, out: Path) -> bool:

@@ -6,19 +6,18 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
-from salsanext_cli.files.json_files import read_json
-from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.measures.scan_summary import ScanWarning
+from salsanext_cli.network.card import WeightsCard, default_weights, read_card
 from salsanext_cli.parallel.options import worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.selection import evenly_spaced
-from salsanext_cli.results.stage_records import as_json
 from salsanext_cli.sensors.sensor import Sensor
-from salsanext_cli.stages.synth import MANIFEST, manifest, synthesise
+from salsanext_cli.stages.synth import SynthSettings, synthesise
 from salsanext_cli.synthesis.rig import RIGS
 from salsanext_cli.training.cross_validation import Expectation
 from salsanext_cli.training.data.class_counts import ClassCounts, class_counts, require_labels
@@ -41,6 +40,7 @@ from salsanext_cli.training.run_folder import (
     LAST,
     STAGE,
     STREETS,
+    TrainingSettings,
     begin,
     recorded_precision,
     require_free,
@@ -62,9 +62,66 @@ class TrainResult:
     # Validation mIoU on points, after kNN, of the best weights; None without validation split
     best_miou: float | None
     rows: Sequence[Row]  # The log, a row per epoch
-    warnings: list[dict[str, Any]]  # Reasons to doubt scans, as `RunSummary.warnings` lists them
+    warnings: list[ScanWarning]  # Reasons to doubt scans
     # What scans left out say of new ones, if there was a cross-validation
     expected: Expectation | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class NewTraining:
+    """Training that is about to begin, in its run folder."""
+
+    roots: tuple[Path, ...]  # Of the data set and the further ones
+    run: Path
+    recipe: Recipe
+    given: Sequence[Source]  # Scans trained on, scans for validation, further ones
+    settings: TrainingSettings
+    jobs: int
+
+    def prepare(
+        self, held: ExitStack, start: Path | None, *, overwrite: bool, strict: bool
+    ) -> tuple[list[Source], ClassCounts]:
+        """Keep other runs out of the folder, check it and the scans, and record the settings.
+
+        Returns the scans for validation, those trained on and further ones, with the sensors that
+        were fitted to them, and the counts of their classes.
+        """
+        run, recipe, first = self.run, self.recipe, self.given[0]
+        held.enter_context(OwnedFolder(run, STAGE).open())
+        require_free(run, self.settings, overwrite=overwrite)
+        require_labels([file for source in self.given for file in source.files])
+        streets = _simulated_streets(
+            run / STREETS, recipe.streets, first.space, first.sensor, self.jobs
+        )
+        data, is_fitted = [*self.given, *streets], recipe.sensors == "fitted"
+        first, scored, *others = training_sources(data, fit=is_fitted, jobs=self.jobs)
+        kept, sources = run / CLASS_COUNTS, [first, *others]
+        validated = evenly_spaced(scored.files, recipe.validation_scans)
+        counts = class_counts(kept, sources, scored, validated, self.jobs, recipe.also)
+        if strict and counts.warnings:
+            found = (f"{w.code} in {counted(len(w.scans), 'scan')}" for w in counts.warnings)
+            remedy = "mend the scans or leave them out, or train without --strict"
+            found_scans = f"doubtful scans: {', '.join(found)}"
+            raise TrainingError(self.roots[0], found_scans, "none", remedy)
+        begin(run, self.settings, overwrite=overwrite)
+        random = "random weights (--weights default: those of the package)"
+        if not (run / CHECKPOINT).exists():
+            log.log(NOTICE, "training from %s", start.name if start else random)
+        return [replace(scored, files=validated), *sources], counts
+
+    def card(
+        self, card: WeightsCard, sources: Sequence[Source], weights: Path | None
+    ) -> WeightsCard:
+        """Return a card of weights that are trained on sources, from those in a file if any."""
+        simulated = ", simulated streets" if len(sources) > len(self.roots) else ""
+        names = ", ".join(path.resolve().name for path in self.roots)
+        return replace(
+            card,
+            sensor=sources[0].sensor,
+            # The recipe says which without --weights.
+            recipe={"initial": read_card(weights).named(weights)} if weights else {},
+            description=f"Trained with `salsanext train` on {names}{simulated}.",
+        )
 
 
 def train(
@@ -87,62 +144,34 @@ def train(
     With a recipe of some folds, scans without a validation split are cross-validated, and then all
     trained on. Started by torchrun, each worker learns from its share of every batch.
     """
-    workers = worker_count(jobs)
-    if recipe.batch < (size := group_of_environment().size):
-        expected = f"at least one sample for each of {size} workers"
-        remedy = "start fewer workers or set batch higher"
-        raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
+    _require_batch(recipe.batch, group_of_environment().size)
     start = default_weights() if weights is None and recipe.initial == "default" else weights
     with process_group(device) as (group, own_device), ExitStack() as held:
         classes, training, validation = group.on_main(
             lambda: scans_to_train_on(dataset, space, divisible=recipe.folds > 0)
         )
         if recipe.precision == "auto":
-            begun = None if overwrite else group.on_main(lambda: recorded_precision(run))
+            begun = group.on_main(lambda: None if overwrite else recorded_precision(run))
             recipe = replace(recipe, precision=begun or common_precision(own_device, group))
         initial, card = initial_network(start, classes, recipe, sensor)
-        sensor = card.sensor
-        roots = ", ".join(path.resolve().name for path in (dataset, *also))
-        further = group.on_main(lambda: [further_source(path, classes, sensor) for path in also])
-        given = [Source(files, classes, sensor) for files in (training, validation)] + further
+        further = group.on_main(lambda: [further_source(p, classes, card.sensor) for p in also])
+        given = [Source(files, classes, card.sensor) for files in (training, validation)] + further
         settings = training_settings(recipe, given, start)
-
-        def prepare() -> tuple[list[Source], ClassCounts]:
-            held.enter_context(OwnedFolder(run, STAGE).open())
-            require_free(run, settings, overwrite=overwrite)
-            require_labels([file for source in given for file in source.files])
-            streets = _simulated_streets(run / STREETS, recipe.streets, classes, sensor, jobs)
-            fitted = training_sources([*given, *streets], fit=recipe.sensors == "fitted", jobs=jobs)
-            first, scored, *others = fitted
-            kept, sources = run / CLASS_COUNTS, [first, *others]
-            validated = evenly_spaced(scored.files, recipe.validation_scans)
-            counts = class_counts(kept, sources, scored, validated, jobs, recipe.also)
-            if strict and (doubts := counts.warnings):
-                found = [f"{w['code']} in {counted(len(w['scans']), 'scan')}" for w in doubts]
-                remedy = "mend the scans or leave them out, or train without --strict"
-                raise TrainingError(dataset, f"doubtful scans: {', '.join(found)}", "none", remedy)
-            begin(run, settings, overwrite=overwrite)
-            random = "random weights (--weights default: those of the package)"
-            if not (run / CHECKPOINT).exists():
-                log.log(NOTICE, "training from %s", start.name if start else random)
-            return [replace(scored, files=validated), *sources], counts
-
-        (scored, *sources), counts = group.on_main(prepare)
-        simulated = ", simulated streets" if len(sources) > 1 + len(also) else ""
-        description = f"Trained with `salsanext train` on {roots}{simulated}."
-        # The recipe says which without --weights.
-        origin = {"initial": read_card(weights).named(weights)} if weights else {}
+        new = NewTraining((dataset, *also), run, recipe, given, settings, jobs)
+        (scored, *sources), counts = group.on_main(
+            lambda: new.prepare(held, start, overwrite=overwrite, strict=strict)
+        )
         setup = Setup(
             run=run,
             recipe=recipe,
             initial=initial,
-            card=replace(card, sensor=sources[0].sensor, recipe=origin, description=description),
+            card=new.card(card, sources, weights),
             sources=sources,
             counts=counts,
             settings=settings,
             device=own_device,
             group=group,
-            workers=workers if jobs != 1 else 0,
+            workers=worker_count(jobs) if jobs != 1 else 0,
             overwrite=overwrite,
             error=read_card(start).error if start else None,
             draw=draw_sample,
@@ -157,6 +186,13 @@ def train(
     return TrainResult(run / BEST, run / LAST, best, state.rows, counts.warnings, outlook)
 
 
+def _require_batch(samples: int, workers: int) -> None:
+    if samples < workers:
+        expected = f"at least one sample for each of {workers} workers"
+        remedy = "start fewer workers or set batch higher"
+        raise UsageError("recipe key batch", f"{samples}", expected, remedy)
+
+
 def _simulated_streets(
     folder: Path, count: int, classes: LabelSpace, sensor: Sensor, jobs: int
 ) -> list[Source]:
@@ -169,8 +205,8 @@ def _simulated_streets(
     roots = {kind: folder / kind for kind in RIGS}
     splits = {"train": count, "valid": 0, "test": 0}
     for kind, root in roots.items():
-        settings = as_json(manifest(splits, SCANS_OF_STREET, 0, STREET_SPACING_M, kind))
-        if (recorded := read_json(root / MANIFEST)) != settings:
+        wanted = SynthSettings.of(splits, SCANS_OF_STREET, 0, STREET_SPACING_M, kind).record
+        if (recorded := Manifest(root).record(wanted.stage)) != wanted:
             why = ": those there are of another version or settings" if recorded else ""
             log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
         synthesise(
@@ -182,7 +218,7 @@ def _simulated_streets(
             spacing=STREET_SPACING_M,
             sensor=kind,
             jobs=jobs,
-            overwrite=recorded not in (None, settings),
+            overwrite=recorded not in (None, wanted),
         )
     sources = [further_source(root, classes, sensor) for root in roots.values()]
     return [replace(source, simulated=True) for source in sources]

@@ -3,20 +3,20 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
-from salsanext_cli.engines.settings import NetworkSettings, recorded_view
+from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, OutputError
 from salsanext_cli.fitting.label_scan import PreparedScan, ProjectedScan, labelled, prepared_for
-from salsanext_cli.fitting.scan_fit import network_of_run
+from salsanext_cli.fitting.scan_fit import network_of_run, settings_of_network
+from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.options import KnnParameters, ScanSelection
@@ -25,9 +25,9 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
 from salsanext_cli.results.layout import ERROR, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.selection import choose, scans_of, space_of
-from salsanext_cli.results.stage_records import StageRecords, as_json
-from salsanext_cli.sensors.sensor import Sensor
+from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.method import UncertaintyMethod
@@ -105,16 +105,24 @@ def uncertainty(
     listed = scans_of(source)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
     # Labels of another stage stay, and with them what they were made with.
-    labels_too = StageRecords(out).owner("predictions") in (None, "uncertainty")
+    labels_too = Provenance(out).owner("predictions") in (None, "uncertainty")
     overwrite = options.overwrite and labels_too
     network = network_of_run(settings, network, listed, out, overwrite=overwrite)
     method.require(network)
-    recorded = settings.record(network) | {"knn": asdict(knn)} | method.settings(network.sensor)
+    recorded = replace(
+        settings_of_network(network),
+        knn=knn,
+        method=method.method,
+        aleatoric=method.aleatoric,
+        samples=method.samples if method.is_sampled else None,
+        seed=method.seed if method.is_random else None,
+        noise=noise_of(network.sensor) if method.is_noisy else None,
+    )
     kinds = tuple(f"uncertainty/{kind}" for kind in method.kinds)
     folders = (*kinds, "predictions") if labels_too else kinds
     if knows_error(network) and labels_too:
         folders = (ERROR, *folders)
-    elif knows_error(network) and StageRecords(out).owner(ERROR) is None:
+    elif knows_error(network) and Provenance(out).owner(ERROR) is None:
         log.log(NOTICE, "no errors: the labels in %s are another stage's; see predict --error", out)
     _require_network_of_labels(out, recorded)
     summary = RunSummary.of_scans(scans, network.sensor, network.space)
@@ -125,23 +133,24 @@ def uncertainty(
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
 
 
-def _require_network_of_labels(out: Path, settings: dict[str, Any]) -> None:
+def _require_network_of_labels(out: Path, settings: StageSettings) -> None:
     """Refuse to put the uncertainty of one network beside the labels of another."""
-    records = StageRecords(out)
+    records = Provenance(out)
     stage = records.owner("predictions")
     recorded = records.settings(stage) if stage not in (None, "uncertainty") else None
-    if recorded is None:
+    if recorded is None or stage is None:
         return
-    same: dict[str, bool] = {}
-    if "sensor" in recorded:
-        before = recorded_view(Sensor.from_dict(recorded["sensor"]))
-        views = (as_json(view | {"name": ""}) for view in (before, settings["sensor"]))
-        same["sensor"] = next(views) == next(views)
-    if weights := records.weights("predictions"):
-        # Labels of other programs may be in any classes.
-        own, space = (LabelSpace.from_dict(each["label_space"]) for each in (settings, recorded))
-        same |= {"weights": weights == settings["weights"], "classes": space.fits(own)}
+    before, now = (
+        each.sensor and replace(each.sensor.without_noise(), name="")
+        for each in (recorded, settings)
+    )
+    same = {"sensor": before in (None, now)}
+    # Labels of other programs may be in any classes.
+    if (weights := records.weights("predictions")) and settings.label_space:
+        space = records.label_space("predictions")
+        same["weights"] = weights == settings.weights
+        same["classes"] = space is not None and space.fits(settings.label_space)
     for name in (name for name, is_same in same.items() if not is_same):
         found, expected = f"labels made with other {name}", "the same for labels and uncertainty"
         remedy = f"give the same --{name}, or use another output folder"
-        raise OutputError(out / f"{stage}.json", found, expected, remedy)
+        raise OutputError(records.path(stage), found, expected, remedy)

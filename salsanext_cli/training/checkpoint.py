@@ -11,7 +11,6 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import safetensors
 import safetensors.torch
@@ -50,7 +49,7 @@ def save_checkpoint(path: Path, learner: Learner, state: TrainingState) -> None:
         for key, value in learner.optimiser.state.get(parameter, {}).items():
             tensors[f"optimiser.{name}.{key}"] = value
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    values: dict[str, Any] = {"progress": progress, "scaler": learner.scaler.state_dict()}
+    values: dict[str, object] = {"progress": progress, "scaler": learner.scaler.state_dict()}
     values["sha256"] = _checksum(values, tensors)
     content = safetensors.torch.save(tensors, {KEY: json.dumps(values)})
     OwnedFolder(path.parent).write(path, content, durable=True)
@@ -82,7 +81,7 @@ def _networks(learner: Learner) -> nn.ModuleDict:
     return networks
 
 
-def _checksum(values: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> str:
+def _checksum(values: Mapping[str, object], tensors: Mapping[str, Tensor]) -> str:
     """Return the SHA-256 of values and tensors, but for the types and shapes of these."""
     digest = hashlib.sha256(json.dumps(values).encode())
     for name, tensor in sorted(tensors.items()):

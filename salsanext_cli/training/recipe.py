@@ -103,7 +103,7 @@ class Recipe:
         """Return the recipe with some keys changed; an unknown key raises `UsageError`."""
         return self.from_dict({**asdict(self), **changes})
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return plain data that `from_dict` accepts."""
         return asdict(self)
 
@@ -133,9 +133,9 @@ def recipe(name_or_file: str | Path) -> Recipe:
     return Recipe.from_dict(read_toml(path, "recipe", presets()), path)
 
 
-def read_overrides(texts: Iterable[str]) -> dict[str, Any]:
+def read_overrides(texts: Iterable[str]) -> dict[str, object]:
     """Return what `Recipe.with_changes` takes, of texts ``key=value``; the last of a key holds."""
-    changes: dict[str, Any] = {}
+    changes: dict[str, object] = {}
     for text in texts:
         key, equals, value = (part.strip() for part in text.partition("="))
         if not (key and equals and value):

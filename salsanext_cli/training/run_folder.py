@@ -2,24 +2,26 @@
 """Run folder of a training: its files, and the settings that decide what is in them."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
+from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.device import PRECISIONS
 from salsanext_cli.errors import OutputError, counted
 from salsanext_cli.files.atomic import require_writable
 from salsanext_cli.files.identity import fingerprint
+from salsanext_cli.files.json_files import record_of
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.stage_records import (
+from salsanext_cli.results.manifest import (
+    Manifest,
     StageRecord,
-    StageRecords,
-    as_json,
     require_same_settings,
+    settings_json,
 )
+from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.recipe import Recipe
 
@@ -33,28 +35,58 @@ RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE)
 """Files that a new training in the folder removes, beside pictures and events."""
 
 
+@dataclass(frozen=True, slots=True)
+class FurtherData:
+    """Scans of another data set that are trained on too."""
+
+    label_space: LabelSpace
+    scans: str  # As of `scans_digest`
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingSettings:
+    """Settings that decide the result of a training."""
+
+    recipe: Recipe
+    sensor: Sensor
+    label_space: LabelSpace
+    scans: str  # As of `scans_digest`, of those trained on and for validation
+    weights: str | None = None  # SHA-256 of the weights that it begins from
+    labels: str | None = None  # Digest of the labels of a cross-validated training
+    also: tuple[FurtherData, ...] | None = None
+    left_out: str | None = None  # Of a fold: `scans_digest` of its scans
+
+    @property
+    def decisive(self) -> dict[str, object]:
+        """Settings that a resumed training keeps; the parts of a batch may change."""
+        recipe = replace(self.recipe, accumulate=Recipe().accumulate)
+        return settings_json(replace(self, recipe=recipe))
+
+    @property
+    def recipe_file(self) -> bytes:
+        """Content of the file of the recipe in the run folder."""
+        return self.recipe.to_toml().encode()
+
+
 def training_settings(
     recipe: Recipe, sources: Sequence[Source], weights: Path | None
-) -> dict[str, Any]:
+) -> TrainingSettings:
     """Return all that decides a training's result; sources: trained on, validated, further ones."""
     first, validation, *further = sources
-    settings: dict[str, Any] = {
-        "recipe": recipe.to_dict(),
-        "sensor": replace(first.sensor, intensity_quantiles=(), row_gaps=None).to_dict(),
-        "label_space": first.space.to_dict(),
-        "scans": scans_digest([*first.files, *validation.files]),
-        "weights": fingerprint(weights) if weights else None,
-    }
+    labels = None
     if first.files and recipe.folds:
         # Labels of a few scans are corrected, and trained on again.
-        labels = "".join(fingerprint(file.label_path) for file in first.files)
-        settings["labels"] = hashlib.sha256(labels.encode()).hexdigest()[:16]
-    if further:
-        settings["also"] = [
-            {"label_space": each.space.to_dict(), "scans": scans_digest(each.files)}
-            for each in further
-        ]
-    return settings
+        digests = "".join(fingerprint(file.label_path) for file in first.files)
+        labels = hashlib.sha256(digests.encode()).hexdigest()[:16]
+    return TrainingSettings(
+        recipe=recipe,
+        sensor=replace(first.sensor, intensity_quantiles=(), row_gaps=None),
+        label_space=first.space,
+        scans=scans_digest([*first.files, *validation.files]),
+        weights=fingerprint(weights) if weights else None,
+        labels=labels,
+        also=tuple(FurtherData(s.space, scans_digest(s.files)) for s in further) or None,
+    )
 
 
 def scans_digest(scans: Sequence[ScanFile]) -> str:
@@ -73,47 +105,52 @@ def fold_folder(run: Path, number: int) -> Path:
     return run / FOLDS / str(number)
 
 
+def recorded_settings(run: Path) -> TrainingSettings | None:
+    """Return the settings of the training that a folder holds, None if it holds none."""
+    manifest = Manifest(run)
+    record = manifest.record(STAGE)
+    return record_of(TrainingSettings, record.settings, manifest.path(STAGE)) if record else None
+
+
 def recorded_precision(run: Path) -> str | None:
     """Return the number type of the training that a folder holds, None if it tells none."""
-    settings = StageRecords(run).settings(STAGE)
-    precision = settings.table("recipe").get("precision") if settings else None
+    settings = recorded_settings(run)
+    precision = settings.recipe.precision if settings else None
     return precision if precision in PRECISIONS and precision != "auto" else None
 
 
-def require_free(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
+def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
     """Refuse, before anything is done, a folder that a training may not have."""
     require_writable(run)
-    recorded = StageRecords(run).settings(STAGE)
+    recorded, owned = recorded_settings(run), OwnedFolder(run, STAGE)
     replaced = [run / name for name in (*RESULTS, CLASS_COUNTS)]
-    epochs = settings["recipe"]["epochs"]
-    replaced += [sample_path(run, epoch) for epoch in range(1, epochs + 1)]
+    replaced += [sample_path(run, epoch) for epoch in range(1, settings.recipe.epochs + 1)]
     if not _holds_recipe(run, settings):
         replaced.append(run / RECIPE)
-    owned = OwnedFolder(run, STAGE)
     owned.require_own(replaced)
     results = (folder / name for folder in _folders(run) for name in RESULTS)
-    if recorded is not None and not overwrite and any(path.exists() for path in results):
-        decisive = _decisive(as_json(settings))
-        before = _extended(recorded, decisive)
-        if before != decisive and _extended(recorded, decisive, always=True) == decisive:
-            found = f"{counted(before['recipe']['epochs'], 'epoch')}, and a schedule that has ended"
-            remedy = f"go on from it in another folder: --weights {run / 'last.safetensors'}"
-            raise OutputError(owned.record_path, found, "a schedule that goes on: decay", remedy)
-        require_same_settings(owned.record_path, before, decisive)
+    if recorded is None or overwrite or not any(path.exists() for path in results):
+        return
+    before, after = _extended(recorded, settings).decisive, settings.decisive
+    if before != after and _extended(recorded, settings, always=True).decisive == after:
+        found = f"{counted(recorded.recipe.epochs, 'epoch')}, and a schedule that has ended"
+        remedy = f"go on from it in another folder: --weights {run / LAST}"
+        raise OutputError(owned.record_path, found, "a schedule that goes on: decay", remedy)
+    require_same_settings(owned.record_path, before, after)
 
 
-def begin(run: Path, settings: Mapping[str, Any], *, overwrite: bool) -> None:
+def begin(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
     """Record a training in a free folder; remove results of other settings, or all to overwrite."""
-    recorded, owned = StageRecords(run).settings(STAGE), OwnedFolder(run, STAGE)
-    decisive = _decisive(as_json(settings))
-    if overwrite or recorded is None or _extended(recorded, decisive) != decisive:
+    recorded, owned = recorded_settings(run), OwnedFolder(run, STAGE)
+    known = recorded and _extended(recorded, settings).decisive
+    if overwrite or known != settings.decisive:
         for folder in _folders(run):
             results = [folder / name for name in RESULTS]
             results += [*folder.glob(f"{SAMPLES}/epoch-*.png"), *folder.glob(f"{EVENTS}/events.*")]
             OwnedFolder(folder).remove_own(results)
-    owned.begin(StageRecord(STAGE, as_json(settings)).to_dict())
+    owned.manifest.write(StageRecord(STAGE, settings_json(settings)))
     if not _holds_recipe(run, settings):
-        owned.write(run / RECIPE, _recipe_file(settings))
+        owned.write(run / RECIPE, settings.recipe_file)
 
 
 def _folders(run: Path) -> list[Path]:
@@ -121,30 +158,18 @@ def _folders(run: Path) -> list[Path]:
     return [run, *run.glob(f"{FOLDS}/*")]
 
 
-def _recipe_file(settings: Mapping[str, Any]) -> bytes:
-    return Recipe.from_dict(settings["recipe"]).to_toml().encode()
-
-
-def _holds_recipe(run: Path, settings: Mapping[str, Any]) -> bool:
+def _holds_recipe(run: Path, settings: TrainingSettings) -> bool:
     with suppress(OSError):
-        return (run / RECIPE).read_bytes() == _recipe_file(settings)
+        return (run / RECIPE).read_bytes() == settings.recipe_file
     return False
 
 
 def _extended(
-    recorded: Mapping[str, Any], decisive: Mapping[str, Any], *, always: bool = False
-) -> dict[str, Any]:
-    """Return the decisive settings of a record, with more epochs if those before stay the same."""
-    before, recipe = _decisive(recorded), decisive["recipe"]
-    steady = recipe["schedule"] == "decay" and not recipe["whole_epochs"] and not recipe["folds"]
-    if (steady or always) and before.get("recipe", recipe)["epochs"] < recipe["epochs"]:
-        before["recipe"] = {**before["recipe"], "epochs": recipe["epochs"]}
-    return before
-
-
-def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that a resumed training keeps; the parts of a batch may change."""
-    recipe = settings.get("recipe")
-    if not isinstance(recipe, dict):
-        return dict(settings)
-    return {**settings, "recipe": {**Recipe().to_dict(), **recipe, "accumulate": None}}
+    recorded: TrainingSettings, wanted: TrainingSettings, *, always: bool = False
+) -> TrainingSettings:
+    """Return recorded settings, with more epochs if those before stay the same."""
+    recipe = wanted.recipe
+    steady = recipe.schedule == "decay" and not recipe.whole_epochs and not recipe.folds
+    if (steady or always) and recorded.recipe.epochs < recipe.epochs:
+        return replace(recorded, recipe=replace(recorded.recipe, epochs=recipe.epochs))
+    return recorded

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -90,7 +90,9 @@ def inheriting(card: WeightsCard, weights: Path) -> WeightsCard:
     error, name = begun.error, begun.named(weights)
     fits = begun.space.fits(card.space) and (error is None or error.features == FEATURES)
     error = error and replace(error, scores={INHERITED: name, **error.scores})
-    accuracy = begun.accuracy and {INHERITED: name, **begun.accuracy}
+    accuracy = begun.accuracy
+    if accuracy and not accuracy.inherited_from:
+        accuracy = replace(accuracy, inherited_from=name)
     heir = replace(card, temperature=begun.temperature, error=error, accuracy=accuracy)
     if inherited := heir.inherited():
         how = "inherited" if fits else "not inherited, since classes or features differ"
@@ -142,7 +144,7 @@ class Setup:
     card: WeightsCard
     sources: Sequence[Source]  # All labelled scans of the data set, and further data sets
     counts: ClassCounts
-    settings: Mapping[str, Any]  # All that decides the result
+    settings: run_folder.TrainingSettings  # All that decides the result
     device: torch.device
     group: ProcessGroup
     workers: int
@@ -193,7 +195,7 @@ class Setup:
             fold = replace(
                 self,
                 run=run_folder.fold_folder(self.run, number),
-                settings={**self.settings, "left_out": run_folder.scans_digest(part)},
+                settings=replace(self.settings, left_out=run_folder.scans_digest(part)),
                 report=partial(self._report_fold, number, len(parts)),
             )
             self.group.on_main(fold._begin)

@@ -2,7 +2,6 @@
 """Methods of estimating uncertainty, and their numbers."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
@@ -10,7 +9,6 @@ from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.records import RangeImage
 from salsanext_cli.results.layout import ScanFile
-from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.estimate import Estimate
@@ -45,33 +43,37 @@ class UncertaintyMethod:
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of uncertainty that are estimated."""
-        noisy = self.aleatoric != "none"
-        return (*EPISTEMIC_KINDS, *ALEATORIC_KINDS) if noisy else EPISTEMIC_KINDS
+        return (*EPISTEMIC_KINDS, *ALEATORIC_KINDS) if self.is_noisy else EPISTEMIC_KINDS
 
-    def settings(self, sensor: Sensor) -> dict[str, Any]:
-        """Return what the results depend on besides the network and what it sees."""
-        if self.method == "sampling":
-            numbers: tuple[str, ...] = ("samples", "seed")
-        else:
-            numbers = ("seed",) if self.aleatoric == "copies" else ()
-        noise = {"noise": noise_of(sensor)} if self.aleatoric != "none" else {}
-        names = ("method", "aleatoric", *numbers)
-        return {name: getattr(self, name) for name in names} | noise
+    @property
+    def is_sampled(self) -> bool:
+        """True if the network is passed with random dropout."""
+        return self.method == "sampling"
+
+    @property
+    def is_noisy(self) -> bool:
+        """True if the noise of the sensor counts."""
+        return self.aleatoric != "none"
+
+    @property
+    def is_random(self) -> bool:
+        """True if the seed counts."""
+        return self.is_sampled or self.aleatoric == "copies"
 
     def require(self, network: Network) -> None:
         """Raise what `estimate` raises, before any scan is read."""
         require_dropout(network.module)
-        if self.aleatoric != "none":
+        if self.is_noisy:
             noise_of(network.sensor)
 
     def estimate(self, network: Network, image: RangeImage, scan: ScanFile) -> Estimate:
         """Return the prediction for a scan and the uncertainty of its pixels."""
         seed = scan_seed(self.seed, scan.sequence, scan.stem)
-        if self.method == "sampling":
+        if self.is_sampled:
             estimate = sample(network, image, samples=self.samples, seed=seed)
         else:
             estimate = propagate_dropout(network, image)
-        if self.aleatoric == "none":
+        if not self.is_noisy:
             return estimate
         of_copies = self.aleatoric == "copies"
         noise = noise_variance(network, image, seed) if of_copies else aleatoric(network, image)

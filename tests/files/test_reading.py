@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scans import make_scan, write_bin
 
-from salsanext_cli.errors import FormatError, OutputError
-from salsanext_cli.files.json_files import RecordedSettings
+from salsanext_cli.errors import FormatError
 from salsanext_cli.files.reading import filled, is_folder, present, refusing_damage
 from salsanext_cli.formats import SCAN_SUFFIXES, kitti, read_scan
 from salsanext_cli.formats.kitti import read_bin, read_labels, write_labels
@@ -86,32 +85,3 @@ def test_shorter_while_it_is_read(tmp_path, monkeypatch, name, read):
     monkeypatch.setattr(kitti, "size_of", lambda file: 16 + os.fstat(file.fileno()).st_size)
     with pytest.raises(FormatError, match="changed while it was read"):
         read(tmp_path / name)
-
-
-SETTINGS = RecordedSettings(
-    {"n": 3, "endless": "Infinity", "marks": [1, 2.5, 4], "in": {"k": 5}},
-    Path("out/predict.json"),
-)
-
-
-def test_settings_are_read_back():
-    assert SETTINGS.numbers("marks") == (1.0, 2.5, 4.0)
-    assert SETTINGS.table("in")["k"] == 5
-    assert SETTINGS.get("none") is None
-
-
-@pytest.mark.parametrize("read", ["numbers", "table", "__getitem__"])
-def test_what_was_cut_out_is_named(read):
-    with pytest.raises(OutputError, match=r"out/predict\.json · settings lack none · .*delete it"):
-        getattr(SETTINGS, read)("none")
-    with pytest.raises(OutputError, match=r"out/predict\.json · settings lack none"):
-        SETTINGS.table("in")["none"]
-
-
-def test_what_was_put_in_is_named():
-    for read, key in (
-        *(("numbers", key) for key in ("n", "endless", "in")),
-        *(("table", key) for key in ("n", "marks", "endless")),
-    ):
-        with pytest.raises(OutputError, match=rf"out/predict\.json · settings have {key} "):
-            getattr(SETTINGS, read)(key)

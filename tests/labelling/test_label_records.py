@@ -17,6 +17,7 @@ from salsanext_cli.labelling.label_records import (
     GUESSES,
     IMPORTED,
     PICKED,
+    ImportedScan,
     LabelRecords,
     first_guesses,
     labels_root,
@@ -41,6 +42,10 @@ def data(tmp_path):
     return root
 
 
+def imported(*files, scan="00/000000"):
+    return ImportedScan(scan, files, 1500, 1500, 0, 0, 0, 0, 0, "label")
+
+
 A = [Path("edited/a.ply")]
 B = [Path("edited/b.ply")]
 
@@ -58,7 +63,7 @@ def test_labels_are_a_first_guess_until_they_are_changed_or_imported(data):
         True,
         False,
     ]
-    records.write(first, GUESS, {"files": ["a.ply"]})
+    records.write(first, GUESS, imported("a.ply"))
     assert guessed(data) == ["00/000001"]
     second.label_path.write_bytes(GUESS[4:] + GUESS[:3] + b"\1")
     assert guessed(data) == []
@@ -67,9 +72,9 @@ def test_labels_are_a_first_guess_until_they_are_changed_or_imported(data):
     assert not LabelRecords(data).is_replaceable(first, B)
     assert LabelRecords(data).is_replaceable(first, A + B)
     assert not LabelRecords(data).is_replaceable(second, A)
-    recorded = json.loads((data / IMPORTED).read_text())
-    assert recorded["scans"]["00/000000"]["files"] == ["a.ply"]
-    records.write(first, GUESS, {"files": ["a.ply", "more/a.ply"]})
+    (line,) = filter(None, (data / IMPORTED[1]).read_text().splitlines())
+    assert json.loads(line)["files"] == ["a.ply"]
+    records.write(first, GUESS, imported("a.ply", "more/a.ply"))
     assert not LabelRecords(data).is_replaceable(first, A)
 
 
@@ -92,8 +97,40 @@ def test_an_import_that_was_cut_off_leaves_a_first_guess(data, monkeypatch):
 
     monkeypatch.setattr(OwnedFolder, "write", refuse)
     with pytest.raises(OutputError):
-        LabelRecords(data).write(scan, GUESS[:-4] + bytes(4), {})
+        LabelRecords(data).write(scan, GUESS[:-4] + bytes(4), imported("a.ply"))
     assert guessed(data) == ["00/000000", "00/000001"]
+
+
+def test_a_line_that_was_cut_off_costs_one_import(data):
+    first, second, _ = find_scans(data)
+    for scan in (first, second):
+        LabelRecords(data).write(scan, GUESS, imported("a.ply", scan=scan.name))
+    assert guessed(data) == []
+    lines = data / IMPORTED[1]
+    lines.write_bytes(lines.read_bytes()[:-20])
+    assert guessed(data) == ["00/000001"]
+    LabelRecords(data).write(second, GUESS, imported("a.ply", scan=second.name))
+    assert guessed(data) == []
+
+
+def test_imports_by_older_versions_count(data):
+    first, second, _ = find_scans(data)
+    known = {"sha256": hashlib.sha256(GUESS).hexdigest(), "files": ["a.ply"], "contradicted": 2}
+    (data / IMPORTED[0]).write_text(json.dumps({"scans": {first.name: known, second.name: 5}}))
+    assert guessed(data) == ["00/000001"]
+    records = LabelRecords(data)
+    assert [records.is_replaceable(first, A, n) for n in (2, 3)] == [True, False]
+    assert not records.is_replaceable(second, A)
+
+
+def test_the_record_grows_by_the_scans_of_an_import(data):
+    """Not by all scans that were imported before."""
+    sizes, records = [0], LabelRecords(data)
+    scan = find_scans(data)[0]
+    for _ in range(3):
+        records.write(scan, GUESS, imported("a.ply"))
+        sizes.append((data / IMPORTED[1]).stat().st_size)
+    assert len(set(np.diff(sizes))) == 1
 
 
 def test_records_lie_above_scans_and_labels(tmp_path):

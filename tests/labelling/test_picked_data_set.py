@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Poses that go with picked scans."""
+"""Settings of `pick`, and poses that go with picked scans."""
 
 import pytest
 from scans import write_sequence
 
-from salsanext_cli.labelling.picked_data_set import PickedDataSet
+from salsanext_cli.labelling.picked_data_set import PickedDataSet, PickSettings
 from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.manifest import settings_json
+from salsanext_cli.results.settings import StageSettings
 
 
 @pytest.mark.parametrize(
@@ -26,3 +28,12 @@ def test_poses_whose_names_may_count_from_0_or_1_are_left_out(
     target = tmp_path / "out/sequences/08/poses.txt"
     assert (target.read_text() if target.exists() else None) == picked
     assert ("poses are left out" in caplog.text) == (picked is None)
+
+
+def test_the_settings_are_one_table_with_those_of_the_network():
+    network = StageSettings(weights="abc", precision="float32")
+    settings = PickSettings(network, "both", 10, 0, "3, abc", None, None, samples=8)
+    assert settings_json(settings) == {
+        **{"weights": "abc", "precision": "float32"},
+        **{"strategy": "both", "count": 10, "seed": 0, "scans": "3, abc", "samples": 8},
+    }

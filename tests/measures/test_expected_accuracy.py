@@ -3,6 +3,7 @@
 
 import math
 import re
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from salsanext_cli.measures.expected_accuracy import DEVIATIONS, WITHHELD_FOR, expected_accuracy
-from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.network.card import AccuracyLine, default_weights, read_card
 
-LINE = {"slope": 1.0, "offset": 0.0, "deviation": 0.05}
+LINE = AccuracyLine(1.0, 0.0, 0.05)
 SAFETY = Path(__file__).parents[2] / "docs/safety.md"
 SHARES = st.floats(0, 1)
 
@@ -30,12 +31,12 @@ def test_the_interval_holds_for_nine_of_the_ten_drives_of_the_docs():
     misses = np.abs(expected - right)
     others = [np.sqrt(np.mean(np.square(np.delete(misses, i)))) for i in range(10)]
     assert sum(misses <= DEVIATIONS * np.array(others)) == 9
-    assert line["deviation"] == pytest.approx(np.sqrt(np.mean(misses**2)) / 100, abs=1e-3)
+    assert line.deviation == pytest.approx(np.sqrt(np.mean(misses**2)) / 100, abs=1e-3)
 
 
 @given(st.dictionaries(st.text(max_size=3), SHARES, min_size=1), SHARES)
 def test_the_estimate_is_a_share_within_its_interval(confidences, deviation):
-    line = {"slope": 1e3, "offset": -3.0, "deviation": deviation}
+    line = AccuracyLine(1e3, -3.0, deviation)
     estimate = expected_accuracy(line, confidences, {})
     low, high = estimate.interval
     assert 0 <= low <= estimate.accuracy <= high <= 1
@@ -53,7 +54,7 @@ def test_the_mean_confidence_of_the_usual_scans_decides():
 @pytest.mark.parametrize("code", WITHHELD_FOR)
 def test_nothing_is_estimated_for_scans_unlike_the_labelled_drives(code):
     estimate = expected_accuracy(LINE, {"a": 0.8}, {code: ["a"]})
-    assert estimate.to_dict() == {
+    assert asdict(estimate) == {
         "accuracy": None,
         "interval": None,
         "scans": 0,
@@ -67,7 +68,7 @@ def test_one_scan_of_another_sensor_forbids_the_estimate_of_the_run():
 
 
 def test_without_a_line_or_scans_there_is_no_estimate():
-    assert expected_accuracy({}, {"a": 0.8}, {}) is None
+    assert expected_accuracy(None, {"a": 0.8}, {}) is None
     assert expected_accuracy(LINE, {}, {}) is None
 
 

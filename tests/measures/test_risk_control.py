@@ -2,6 +2,7 @@
 """Promises of thresholds: against closed forms, and by simulation of many calibrations."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from salsanext_cli.measures.risk_control import (
     promise,
 )
 from salsanext_cli.measures.scores import confusion_matrix
+from salsanext_cli.network.card import RiskThreshold
 
 DRAWS = 2000
 
@@ -151,37 +153,37 @@ def test_labels_that_are_kept_are_counted():
     assert "71.4% of 7 points, of which 40.0%" in next(kept.sentences)
 
 
+RISK = RiskThreshold("error", 0.25, 0.05, None, 20, ("00", "08"))
+
+
 def test_what_was_promised_stands_beside_what_was_found():
     scans = {"a/0": (100, 50, 8), "a/1": (200, 50, 4), "a/2": (0, 0, 0)}
-    found = RiskBoundCheck.of_scans({"at_most": 0.05, "confidence": None}, scans)
+    found = RiskBoundCheck.of_scans(RISK, scans)
     assert (found.units, found.above, found.mean, found.worst) == (2, 1, 0.05, 0.08)
     assert not found.is_exceeded
     assert "5.0 % on the mean of 2 scans, 8.0 % in the worst" in found.sentence
-    found = RiskBoundCheck.of_scans({"at_most": 0.05, "confidence": 0.9}, scans)
+    found = RiskBoundCheck.of_scans(replace(RISK, confidence=0.9), scans)
     assert "1 of 2 scans, 8.0 % in the worst" in found.sentence
     assert found.is_exceeded  # Half of them, of one tenth
-    assert not RiskBoundCheck.of_scans({"at_most": 0.05, "confidence": 0.5}, scans).is_exceeded
-    assert (
-        RiskBoundCheck.of_scans({"at_most": 0.05, "confidence": None}, {"a/2": (0, 0, 0)}) is None
-    )
-    drives = {"at_most": 0.04, "confidence": None, "unit": "drive"}
+    assert not RiskBoundCheck.of_scans(replace(RISK, confidence=0.5), scans).is_exceeded
+    assert RiskBoundCheck.of_scans(RISK, {"a/2": (0, 0, 0)}) is None
+    drives = replace(RISK, at_most=0.04, unit="drive")
     found = RiskBoundCheck.of_scans(drives, scans | {"b/0": (10, 9, 0)})
     assert (found.units, found.above, found.mean, found.worst) == (2, 1, 0.025, 0.05)
 
 
 def test_a_promise_names_what_it_holds_for():
-    risk = {"kind": "error", "threshold": 0.25, "at_most": 0.05, "confidence": None}
-    risk |= {"scans": 20, "sequences": ["00", "08"]}
-    assert promise(risk) == (
+    assert promise(RISK) == (
         "error up to 0.25 kept: of another scan of the drives that it was chosen on (20 scans of "
         "00, 08), not of others, at most 5 % of the points of known classes are expected to be "
         "kept and wrong"
     )
-    assert "with 90 % confidence, at most 10 % of scans" in promise(risk | {"confidence": 0.9})
-    of_drives = promise(risk | {"unit": "drive", "classes": {"car": 0.1}})
+    sure = promise(replace(RISK, confidence=0.9))
+    assert "with 90 % confidence, at most 10 % of scans" in sure
+    of_drives = promise(replace(RISK, unit="drive", classes={"car": 0.1}))
     assert ": of another drive like those that it was chosen on (20 scans" in of_drives
     assert of_drives.endswith("; the same of the points labelled as each of car")
     # Classes of which nothing is kept are promised nothing.
     some = {"car": 0.1, "person": KEEPS_NONE}
-    assert promise(risk | {"classes": some}).endswith("labelled as each of car")
-    assert promise(risk | {"classes": {"person": KEEPS_NONE}}) == promise(risk)
+    assert promise(replace(RISK, classes=some)).endswith("labelled as each of car")
+    assert promise(replace(RISK, classes={"person": KEEPS_NONE})) == promise(RISK)

@@ -75,8 +75,8 @@ def test_warnings_do_not_depend_on_the_order_of_the_scans(order):
     for place in order:
         summary.add(scans[place])
     height, tilted = summary.warnings()
-    assert (height["message"], height["scans"]) == ("height of 2", ["08/2", "08/5"])
-    assert (tilted["message"], tilted["scans"]) == ("tilted of 1", ["08/1", "08/2", "08/4", "08/5"])
+    assert (height.message, height.scans) == ("height of 2", ["08/2", "08/5"])
+    assert (tilted.message, tilted.scans) == ("tilted of 1", ["08/1", "08/2", "08/4", "08/5"])
 
 
 BEAMS = {
@@ -192,7 +192,7 @@ def test_a_run_says_it_at_its_end(caplog):
         summary.add(ScanSummary(file, ScanCheck((), of_scan)))
     assert not caplog.messages
     (warning,) = summary.finished().warnings()
-    assert (warning["code"], warning["scans"]) == ("mixed-sensors", ["08/000004"])
+    assert (warning.code, warning.scans) == ("mixed-sensors", ["08/000004"])
     assert "such as 08/000000" in caplog.text
 
 

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn import metrics
 
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.measures.scores import confusion_matrix, scores
 
 SPACE = small_space("unlabelled", "car", "on: road", "tree")
@@ -104,6 +105,6 @@ def test_the_official_text_is_sorted_yaml_with_every_digit():
 
 
 def test_json_holds_null_for_what_is_absent():
-    plain = json.loads(json.dumps(of([(1, 1)]).to_dict(), allow_nan=False))
-    car, road, _ = plain["classes"]
-    assert (car["name"], car["iou"], road["iou"], plain["accuracy"]) == ("car", 1.0, None, 1.0)
+    found = json.loads(json.dumps(plain(of([(1, 1)])), allow_nan=False))
+    car, road, _ = found["classes"]
+    assert (car["name"], car["iou"], road["iou"], found["accuracy"]) == ("car", 1.0, None, 1.0)

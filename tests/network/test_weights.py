@@ -18,6 +18,7 @@ from shallow import shallow, weights  # noqa: F401
 from salsanext_cli import __version__, label_space, sensor
 from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.errors import WeightsError
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.network.card import KEY, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel, last_values
 from salsanext_cli.network.registry import build
@@ -302,7 +303,7 @@ LINE = {"slope": 1.0, "offset": 0.1, "deviation": 0.04}
 def test_numbers_that_a_statement_rests_on_are_all_there(part, whole) -> None:
     values = json.loads(card(None).to_metadata()[KEY])
     read = WeightsCard.from_metadata({KEY: json.dumps(values | {part: whole})}, "w")
-    assert getattr(read, part) == whole
+    assert {name: plain(getattr(getattr(read, part), name)) for name in whole} == whole
     broken = [{k: v for k, v in whole.items() if k != name} for name in whole]
     numbers = [name for name in whole if isinstance(whole[name], float)]
     broken += [whole | {name: value} for name in numbers for value in ("x", math.nan, None)]

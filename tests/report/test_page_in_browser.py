@@ -19,8 +19,8 @@ from served import served
 from salsanext_cli import write_labels
 from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import report, view
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
@@ -132,7 +132,7 @@ def world(tmp_path):
         boxes.parent.mkdir(parents=True, exist_ok=True)
         boxes.write_text(f"object,class,points,{','.join(BOX)}\n1,car,9,0,0,0,20,9,4,0.3\n")
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
-    StageRecord("predict", settings, ("predictions",)).write(world.out)
+    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
     return world
 
 

@@ -30,9 +30,9 @@ from salsanext_cli.report.page.run_results import (
     worth_looking_at,
 )
 from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.result_folder import ScanResults
-from salsanext_cli.results.stage_records import StageRecord
 
 SPACE = small_space("unlabeled", "car", "road")
 
@@ -83,7 +83,7 @@ def test_scans_are_named_by_sequence_and_stem_or_by_the_stem_alone():
 
 def record(out, stage, folders, **settings):
     shared = {"label_space": label_space().to_dict(), "sensor": SMALL.to_dict()}
-    StageRecord(stage, shared | settings, folders).write(out)
+    Manifest(out).write(StageRecord(stage, shared | settings, folders))
 
 
 def test_the_default_weights_are_described(tmp_path):

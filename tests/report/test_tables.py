@@ -10,11 +10,13 @@ from rich.console import Console, Group
 from scans import SMALL
 
 from salsanext_cli import label_space
+from salsanext_cli.labelling.label_records import ImportedScan
 from salsanext_cli.labelling.picked_data_set import PickedScan
 from salsanext_cli.measures.paired import RunComparison, ScanPair
 from salsanext_cli.measures.scores import class_sums, confusion_matrix, scores
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import UncertaintyEvaluation
+from salsanext_cli.network.complexity import NetworkCosts, PaperFigures
 from salsanext_cli.report.comparison import comparison_tables
 from salsanext_cli.report.picked import picked_table
 from salsanext_cli.report.tables import (
@@ -129,18 +131,19 @@ def tables_of_a_large_data_set(weights):
     models = dict.fromkeys(("confidence", "existing", "error"), of_error)
     yield error_table({"folds": 5, **models})
     yield kept_table({"person-or-cycle": (MANY, 1000)}, {"person-or-cycle": 0.0008049})
-    paper = {"parameters": 26.38, "flops": 125.68, "determined": False}
-    paper |= dict.fromkeys(("miou_pixels", "miou", "miou_test"), 59.5)
-    network = {"name": "salsanext-v1-context", "agrees": True, "parameters": 26_406_196}
-    network |= {"receptive_field": (543, 543), "multiply_accumulates": 359.71e9, "paper": paper}
-    yield network_table([network])
-    yield card_table({**describe_weights(weights), "scores": {"iou_other-vehicle": 0.5}})
+    field, miou = (543, 543), dict.fromkeys(("miou_pixels", "miou", "miou_test"), "59.5")
+    paper = PaperFigures(field, "", "26.38", "125.68", **miou, determined=False)
+    costs = NetworkCosts("salsanext-v1-context", 26_406_196, 359_710_000_000, field, paper, True)
+    yield network_table([costs])
+    described = describe_weights(weights)
+    card = replace(described.card, scores={"iou_other-vehicle": 0.5})
+    yield card_table(replace(described, card=card))
     survey = Survey(
         4071, 4071, MANY, MANY, 117_000, 131_072, 119.9, 255, classes=Counter({10: MANY})
     )
     yield survey_tables({"2011_09_26_drive_0001": survey}, survey, space, SMALL)
-    counts = dict.fromkeys(("points", "labelled", "unlabelled", "ambiguous", "missing"), 131_072)
-    yield imported_table([{"scan": "08/000000", "scalar": "scalar_Classification", **counts}])
+    counts = [131_072] * 7
+    yield imported_table([ImportedScan("08/000000", (), *counts, "scalar_Classification")])
     reason = "number 3 of 4,071 by uncertainty; nearly equal ones passed over"
     yield picked_table([PickedScan(1, "2011_09_26", "0000000000", 0.5, 1.5, None, reason)])
     sums = np.repeat(class_sums(every)[None], 2, axis=0)

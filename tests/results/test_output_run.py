@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -24,10 +25,13 @@ from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.stage_records import StageRecords
+from salsanext_cli.results.provenance import Provenance
+from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.stages.predict import LabelWriter, PredictJob, predict_scans
 
-SETTINGS = {"weights": "abc", "knn": {"k": 5}}
+KNN = asdict(KnnParameters())
+SETTINGS = {"weights": "abc", "knn": KNN}
+TYPED = StageSettings(weights="abc", knn=KnnParameters())
 LABELS = np.full(5, 10, np.uint32)
 
 
@@ -58,8 +62,9 @@ def test_what_is_recorded(tmp_path: Path) -> None:
         "writes": ["predictions"],
         "scans": {"08": {"folder": str(scans[0].path.parent), "asked_for": ["a.bin", "b.bin"]}},
     }
-    records = StageRecords(tmp_path / "out")
-    assert (records.settings("predict"), records.settings("project")) == (SETTINGS, None)
+    records = Provenance(tmp_path / "out")
+    assert records.settings("predict") == StageSettings(weights="abc", knn=KnnParameters())
+    assert records.settings("project") is None
     assert (records.owner("predictions"), records.owner("range")) == ("predict", None)
 
 
@@ -70,18 +75,18 @@ def test_the_same_settings_may_go_on_and_write_more(tmp_path: Path) -> None:
     before = files_below(tmp_path)
     predict(tmp_path, scans=scans[1:])
     assert files_below(tmp_path) == before
-    record = StageRecords(tmp_path).record("predict")
+    record = Provenance(tmp_path).record("predict")
     assert record is not None
-    assert record.folders == ("pixel_labels", "predictions")
+    assert record.writes == ("pixel_labels", "predictions")
     assert {*record.scans["08"].suffixes} == {"a", "b"}
 
 
 @pytest.mark.parametrize(
     ("other", "named"),
     [
-        ({"weights": "abc", "knn": {"k": 7}}, r"settings: knn\.k was 5 and is 7 · "),
-        (SETTINGS | {"label_space": 7}, "label_space was not set and is 7 · "),
-        ({"weights": "abc", "seed": 3}, r"knn\.k was 5 and is not set, seed was not set and is 3"),
+        ({"weights": "abc", "knn": KNN | {"k": 7}}, r"settings: knn\.k was 5 and is 7 · "),
+        (SETTINGS | {"seed": 7}, "seed was not set and is 7 · "),
+        ({"weights": "abc"}, r"knn\.k was 5 and is not set, knn\.sigma was 1.0 and is not set"),
     ],
 )
 def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: str) -> None:
@@ -90,10 +95,10 @@ def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: str)
     with pytest.raises(OutputError, match=f"{named}.*--overwrite"):
         predict(tmp_path, other)
     assert files_below(tmp_path) == before
-    first = StageRecords(tmp_path).origins(["predict", "uncertainty"])
+    first = Provenance(tmp_path).origins(["predict", "uncertainty"])
     predict(tmp_path, other, overwrite=True)
     assert first.keys() == {"predict"}
-    assert StageRecords(tmp_path).origins(["predict"]) != first
+    assert Provenance(tmp_path).origins(["predict"]) != first
     assert list(files_below(tmp_path)) == ["predict.json"]
 
 
@@ -105,7 +110,7 @@ def test_overwriting_removes_what_was_written_with_other_settings(tmp_path: Path
     assert all(path.exists() for path in paths)
     predict(tmp_path / "out", {"weights": "new"}, scans=scans[:1], overwrite=True)
     assert not any(path.exists() for path in paths)
-    record = StageRecords(tmp_path / "out").record("predict")
+    record = Provenance(tmp_path / "out").record("predict")
     assert record is not None
     assert {*record.scans["08"].suffixes} == {"a"}
 
@@ -128,7 +133,7 @@ def test_overwriting_keeps_what_salsanext_did_not_write_so(
     (out / "sequences/05").symlink_to(sequence)
 
     with output_run(
-        out, "predict", {"weights": "new"}, ("predictions",), scans, overwrite=True
+        out, "predict", StageSettings(weights="new"), ("predictions",), scans, overwrite=True
     ) as output:
         assert output.kept == {corrected}
         output.require_replaceable(scans[0])
@@ -160,7 +165,7 @@ def test_results_of_another_stage_are_refused(tmp_path: Path) -> None:
         begin_and_end(*refine)
     assert path.exists()
     begin_and_end(*refine, overwrite=True)
-    assert StageRecords(tmp_path).owner("predictions") == "knn-refine"
+    assert Provenance(tmp_path).owner("predictions") == "knn-refine"
     assert not path.exists()
 
 
@@ -180,9 +185,11 @@ def test_results_that_no_stage_recorded(tmp_path: Path) -> None:
 
 def test_an_infinite_setting_is_recorded_as_json_can(tmp_path: Path) -> None:
     for _ in range(2):
-        predict(tmp_path, {"cutoff": float("inf")})
+        predict(tmp_path, {"knn": KNN | {"cutoff": float("inf")}})
     text = (tmp_path / "predict.json").read_text()
-    assert json.loads(text, parse_constant=pytest.fail)["settings"] == {"cutoff": "Infinity"}
+    settings = json.loads(text, parse_constant=pytest.fail)["settings"]
+    assert settings == {"knn": KNN | {"cutoff": "Infinity"}}
+    assert Provenance(tmp_path).settings("predict").knn.cutoff == float("inf")
 
 
 def test_damaged_records_are_named(tmp_path: Path) -> None:
@@ -195,11 +202,11 @@ def test_damaged_records_are_named(tmp_path: Path) -> None:
         with pytest.raises(OutputError, match=r"predict\.json"):
             predict(tmp_path)
         with pytest.raises(OutputError, match=r"predict\.json"):
-            StageRecords(tmp_path).owner("predictions")
+            Provenance(tmp_path).owner("predictions")
 
 
 def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
-    records, space, hdl32 = StageRecords(tmp_path), label_space(), sensor("hdl32")
+    records, space, hdl32 = Provenance(tmp_path), label_space(), sensor("hdl32")
     assert (records.label_space(), records.sensor()) == (None, sensor("hdl64"))
     predict(tmp_path, {"label_space": space.to_dict(), "sensor": hdl32.to_dict()})
     found = records.label_space()
@@ -225,10 +232,10 @@ def test_results_that_are_being_made_are_not_removed(tmp_path: Path) -> None:
     (path,) = predicted(out, scans)
     begin_and_end(out, "knn-refine", {}, ["pixel_labels"], scans)
     before = files_below(out)
-    with output_run(out, "predict", SETTINGS, ("predictions",), scans, overwrite=False):
+    with output_run(out, "predict", TYPED, ("predictions",), scans, overwrite=False):
         for stage in ("predict", "knn-refine"):
             with pytest.raises(OutputError, match="a run of `predict` is at work in it · w"):
-                begin_and_end(out, stage, {"k": 3}, ["predictions"], scans, overwrite=True)
+                begin_and_end(out, stage, {"seed": 3}, ["predictions"], scans, overwrite=True)
     assert files_below(out) == before
     (out / f".predict.{'0' * 32}.lock").touch()
     predict(out, {"weights": "new"}, overwrite=True)
@@ -239,15 +246,15 @@ def test_results_that_are_being_made_are_not_removed(tmp_path: Path) -> None:
 def test_runs_side_by_side(tmp_path: Path) -> None:
     """With the same settings, or of stages that fill other folders."""
     (path,) = predicted(tmp_path, scans_of(tmp_path, "a"))
-    first = (tmp_path, "predict", SETTINGS, ["predictions"], ())
-    export = (tmp_path, "export-ply", {"colour": "label"}, ["ply"])
+    first = (tmp_path, "predict", TYPED, ["predictions"], ())
+    export = (tmp_path, "export-ply", StageSettings(colour="label"), ["ply"])
     with (
         output_run(*first, overwrite=True),
         output_run(*first, overwrite=False),
         output_run(*export, (), overwrite=False),
     ):
         assert path.exists()
-        begin_and_end(*export, overwrite=True)
+        begin_and_end(*export[:2], {"colour": "label"}, ["ply"], overwrite=True)
         with pytest.raises(OutputError, match="a run of `export-ply`"):
             begin_and_end(*export[:2], {"colour": "range"}, ["ply"], overwrite=True)
     assert path.exists()
@@ -257,7 +264,7 @@ def test_no_run_forgets_what_others_were_asked_for(tmp_path: Path) -> None:
     stems = [f"{number:03d}" for number in range(40)]
     with ThreadPoolExecutor(8) as threads:
         list(threads.map(lambda s: predict(tmp_path, scans=scans_of(tmp_path, s)), stems))
-    record = StageRecords(tmp_path).record("predict")
+    record = Provenance(tmp_path).record("predict")
     assert record is not None
     assert {*record.scans["08"].suffixes} == {*stems}
 
@@ -345,3 +352,49 @@ def test_a_file_replaced_by_one_of_the_same_size_and_time(tmp_path):
         (tmp_path / "new").replace(tmp_path / "file")
         digests.append(fingerprint(tmp_path / "file"))
     assert digests[0] != digests[1]
+
+
+def test_records_of_older_versions_are_read(tmp_path: Path) -> None:
+    """With settings that are null, in another order, or without a table of their own."""
+    older = {"knn": KNN, "labels": None, "weights": "abc"}
+    content = {"stage": "predict", "version": "0.1", "settings": older, "writes": ["predictions"]}
+    (tmp_path / "predict.json").write_text(json.dumps(content))
+    origins = Provenance(tmp_path).origins(["predict"])
+    predict(tmp_path)
+    assert Provenance(tmp_path).origins(["predict"]) == origins
+    assert Provenance(tmp_path).settings("predict") == TYPED
+    flat = {"stage": "filter", "max_error": None, "split": False}
+    (tmp_path / "filter.json").write_text(json.dumps(flat))
+    record = Provenance(tmp_path).record("filter")
+    assert record is not None
+    assert record.has_settings({"split": False})
+
+
+def test_the_digests_of_the_scans_of_training_come_last(tmp_path: Path) -> None:
+    digest = "0" * 24
+    predict(tmp_path, SETTINGS | {"trained_on": digest}, scans=scans_of(tmp_path, "a"))
+    content = json.loads((tmp_path / "predict.json").read_text())
+    assert [*content] == ["stage", "version", "writes", "settings", "scans"]
+    assert [*content["settings"]][-1] == "trained_on"
+    assert Provenance(tmp_path).trained_on() == {digest}
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        *({"trained_on": value} for value in ("0" * 23, "x" * 24, 5, ["0" * 24])),
+        *({"scale": value} for value in ([1.0], [1.0, "2"], 3, "12")),
+        *({"knn": value} for value in ({"k": 0}, {"k": 1.5}, 5)),
+        *({"sensor": value} for value in ({}, {"name": "a"}, 5, [])),
+        *({"label_space": value} for value in ({}, 5, [])),
+        *({"promised": value} for value in ({}, {"kind": "error"}, 5)),
+        *({name: []} for name in ("weights", "reject", "seed", "objects", "reach", "noise")),
+    ],
+)
+def test_settings_that_no_stage_writes_are_named(tmp_path: Path, settings) -> None:
+    content = {"stage": "predict", "settings": settings, "writes": ["predictions"]}
+    (tmp_path / "predict.json").write_text(json.dumps(content))
+    with pytest.raises(OutputError) as caught:
+        Provenance(tmp_path).settings("predict")
+    assert caught.value.subject == str(tmp_path / "predict.json")
+    assert caught.value.remedy

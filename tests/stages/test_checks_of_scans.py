@@ -10,6 +10,7 @@ from scans import SMALL, write_bin, write_sequence
 
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.errors import FormatError, TrainingError
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -46,7 +47,7 @@ def trained(dataset, recipe=TINY, **options):
 
 
 def found(warnings):
-    return {warning["code"]: warning["scans"] for warning in warnings}
+    return {warning.code: warning.scans for warning in warnings}
 
 
 def test_right_scans_are_not_doubted(dataset, caplog):
@@ -71,9 +72,9 @@ def test_doubtful_scans_are_named_by_both(dataset, caplog, changes, codes):
     # `predict` matches the intensity; a training from the start takes it as it is.
     assert {*found(inspected.warnings)} == codes - {"intensity-scale"}
     assert all(scans == ["00/1"] for scans in found(inspected.warnings).values())
-    assert inspected.to_dict()["warnings"] == inspected.warnings
+    assert inspected.to_dict()["warnings"] == plain(inspected.warnings)
     assert caplog.text.count("(mixed-sensors)") == 2 * ("mixed-sensors" in codes)
-    assert "auto" not in "".join(warning["remedy"] for warning in warnings)
+    assert "auto" not in "".join(warning.remedy for warning in warnings)
 
 
 def test_scans_in_millimetres_are_not_trained_on(dataset):
@@ -102,7 +103,7 @@ def test_a_training_that_goes_on_knows_the_warnings(dataset, monkeypatch):
     warnings = trained(dataset)
     kept = dataset.parent / "run/class_counts.json"
     content = json.loads(kept.read_bytes())
-    assert content["warnings"] == warnings
+    assert content["warnings"] == plain(warnings)
     check, checked = counting.check_with_remedy, []
     counted = lambda path, *a, **k: checked.append(path) or check(path, *a, **k)  # noqa: E731
     monkeypatch.setattr(counting, "check_with_remedy", counted)
@@ -156,7 +157,7 @@ def test_sequences_that_are_fitted_are_checked_as_they_are_seen(dataset):
         path = dataset / f"sequences/00/velodyne/{stem}.bin"
         scan = read_scan(path)
         write_bin(path, Scan(scan.points * np.float32([1, -1, -1]), scan.intensity))
-    doubted = {scan for warning in trained(dataset) for scan in warning["scans"]}
+    doubted = {scan for warning in trained(dataset) for scan in warning.scans}
     assert {"00/0", "00/1", "00/2"} <= doubted
     fitted = TINY.with_changes(sensors="fitted")
     assert trained(dataset, fitted, overwrite=True) == []

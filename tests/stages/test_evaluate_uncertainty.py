@@ -9,13 +9,14 @@ import pytest
 from evaluated import CAR, ROAD, SPACE, World
 from scans import write_array
 
-from salsanext_cli.measures.scan_counts import EVALUATED_KINDS, ScanCounts, count_scan
+from salsanext_cli.measures.scan_counts import EVALUATED_KINDS, ScanComparison, ScanCounts
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
 )
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans, output_path
+from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.stages.evaluate import evaluate
 
@@ -66,8 +67,11 @@ def random_scan(world: World, stem: str, count: int, distance: float = 5) -> Non
 def uncertainty_of(world: World, by_distance: bool = False) -> UncertaintyEvaluation:
     """Count and divide without drawing anything."""
     counts = ScanCounts.none(SPACE, by_distance)
+    comparison = ScanComparison.of_results(
+        Provenance(world.out), SPACE, SPACE, by_distance=by_distance
+    )
     for scan in find_scans(world.dataset):
-        counts.add(count_scan(scan, world.out, SPACE, by_distance))
+        counts.add(comparison.count(scan))
     return evaluate_uncertainty(counts, SPACE)
 
 

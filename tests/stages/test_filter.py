@@ -17,8 +17,8 @@ from salsanext_cli.geometry.scan_traits import traits_of
 from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.manifest import Manifest, ScanSource, StageRecord
 from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.results.stage_records import ScanSource, StageRecord
 from salsanext_cli.stages import filter as stage
 from salsanext_cli.stages.filter import filter_scans, named_classes
 
@@ -75,7 +75,7 @@ def test_moving_points_go_with_vehicle_housing_and_no_measurements(apply, world,
     write_labels(predicted, np.full(7, TREE, np.uint32))
     own = replace(sensor("hdl64"), min_range=1.0, ego_box=(-3.0, -1.0, -2.0, 1.0, 1.0, 0.5))
     settings = {"label_space": SPACE.to_dict(), "sensor": own.to_dict()}
-    StageRecord("predict", settings, ("predictions",)).write(world.out)
+    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
     apply(drop=["moving"])
     assert left(tmp_path) == [0, 6]
     apply(drop=["person", "vehicle"], options=RunOptions(overwrite=True))
@@ -93,7 +93,7 @@ def test_moving_points_go_by_the_sensor_that_was_fitted_to_the_scan(apply, world
     own = replace(sensor("hdl64"), min_range=6.0, ego_box=(), traits=traits)
     usual = replace(own, min_range=0.0, traits=tuple(10 * each for each in traits), others=(own,))
     settings = {"label_space": SPACE.to_dict(), "sensor": usual.to_dict()}
-    StageRecord("predict", settings, ("predictions",)).write(world.out)
+    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
     apply(drop=["moving"])
     assert left(tmp_path) == np.flatnonzero(np.linalg.norm(points, axis=1) >= 6).tolist()
 
@@ -153,8 +153,8 @@ def test_other_settings_are_refused_or_replace_own_files_only(apply, world, tmp_
     with pytest.raises(OutputError, match="made with other settings: classes"):
         apply(drop=["truck"])
     settings = {"label_space": SPACE.to_dict(), "sensor": sensor("hdl64").to_dict()}
-    StageRecord("predict", settings, ("predictions",)).write(world.out)
-    with pytest.raises(OutputError, match="what `predict` made was made anew"):
+    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
+    with pytest.raises(OutputError, match="`predict` has replaced its results since"):
         apply(drop=["car"])
     (world.out / "predict.json").unlink()
     edited = tmp_path / "to/sequences/08/velodyne/000000.bin"
@@ -274,7 +274,7 @@ def test_a_bag_that_fails_leaves_those_of_others(bag_of, tmp_path):
         for name in ("drive", "evening")
     }
     settings = {"label_space": SPACE.to_dict(), "sensor": sensor("hdl64").to_dict()}
-    StageRecord("predict", settings, ("predictions",), scans).write(tmp_path / "out")
+    Manifest(tmp_path / "out").write(StageRecord("predict", settings, ("predictions",), scans))
     bad = output_path(tmp_path / "out", "drive", "predictions", f"{START + STEP}_1")
     bad.write_bytes(bytes(4))
     call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])

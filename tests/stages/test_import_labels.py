@@ -75,10 +75,12 @@ def test_shuffled_and_cut_clouds_give_the_truth_back(world, name):
     expected[order] = world.truth[0][order]
     np.testing.assert_array_equal(world.labels(), expected)
     (row,) = found.scans
-    counts = [row[key] for key in ("labelled", "unlabelled", "ambiguous", "missing", "unmatched")]
+    counts = [
+        getattr(row, key) for key in ("labelled", "unlabelled", "ambiguous", "missing", "unmatched")
+    ]
     kept = SPACE.scored[SPACE.to_train(expected)].sum()
     assert counts == [kept, 1100 - kept, 0, 400, 0]
-    assert (row["scan"], row["points"], row["scalar"]) == ("08/000010", 1500, "scalar_Label")
+    assert (row.scan, row.points, row.scalar) == ("08/000010", 1500, "scalar_Label")
     assert (found.failures, found.kept, found.unedited) == ([], 2, [])
     assert found.first_guesses == ["08/000011", "08/000012"]
     assert found.class_points.sum() == 1500
@@ -93,7 +95,7 @@ def test_doubled_points_of_several_labels_are_ambiguous(world):
     labels = np.r_[truth, truth[:200], np.full(115, 10)].astype("u2")
     write_ply(world.edited / "000010.ply", cloud, {"label": labels})
     found = world.run()
-    assert (found.scans[0]["ambiguous"], found.scans[0]["unmatched"]) == (100, 15)
+    assert (found.scans[0].ambiguous, found.scans[0].unmatched) == (100, 15)
     np.testing.assert_array_equal(world.labels(), np.r_[truth[:200], [0] * 100, truth[300:]])
 
 
@@ -110,17 +112,17 @@ def test_files_of_one_scan_are_merged(world):
     expected = np.r_[truth[:900], [0] * 100, truth[1000:1400], [0] * 50, truth[1450:]]
     np.testing.assert_array_equal(world.labels(), expected)
     names = ["000010.label", "000010_objects.ply", "000010_rest.ply"]
-    assert row["files"] == [str(world.edited / name) for name in names]
-    assert (row["scalar"], row["ambiguous"], row["missing"]) == ("label, labels", 100, 0)
-    assert row["labelled"] == SPACE.scored[SPACE.to_train(expected)].sum()
-    assert row["labelled"] + row["unlabelled"] == 1400
+    assert row.files == tuple(str(world.edited / name) for name in names)
+    assert (row.scalar, row.ambiguous, row.missing) == ("label, labels", 100, 0)
+    assert row.labelled == SPACE.scored[SPACE.to_train(expected)].sum()
+    assert row.labelled + row.unlabelled == 1400
     assert found.class_points.sum() == 1500
     # The same files, and more of them, may be imported again; a part of them is refused.
     world.write("000010_more.ply", truth, chosen=slice(1400, 1450))
     assert len(world.run().scans) == 1
     np.testing.assert_array_equal(world.labels()[1400:], truth[1400:])
     (world.edited / "000010_rest.ply").unlink()
-    assert "imported from another file" in only_failure(world.run())["reason"]
+    assert "imported from another file" in only_failure(world.run()).reason
 
 
 def test_two_versions_of_a_scan_do_not_replace_what_was_imported(world, caplog):
@@ -131,7 +133,7 @@ def test_two_versions_of_a_scan_do_not_replace_what_was_imported(world, caplog):
     differ = int((corrected != world.truth[0])[(world.truth[0] != 0)].sum())
     world.write("000010_v2.ply", corrected)
     failure = only_failure(world.run())
-    assert "the files contradict each other" in failure["reason"]
+    assert "the files contradict each other" in failure.reason
     assert f"{differ} points left unlabelled, of different labels in" in caplog.text
     np.testing.assert_array_equal(world.labels(), before)
     (world.edited / "000010.ply").unlink()
@@ -145,10 +147,10 @@ def test_a_part_with_an_unknown_id_keeps_its_scan_as_it_was(world):
     world.write("000010 rest.ply", np.full(1500, 2), chosen=slice(700, None))
     world.write("000011.ply", index=1)
     found = world.run()
-    assert [row["scan"] for row in found.scans] == ["08/000011"]
+    assert [row.scan for row in found.scans] == ["08/000011"]
     (failure,) = found.failures
-    assert len(failure["files"]) == 2
-    assert "000010 rest.ply · unknown label ids 2 (800 points) · expected 0" in failure["reason"]
+    assert len(failure.files) == 2
+    assert "000010 rest.ply · unknown label ids 2 (800 points) · expected 0" in failure.reason
     assert len(first_guesses(world.scans)) == 2
 
 
@@ -180,12 +182,12 @@ def test_a_real_scan_saved_in_whole_millimetres_keeps_every_label(real_data, tmp
     found = import_labels(tmp_path / "edited", tmp_path)
     assert found.failures == []
     (row,) = found.scans
-    assert row["unmatched"] == 0
-    assert row["ambiguous"] < 10
+    assert row.unmatched == 0
+    assert row.ambiguous < 10
     imported = read_labels(tmp_path / "000000.label")
     kept = np.zeros(len(truth), bool)
     kept[order] = True
-    assert (imported[kept] != truth[kept]).sum() <= row["ambiguous"]
+    assert (imported[kept] != truth[kept]).sum() <= row.ambiguous
     assert np.count_nonzero(imported[~kept]) < 10
 
 
@@ -197,7 +199,7 @@ def test_files_of_labels_keep_their_instances(world, suffix):
     if suffix == "npy":
         path.with_suffix(".label").unlink()
         np.save(path, raw.astype(np.int64))
-    assert world.run().scans[0]["scan"] == "08/000011"
+    assert world.run().scans[0].scan == "08/000011"
     np.testing.assert_array_equal(world.labels(1), raw)
 
 
@@ -217,7 +219,7 @@ def test_points_without_a_label_get_the_raw_id_that_stands_for_them(world):
     (world.data / "labels.yaml").write_text(json.dumps(own))
     world.write(labels=np.zeros(1500), chosen=slice(600))
     (row,) = world.run().scans
-    assert (row["labelled"], row["missing"]) == (600, 900)
+    assert (row.labelled, row.missing) == (600, 900)
     np.testing.assert_array_equal(world.labels(), [0] * 600 + [255] * 900)
     world.run(world.scans[0].label_path)
     np.testing.assert_array_equal(world.labels(), [0] * 600 + [255] * 900)
@@ -255,8 +257,8 @@ def test_what_cannot_be_imported_leaves_the_labels_as_they_were(world, spoil, fo
     spoil(world)
     before = files_below(world.data)
     failure = only_failure(world.run())
-    assert failure["reason"].count("\n") == 0
-    assert re.search(found, failure["reason"]), failure["reason"]
+    assert failure.reason.count("\n") == 0
+    assert re.search(found, failure.reason), failure.reason
     assert files_below(world.data) == before
     assert len(first_guesses(world.scans)) == 3
 
@@ -266,7 +268,7 @@ def test_labels_of_others_are_kept_unless_overwriting(world):
     theirs = np.full(1500, 70, np.uint32)
     write_labels(world.scans[0].label_path, theirs)
     failure = only_failure(world.run())
-    assert "000010.label · kept: changed" in failure["reason"]
+    assert "000010.label · kept: changed" in failure.reason
     np.testing.assert_array_equal(world.labels(), theirs)
     assert len(world.run(overwrite=True).scans) == 1
 
@@ -278,7 +280,7 @@ def test_a_first_guess_that_nobody_corrected_is_not_imported(world):
     corrected = world.write("000011.ply", index=1)
     found = world.run()
     assert found.unedited == [str(world.edited / "000010.ply")]
-    assert [row["files"] for row in found.scans] == [[str(corrected)]]
+    assert [row.files for row in found.scans] == [(str(corrected),)]
     assert found.first_guesses == ["08/000010", "08/000012"]
 
 

@@ -89,5 +89,5 @@ def test_a_cloud_that_no_view_shows_is_doubted_without_advice_to_fit(tmp_path):
     later = project_scans(folder, tmp_path / "out", sensor=mine).summary.warnings()
     auto = project_scans(folder, tmp_path / "auto", sensor=SMALL, fit=True).summary.warnings()
     for warnings in (inspect(folder, sensor=SMALL).warnings, fitted.warnings, later, auto):
-        (outside,) = (each for each in warnings if each["code"] == "out-of-view")
-        assert outside["remedy"] == "expect wrong labels"
+        (outside,) = (each for each in warnings if each.code == "out-of-view")
+        assert outside.remedy == "expect wrong labels"

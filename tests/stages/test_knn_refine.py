@@ -11,7 +11,7 @@ from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.fitting.scan_fit import labels_depend_on
 from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.geometry.projection import pixels_from_points
-from salsanext_cli.network.card import read_card
+from salsanext_cli.network.card import RiskThreshold, read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages.knn_refine import knn_refine_scans
@@ -94,7 +94,7 @@ def test_pixel_labels_of_other_weights_are_not_passed_over(pixels, tmp_path):
     other = replace(pixels.network, weights=write_weights(tmp_path / "other.safetensors", seed=1))
     overwrite = RunOptions(overwrite=True)
     predict_range_images(pixels.out, pixels.out, settings=other, options=overwrite)
-    with pytest.raises(OutputError, match="what `predict` made was made anew"):
+    with pytest.raises(OutputError, match="`predict` has replaced its results since"):
         knn_refine_scans(pixels.out)
     assert knn_refine_scans(pixels.out, options=overwrite).done == 3
     assert labels_below(pixels.out) != before
@@ -102,8 +102,8 @@ def test_pixel_labels_of_other_weights_are_not_passed_over(pixels, tmp_path):
 
 def test_rejected_labels_do_not_come_back(world, tmp_path):
     network, weights = world.network, tmp_path / "risk.safetensors"
-    risk = {"kind": "least_confidence", "threshold": 0.5, "at_most": 0.5, "confidence": None}
-    risk |= {"scans": 3, "sequences": ["00"], "settings": labels_depend_on(network, network.load())}
+    tuned = labels_depend_on(network, network.load())
+    risk = RiskThreshold("least_confidence", 0.5, 0.5, None, 3, ("00",), settings=tuned)
     save_with_card(network.weights, weights, replace(read_card(network.weights), risk=risk))
     network = replace(network, weights=weights)
     predict_scans(world.data, world.out, settings=network, extras=("pixel_labels",), reject="risk")

@@ -11,8 +11,8 @@ from evaluated import CAR, ROAD, SPACE, World
 from salsanext_cli import sensor
 from salsanext_cli.report.scan_pictures import picture_of_results
 from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages import picture as pictures
 from salsanext_cli.stages.compare import compare
 from salsanext_cli.stages.evaluate import evaluate
@@ -28,7 +28,7 @@ LABELS = [CAR, NONE, ROAD, CAR, NONE, NONE, NONE, NONE, CAR, NONE]
 
 def recorded(world, **settings):
     settings |= {"label_space": SPACE.to_dict(), "sensor": sensor("hdl64").to_dict()}
-    StageRecord("predict", settings, ("predictions",)).write(world.out)
+    Manifest(world.out).write(StageRecord("predict", settings, ("predictions",)))
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import read_run, report
 
 PERSON = 30
@@ -201,7 +201,7 @@ def test_missing_results_missing_scans_and_others_pages_are_one_line_each(world)
 
 def test_probabilities_of_merged_classes_are_added(world):
     settings = {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()}
-    StageRecord("predict", settings, ("predictions", "probabilities")).write(world.out)
+    Manifest(world.out).write(StageRecord("predict", settings, ("predictions", "probabilities")))
     rows = np.zeros((4, SPACE.class_count))
     rows[:, SPACE.names.index("road")] = 0.5
     rows[:, SPACE.names.index("sidewalk")] = 0.3

@@ -19,8 +19,8 @@ from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.inspect import inspect
 from salsanext_cli.stages.knn_refine import knn_refine_scans
@@ -114,10 +114,10 @@ def test_later_stages_see_each_scan_through_its_sensor(mixed, network, tmp_path)
 def test_scans_that_come_later_are_of_one_of_the_sensors(mixed, network, tmp_path):
     out = tmp_path / "out"
     predict_scans(mixed, out, settings=network)
-    before = StageRecords(out).known_sensor()
+    before = Provenance(out).known_sensor()
     write_bin(mixed / "9.bin", leaning(9))
     assert predict_scans(mixed, out, settings=network).done == 1
-    assert StageRecords(out).known_sensor() == before
+    assert Provenance(out).known_sensor() == before
     (later,) = (file for file in find_scans(mixed) if file.stem == "9")
     assert ResultFolder(out).read(later, before).sensor == before.others[0]
 
@@ -126,8 +126,8 @@ def test_one_sensor_is_recorded_as_before(network, tmp_path):
     for number in range(3):
         write_bin(tmp_path / f"one/{number}.bin", level(number))
     predict_scans(tmp_path / "one", tmp_path / "out", settings=network)
-    recorded = StageRecords(tmp_path / "out").settings("predict")["sensor"]
-    assert not {"others", "traits"} & {*recorded}
+    recorded = Provenance(tmp_path / "out").settings("predict").sensor
+    assert (recorded.others, recorded.traits) == ((), ())
 
 
 def test_a_scan_that_no_fit_looked_at_is_named(tmp_path):
@@ -148,8 +148,8 @@ def test_a_sensor_file_of_scans_of_several_sensors_is_refused_before_the_survey(
 def test_a_fit_is_not_advised_where_it_is_refused(mixed, tmp_path):
     write_bin(tmp_path / "one/1.bin", leaning(1))
     for folder, advised in ((mixed, False), (tmp_path / "one", True)):
-        found = {each["code"]: each for each in inspect(folder, sensor=SMALL).warnings}
-        assert ("--fit" in found["tilted"]["remedy"]) == advised
+        found = {each.code: each for each in inspect(folder, sensor=SMALL).warnings}
+        assert ("--fit" in found["tilted"].remedy) == advised
 
 
 def test_images_of_several_sensors_are_not_labelled_through_one(mixed, network, tmp_path, caplog):
@@ -159,7 +159,7 @@ def test_images_of_several_sensors_are_not_labelled_through_one(mixed, network, 
     predict_range_images(tmp_path / "out", tmp_path / "auto", settings=network)
     assert caplog.text.count("such as mixed/") == 2
     assert "such as none" not in caplog.text
-    for member in StageRecords(tmp_path / "out").known_sensor().members:
+    for member in Provenance(tmp_path / "out").known_sensor().members:
         told = replace(network, sensor=replace(member, others=(), traits=()))
         with pytest.raises(UsageError, match="sensors was 2 and is 1"):
             predict_range_images(tmp_path / "out", tmp_path / "told", settings=told)

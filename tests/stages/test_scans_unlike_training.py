@@ -13,8 +13,8 @@ from salsanext_cli.geometry.network_input import fill_rows, intensity_quantiles,
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.stage_records import StageRecords
-from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, Sensor
+from salsanext_cli.results.provenance import Provenance
+from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
 from salsanext_cli.stages.project import project_scans
@@ -69,14 +69,14 @@ def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, t
 def test_scans_that_come_later_are_matched_as_the_first_ones(knowing):
     run(knowing)
     images = [project(read_scan(p), SMALL).channels for p in sorted(knowing.data.rglob("*.bin"))]
-    before = StageRecords(knowing.out).settings("predict")["sensor"]
-    assert Sensor.from_dict(before).intensity_quantiles == intensity_quantiles(images)
+    before = Provenance(knowing.out).settings("predict").sensor
+    assert before.intensity_quantiles == intensity_quantiles(images)
     write_sequence(knowing.data / "sequences/09", ["000000"], seed=99)
     assert run(knowing).done == 1
-    assert StageRecords(knowing.out).settings("predict")["sensor"] == before
+    assert Provenance(knowing.out).settings("predict").sensor == before
     few = UncertaintyMethod(samples=2, aleatoric="none")
     uncertainty(knowing.data, knowing.out, settings=knowing.network, method=few)
-    assert StageRecords(knowing.out).settings("uncertainty")["sensor"] == before
+    assert Provenance(knowing.out).settings("uncertainty").sensor == before
 
 
 def changed(world, folder, scans, change):
@@ -138,8 +138,8 @@ def test_what_is_no_intensity_is_taken_for_none(knowing, tmp_path):
     expected = labels_below(knowing.out)
     every = changed(knowing, tmp_path / "a", ["00", "08"], lit(none))
     outcome = run(knowing, tmp_path / "all", every)
-    (warning,) = (w for w in outcome.summary.warnings() if w["code"] == "no-intensity")
-    assert len(warning["scans"]) == 3
+    (warning,) = (w for w in outcome.summary.warnings() if w.code == "no-intensity")
+    assert len(warning.scans) == 3
     assert labels_below(tmp_path / "all") == expected
     # And so is a single one among others.
     run(knowing, tmp_path / "one", changed(knowing, tmp_path / "b", ["00"], lit(none)))
@@ -151,9 +151,9 @@ def test_scans_of_another_scale_than_those_before_are_warned_of(knowing, tmp_pat
     run(knowing, source=knowing.data / "sequences/00")
     large = scaled(knowing, tmp_path / "large", 255)
     outcome = run(knowing, source=large / "sequences/08")
-    (warning,) = (w for w in outcome.summary.warnings() if w["code"] == "intensity-scale")
-    assert warning["scans"] == ["08/000000", "08/000001"]
-    assert "in the scans fitted to" in warning["message"]
+    (warning,) = (w for w in outcome.summary.warnings() if w.code == "intensity-scale")
+    assert warning.scans == ["08/000000", "08/000001"]
+    assert "in the scans fitted to" in warning.message
     raw = replace(knowing.network, intensity="raw")
     with pytest.raises(OutputError, match=r"intensity was matched and is raw \(--intensity\)"):
         predict_scans(knowing.data / "sequences/00", knowing.out, settings=raw)
@@ -164,8 +164,8 @@ def test_weights_that_do_not_know_it(world):
     with pytest.raises(UsageError, match="--intensity · match, but these weights do not know"):
         predict_scans(world.data, world.out, settings=network)
     predict_scans(world.data, world.out, settings=replace(network, intensity="auto"))
-    recorded = StageRecords(world.out).settings("predict")["sensor"]
-    assert "intensity_quantiles" not in recorded
+    recorded = Provenance(world.out).settings("predict").sensor
+    assert recorded.intensity_quantiles == ()
 
 
 def test_range_images_without_intensity_are_doubted_as_their_scans_are(knowing, tmp_path):
@@ -174,7 +174,7 @@ def test_range_images_without_intensity_are_doubted_as_their_scans_are(knowing, 
     project_scans(dark, steps, sensor=SMALL)
     outcome = predict_range_images(steps, steps, settings=knowing.network)
     (warning,) = outcome.summary.warnings()
-    assert (warning["code"], len(warning["scans"])) == ("no-intensity", 3)
+    assert (warning.code, len(warning.scans)) == ("no-intensity", 3)
 
 
 def test_the_network_sees_no_gaps(world, tmp_path):
@@ -190,8 +190,8 @@ def test_the_network_sees_no_gaps(world, tmp_path):
     assert run(knowing).done == 3
     scans = [read_scan(path) for path in sorted(knowing.data.rglob("*.bin"))]
     images = [project(scan, SMALL) for scan in scans]
-    recorded = StageRecords(knowing.out).settings("predict")["sensor"]
-    assert recorded["row_gaps"] == row_gaps(image.channels for image in images) > 0.3
+    recorded = Provenance(knowing.out).settings("predict").sensor
+    assert recorded.row_gaps == row_gaps(image.channels for image in images) > 0.3
     network = knowing.network.load()
     space = network.card.space
     for image, content in zip(images, labels_below(knowing.out).values(), strict=True):

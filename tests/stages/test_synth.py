@@ -3,6 +3,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.locks import locked
 from salsanext_cli.formats.kitti import read_bin
 from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
@@ -144,6 +146,11 @@ def test_only_a_synthetic_data_set_is_replaced_and_only_when_told(again):
     replace()
 
 
+def older_version(out, version="0.0"):
+    manifest = Manifest(out)
+    manifest.write(replace(manifest.record("synth"), version=version))
+
+
 def test_an_interrupted_run_goes_on(quick, tmp_path, monkeypatch):
     """And says in the end what an undisturbed one says, and makes nothing that is there."""
     how = {"train": 1, "valid": 1, "scans": 2}
@@ -173,7 +180,8 @@ def test_an_interrupted_run_goes_on(quick, tmp_path, monkeypatch):
         assert before == {path: path.stat().st_mtime_ns for path in before}
     # What is whole needs nothing any more, and is found by another version too.
     monkeypatch.setitem(sys.modules, "open3d", None)
-    monkeypatch.setattr(synth, "__version__", "99")
+    older_version(tmp_path / "whole")
+    expected = files_below(tmp_path / "whole")
     assert synthesise(tmp_path / "whole", **how) == made
     assert files_below(tmp_path / "whole") == expected
 
@@ -186,10 +194,10 @@ def test_what_was_begun_otherwise_is_not_completed(quick, tmp_path, monkeypatch)
     before = files_below(out)
     with pytest.raises(OutputError, match=r"synth\.json .* seed was 0 and is 1 .* --overwrite"):
         synthesise(out, **how, seed=1)
-    with monkeypatch.context() as patched:
-        patched.setattr(synth, "__version__", "99")
-        with pytest.raises(OutputError, match=r'version was .* and is "99"'):
-            synthesise(out, **how)
+    older_version(out)
+    with pytest.raises(OutputError, match=r'version was "0\.0" and is '):
+        synthesise(out, **how)
+    older_version(out, __version__)
     with locked(out / ".synth.lock"), pytest.raises(OutputError, match="another run of `synth`"):
         synthesise(out, **how)
     assert files_below(out) == before

@@ -26,6 +26,7 @@ from salsanext_cli.network.weights import read_weights, save_weights, save_with_
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.import_labels import import_labels
+from salsanext_cli.stages.synth import SynthSettings
 from salsanext_cli.stages.train import TrainResult, train
 from salsanext_cli.training import setup
 from salsanext_cli.training.fit import StepReport
@@ -264,7 +265,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
         made.append(out)
         shutil.rmtree(out, ignore_errors=True)
         counts = {"train": train, "valid": 0, "test": 0}
-        record = stage.manifest(counts, scans, seed, spacing, sensor)
+        record = SynthSettings.of(counts, scans, seed, spacing, sensor).record
         write_json(out / "synth.json", record)
         names = [f"{number:02d}" for number in range(train)]
         for name in names:
@@ -291,7 +292,7 @@ def test_simulated_streets_are_trained_on_beside_the_scans(data, tmp_path, simul
     # They are what further data sets would be.
     alone = FEW.with_changes(also=0.5)
     given = go(data, tmp_path / "given", alone, also=both)
-    assert {each["code"] for each in given.warnings} == {"few-points"}
+    assert {each.code for each in given.warnings} == {"few-points"}
     assert read_card(given.best).trained_on > own
     assert load_file(with_streets.best).keys() == load_file(given.best).keys()
     for name, tensor in load_file(with_streets.best).items():

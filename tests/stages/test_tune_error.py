@@ -19,7 +19,7 @@ from salsanext_cli.errors import (
     WeightsError,
 )
 from salsanext_cli.measures.expected_accuracy import expected_accuracy
-from salsanext_cli.network.card import read_card
+from salsanext_cli.network.card import AccuracyLine, read_card
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
@@ -91,7 +91,7 @@ def test_what_is_wrong_is_found_in_scans_left_out(far_is_wrong: World, target, t
     about_the_run = {"stage", "changed", "skipped"}
     assert tuned["changed"]
     assert stored.scores == {key: tuned[key] for key in tuned.keys() - about_the_run}
-    assert describe_weights(target)["error"] == stored.scores
+    assert describe_weights(target).to_dict()["error"] == stored.scores
     network = replace(world.network, weights=target)
     predict_scans(world.data, world.out, settings=network, extras=(ERROR,))
     error = np.load(world.result(ERROR))
@@ -177,7 +177,7 @@ def test_another_temperature_leaves_the_errors_as_they_are(
 ) -> None:
     world = far_is_wrong
     tune("error", world.data, target, settings=world.network, selection=EVERY)
-    card, line = read_card(target), {"slope": 1.2, "offset": -0.3, "deviation": 0.05}
+    card, line = read_card(target), AccuracyLine(1.2, -0.3, 0.05)
     save_with_card(target, target, replace(card, accuracy=line))
     tempered = target.with_name("tempered.safetensors")
     runs = [replace(world.network, weights=weights) for weights in (target, tempered)]
@@ -239,12 +239,14 @@ def test_what_is_said_of_an_error_model_goes_with_it(far_is_wrong: World, target
     older = replace(card, error=replace(card.error, scores=scores), description=sentence)
     save_with_card(target, target, older)
     described = describe_weights(target)
-    assert described["description"] == "Trained on nothing. Not for use."
-    assert described["error"]["fitted_to"] == "simulated scans only"
+    assert described.card.description == "Trained on nothing. Not for use."
+    assert described.card.error.scores["fitted_to"] == "simulated scans only"
     network, again = replace(world.network, weights=target), target.with_name("again.safetensors")
     tune("error", world.data, again, settings=network, selection=EVERY)
     described = describe_weights(again)
-    assert described["error"]["fitted_to"].startswith("3 scans of 00, 08, from one fitted to sim")
+    assert described.card.error.scores["fitted_to"].startswith(
+        "3 scans of 00, 08, from one fitted to sim"
+    )
     assert (
         read_card(again).changed("Pruned.").description
         == "Trained on nothing. Not for use. Pruned."

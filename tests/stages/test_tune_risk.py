@@ -11,21 +11,22 @@ from world import World
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import OutputError, TrainingError, UsageError, WeightsError
+from salsanext_cli.files.json_files import plain
 from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED
-from salsanext_cli.network.card import read_card, scan_digest
+from salsanext_cli.network.card import AccuracyLine, read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.report.page.run_results import expected_of_run
 from salsanext_cli.results.layout import LEAST_CONFIDENCE, find_scans, output_path
+from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder
-from salsanext_cli.results.stage_records import StageRecords
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.report import read_run, report
 from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.tuning import error
-from salsanext_cli.training.tuning.risk import _left_out, exceeds
+from salsanext_cli.training.tuning.risk import RiskLevel, _left_out
 
 ALL = ScanSelection()
 EVERY = ScanSelection(sequences=("00", "08"))
@@ -50,10 +51,11 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     world = unsure_is_wrong
     tuned = tune("risk", world.data, target, settings=world.network, selection=EVERY, at_most=0.3)
     risk = read_card(target).risk
-    assert risk == {key: tuned[key] for key in risk}
-    assert describe_weights(target)["risk"] == risk
+    recorded = {name: value for name, value in plain(risk).items() if name != "classes"}
+    assert recorded == {key: tuned[key] for key in recorded}
+    assert describe_weights(target).card.risk == risk
     expected = {"kind": "least_confidence", "at_most": 0.3, "confidence": None, "scans": 3}
-    assert risk.items() >= {**expected, "sequences": ["00", "08"]}.items()
+    assert recorded.items() >= {**expected, "sequences": ["00", "08"]}.items()
     assert [each["sequence"] for each in tuned["left_out"]] == ["00", "08"]
     kept, wrong = np.array(tuned["risk_coverage"])
     shares = np.array(tuned["of_scans"])
@@ -69,7 +71,7 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     doubts, losses, space = [], [], label_space()
     for file in find_scans(world.data):
         doubt = np.load(world.result(LEAST_CONFIDENCE, file.sequence, file.stem))
-        above = doubt > risk["threshold"]
+        above = doubt > risk.threshold
         assert not world.labels(file.sequence, file.stem)[above].any()
         doubts.append(above.sum())
         truth = space.to_train(read_labels(file.label_path))
@@ -89,7 +91,7 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     assert all(sentence[1:] in page for sentence in (found.promise.sentence, *found.kept.sentences))
     kept = found.kept
     assert kept is not None
-    assert {name: getattr(kept, name) for name in tuned["kept"]} == tuned["kept"]
+    assert plain(kept) == tuned["kept"]
     # (3 R + 1) / 4 ≤ 0.3, with no finer step than a bin
     assert 0 < kept.wrong / kept.points <= (4 * 0.3 - 1) / 3
     assert "the threshold was chosen on 3 of 3 scans" in caplog.text
@@ -110,8 +112,8 @@ def test_each_class_has_a_threshold_that_holds_of_its_own_points(
     numbers = {"at_most": 0.4, "per_class": True}
     tuned = tune("risk", world.data, target, settings=world.network, selection=EVERY, **numbers)
     risk, space = read_card(target).risk, label_space()
-    assert risk["classes"] == tuned["classes"]
-    assert max(risk["classes"].values()) <= risk["threshold"]
+    assert risk.classes == tuned["classes"]
+    assert max(risk.classes.values()) <= risk.threshold
     predict_scans(world.data, world.out.with_name("all"), settings=world.network)
     predict_scans(
         world.data, world.out, settings=replace(world.network, weights=target), reject="risk"
@@ -125,7 +127,7 @@ def test_each_class_has_a_threshold_that_holds_of_its_own_points(
         kept = space.to_train(world.labels(file.sequence, file.stem))
         for label, name in enumerate(space.names):
             own = every == label
-            above = doubt[own] > risk["classes"].get(name, risk["threshold"])
+            above = doubt[own] > risk.classes.get(name, risk.threshold)
             np.testing.assert_array_equal(kept[own], np.where(above, 0, label))
             rejected += above.sum()
             if (judged := own & (truth > 0)).any():
@@ -133,11 +135,11 @@ def test_each_class_has_a_threshold_that_holds_of_its_own_points(
                 losses.setdefault(name, []).append(loss)
     # (n mean + 1) / (n + 1) ≤ 0.4 of the n scans that have the label, if they are 2 or 3.
     own = {name for name, each in losses.items() if name != "unlabeled" and len(each) > 1}
-    assert own == set(risk["classes"])
+    assert own == set(risk.classes)
     assert all((sum(losses[name]) + 1) / (len(losses[name]) + 1) <= 0.4 for name in own)
     found = evaluate(find_scans(world.data), world.out, space)
     assert found.kept is not None
-    assert {name: getattr(found.kept, name) for name in tuned["kept"]} == tuned["kept"]
+    assert plain(found.kept) == tuned["kept"]
     results = [ResultFolder(world.out).read(file) for file in find_scans(world.data)]
     assert sum(each.rejected.sum() for each in results) == rejected > 0
 
@@ -162,13 +164,13 @@ def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, ca
     assert RISK_BOUND_EXCEEDED in caplog.messages
     # A sensor that was fitted otherwise
     card = read_card(target)
-    view = card.risk["view"] | {"fov_up": card.risk["view"]["fov_up"] + 8}
-    save_with_card(target, target, replace(card, risk={**card.risk, "view": view}))
+    view = replace(card.risk.view, fov_up=card.risk.view.fov_up + 8)
+    save_with_card(target, target, replace(card, risk=replace(card.risk, view=view)))
     predict_scans(world.data, world.out.with_name("o"), settings=network, reject="risk")
     assert "nothing is promised" in caplog.text
     # One of several sensors that the threshold was chosen on
     caplog.clear()
-    several = {**card.risk, "view": view, "other_views": [card.risk["view"]]}
+    several = replace(card.risk, view=view, other_views=(card.risk.view,))
     save_with_card(target, target, replace(card, risk=several))
     predict_scans(world.data, world.out.with_name("s"), settings=network, reject="risk")
     assert "nothing is promised" not in caplog.text
@@ -219,7 +221,7 @@ def test_what_few_scans_cannot_promise(unsure_is_wrong: World, target) -> None:
         tuned(at_most=0.5, confidence=1)
     assert not target.exists()
     tuned(at_most=0.05, confidence=0.6)
-    assert read_card(target).risk["confidence"] == 0.6
+    assert read_card(target).risk.confidence == 0.6
 
 
 def test_scans_of_training_promise_nothing(unsure_is_wrong: World, target, tmp_path) -> None:
@@ -258,10 +260,10 @@ def test_an_error_that_was_fitted_to_these_scans_is_said(
 def test_a_drive_left_out_is_judged_by_what_is_promised(confidence, is_above) -> None:
     losses = np.where(np.arange(44) < 35, 0.0, 0.06)  # Nine of 22 scans of the second drive
     kept = np.stack([np.ones(44), losses], axis=1)[..., None]
-    sequences, numbers = np.repeat(["a", "b"], 22), {"at_most": 0.05, "confidence": confidence}
+    sequences, numbers = np.repeat(["a", "b"], 22), RiskLevel(0.05, confidence)
     of_b = _left_out(kept, sequences, np.arange(44), numbers)[1]
-    assert of_b["above"] == pytest.approx(9 / 22)
-    assert exceeds(of_b, **numbers) == is_above
+    assert of_b.above == pytest.approx(9 / 22)
+    assert of_b.exceeds(numbers) == is_above
 
 
 def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path, monkeypatch) -> None:
@@ -273,7 +275,7 @@ def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path, m
     tune("risk", world.data, target, settings=world.network, selection=EVERY, at_most=0.3)
     network = replace(world.network, weights=target)
     coarse = replace(network, classes=label_space("coarse"))
-    with pytest.raises(UsageError, match=r"--classes · .*promises nothing of other labels"):
+    with pytest.raises(UsageError, match=r"--classes · .*guarantee .* does not cover other labels"):
         predict_scans(world.data, world.out, settings=coarse, reject="risk")
     with pytest.raises(UsageError, match=r"--knn-… · "):
         predict_scans(
@@ -283,7 +285,7 @@ def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path, m
     others = {"min_range": 2.0, "ego": "none", "sensor": replace(card.sensor, fov_up=4.0)}
     for name, value in others.items():
         other = replace(network, **{name: value})
-        with pytest.raises(UsageError, match=f"--{name.replace('_', '-')} · .*of other labels"):
+        with pytest.raises(UsageError, match=f"--{name.replace('_', '-')} · .*other labels"):
             predict_scans(world.data, world.out, settings=other, reject="risk")
     assert not world.out.exists()
     # Another error or another temperature is another uncertainty.
@@ -295,7 +297,7 @@ def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path, m
 
 def test_a_run_says_how_many_labels_it_expects_to_be_right(world: World, tmp_path) -> None:
     card, weights = read_card(world.network.weights), tmp_path / "line.safetensors"
-    line = {"slope": 1.0, "offset": 0.0, "deviation": 0.05}
+    line = AccuracyLine(1.0, 0.0, 0.05)
     save_with_card(world.network.weights, weights, replace(card, accuracy=line))
     network = replace(world.network, weights=weights)
     summary = predict_scans(world.data, world.out, settings=network).summary
@@ -311,4 +313,4 @@ def test_a_run_says_how_many_labels_it_expects_to_be_right(world: World, tmp_pat
     assert plain is not None
     assert plain.expected_accuracy() is None
     # A key that older folders lack would refuse them.
-    assert "accuracy" not in StageRecords(tmp_path / "plain").settings("predict")
+    assert Provenance(tmp_path / "plain").settings("predict").accuracy is None

@@ -17,8 +17,8 @@ from served import served
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.report.page.server import MAX_CONNECTIONS, _Handler
+from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.results.stage_records import StageRecord
 from salsanext_cli.stages.report import report, view
 
 
@@ -82,11 +82,11 @@ def test_nothing_else_is_served_nor_to_other_pages_whatever_a_forwarded_port(ask
 
 def test_results_made_anew_are_not_shown_as_those_of_the_start(world):
     record = StageRecord("predict", {"label_space": SPACE.to_dict(), "sensor": SMALL.to_dict()})
-    record.write(world.out)
+    Manifest(world.out).write(record)
     with view(world.out, query=ResultQuery(world.dataset)) as server, served(server):
         ask = asker(server)
         assert ask("/cloud/TOKEN/1")[0] == 200
-        replace(record, folders=("predictions",)).write(world.out)
+        Manifest(world.out).write(replace(record, writes=("predictions",)))
         status, text = ask("/cloud/TOKEN/1")
     assert status == 500
     assert "start view again" in json.loads(text)["error"]

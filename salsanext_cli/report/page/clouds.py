@@ -43,7 +43,7 @@ def scales_of(scans: Sequence[ShownScan]) -> dict[str, Scale]:
 
 def encode_cloud(
     shown: ShownScan, space: LabelSpace, sensor: Sensor, scales: Mapping[str, Scale]
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return a scan as plain data, numbers of points as base64 of little-endian integers.
 
     Points are in the order of the pixels of the range image, the nearest of each first, those

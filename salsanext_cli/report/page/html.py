@@ -11,7 +11,6 @@ from html import escape
 from importlib import resources
 from string import Template
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -114,7 +113,7 @@ def html_of(
     )
 
 
-def script_data(identifier: str, data: Mapping[str, Any]) -> str:
+def script_data(identifier: str, data: object) -> str:
     """Return plain data as an element that scripts read; nothing in it can end the element."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     for mark in "<>&":
@@ -258,7 +257,9 @@ def _occurring(class_points: Counts, counts: ScanCounts | None) -> dict[str, lis
     return {name: np.flatnonzero(points).tolist() for name, points in found.items()}
 
 
-def _drive(rows: Sequence[ScanRow], class_points: Counts, shown: Sequence[str]) -> dict[str, Any]:
+def _drive(
+    rows: Sequence[ScanRow], class_points: Counts, shown: Sequence[str]
+) -> dict[str, object]:
     """Return the numbers of all scans; base64 of float32, empty without any."""
     places = {name: place for place, name in enumerate(shown)}
     kind = leading_kind(rows) or ""

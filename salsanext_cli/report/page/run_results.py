@@ -7,7 +7,7 @@ import csv
 import math
 import random
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,10 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.classes.merging import ClassMerging
 from salsanext_cli.errors import SalsanextError, UsageError, counted, first_few, shortened
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.files.json_files import RecordedSettings
 from salsanext_cli.files.reading import present, reading, refusing_damage
 from salsanext_cli.fitting.view_fit import view_text
 from salsanext_cli.formats.kitti import read_labels
@@ -34,18 +32,19 @@ from salsanext_cli.measures.risk_control import (
     RiskBoundCheck,
     promise,
 )
-from salsanext_cli.measures.scan_counts import SOFTMAX, ScanCounts, count_scan, read_softmax
+from salsanext_cli.measures.scan_counts import SOFTMAX, ScanComparison, ScanCounts, read_softmax
 from salsanext_cli.measures.scores import Counts, Scores, accepted, scored_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
 )
-from salsanext_cli.network.card import FITTED, default_weights, read_card
+from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.results.layout import ERROR, PREDICTION_STAGES, ScanFile, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
-from salsanext_cli.results.stage_records import Rejection, StageRecords
+from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.results.uncertainty_kinds import MEANT_BY_UNCERTAINTY, UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -61,18 +60,6 @@ DEFAULT_LIMITS = (
 """Failures of the default weights, as docs/model-card.md has them; it does not come with a page."""
 SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 that are shown
 CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # They keep reasons to doubt scans
-
-
-@dataclass(frozen=True, slots=True)
-class RunReader:
-    """Settings with which the scans of a run are read."""
-
-    out: Path  # Output folder
-    space: LabelSpace  # Classes of the predictions, which the truth is compared with
-    labels: LabelSpace  # Meaning of the raw ids of the truth
-    merging: ClassMerging | None  # Of the classes of the probabilities into those of `space`
-    sensor: Sensor  # Sensor of the range images, and origin of the scans
-    rejection: Rejection | None  # That of the run
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,9 +81,7 @@ class ScanRow:
         return float(1 - self.confusion.trace() / self.confusion.sum())
 
 
-def read_row(
-    file: ScanFile, reader: RunReader, by_distance: bool = False, trained_on: Collection[str] = ()
-) -> tuple[ScanRow, ScanCounts | None]:
+def read_row(file: ScanFile, reader: ScanComparison) -> tuple[ScanRow, ScanCounts | None]:
     """Read the results of a scan, and count them against its labels if there are both."""
     out, space = reader.out, reader.space
     path_of = partial(output_path, out, file.sequence, stem=file.stem)
@@ -114,10 +99,7 @@ def read_row(
             uncertainty[kind] = float(finite.mean(dtype=np.float64)) if len(finite) else math.nan
     if class_points is None or not present(file.label_path):
         return ScanRow(file, points, class_points, uncertainty), None
-    compared_in = (reader.sensor, reader.labels, reader.merging)
-    counts = count_scan(
-        file, out, space, by_distance, *compared_in, trained_on, rejection=reader.rejection
-    )
+    counts = reader.count(file)
     confusion = scored_rows(counts.confusion, space)
     confusion = accepted(confusion) if reader.rejection else confusion
     return ScanRow(file, points, class_points, uncertainty, confusion), counts
@@ -170,7 +152,7 @@ class Comparison:
 class RunResults:
     """Results of a run in numbers per scan."""
 
-    reader: RunReader
+    reader: ScanComparison
     rows: Sequence[ScanRow]  # Scans that could be read, in their order; at least one
     counts: ScanCounts | None  # Of the scans with labels; None without any
     missing: MissingResults  # Scans without results, left out
@@ -203,7 +185,7 @@ class RunResults:
     @property
     def promise(self) -> RiskBoundCheck | None:
         """Promise of the labels that are kept, beside what is found."""
-        promised = StageRecords(self.reader.out).promised(self.reader.space)
+        promised = Provenance(self.reader.out).promised(self.reader.space)
         if self.counts is None or promised is None:
             return None
         return RiskBoundCheck.of_scans(promised, self.counts.kept)
@@ -285,43 +267,41 @@ def named(rows: Sequence[ScanRow], names: Sequence[str]) -> dict[str, str]:
 
 def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
     """Yield what was run and how, as pairs of a title and a text."""
-    records = StageRecords(out)
+    records = Provenance(out)
     yield "Weights", _weights(records)
     for each in sensor.members:
         yield "Sensor", f"{each.name}, {each.height}×{each.width}, {view_text(each)}"
-    if stage := records.owner("predictions"):
-        of_labels = records.settings(stage) or RecordedSettings({}, out)
+    stage, of_labels = records.owner("predictions"), records.settings_of("predictions")
+    if stage and of_labels:
         yield "Labels", _labels(stage, of_labels)
-        if "promised" in of_labels:
-            yield "Promise", promise(of_labels.table("promised"))
-        if inherited := of_labels.get("inherited"):
-            yield "Inherited", f"{shortened(inherited, 200)}, not fitted to these weights"
+        if of_labels.promised:
+            yield "Promise", promise(of_labels.promised)
+        if of_labels.inherited:
+            yield "Inherited", f"{shortened(of_labels.inherited, 200)}, not fitted to these weights"
     if settings := records.settings("uncertainty"):
-        numbers = ("samples", "seed", "aleatoric")
-        given = (f"{key} {settings[key]}" for key in numbers if key in settings)
-        yield "Uncertainty", ", ".join([str(settings.get("method")), *given])
+        numbers = {name: getattr(settings, name) for name in ("samples", "seed", "aleatoric")}
+        given = (f"{name} {value}" for name, value in numbers.items() if value is not None)
+        yield "Uncertainty", ", ".join([str(settings.method), *given])
     if records.owner(ERROR) == "predict":
         yield "Uncertainty", "probability of error, of predict --error"
 
 
 def expected_of_run(out: Path, rows: Sequence[ScanRow]) -> ExpectedAccuracy | None:
     """Estimate the accuracy of labels that `predict` wrote; None for those of other stages."""
-    records = StageRecords(out)
+    records = Provenance(out)
     settings = records.settings("predict")
-    if not (settings and settings.get("accuracy")) or records.owner("predictions") != "predict":
+    if settings is None or records.owner("predictions") != "predict":
         return None
-    recorded = settings.table("accuracy")
-    line = {key: recorded.number(key) for key in FITTED["accuracy"]}
     means = {row.file.name: row.uncertainty.get("least_confidence", math.nan) for row in rows}
     confidences = {name: 1 - mean for name, mean in means.items() if not math.isnan(mean)}
     warnings: dict[str, list[str]] = {}
     for name, findings in OwnedFolder(out, "predict").findings().items():
         for code, *_ in findings:
             warnings.setdefault(code, []).append(name)
-    return expected_accuracy(line, confidences, warnings)
+    return expected_accuracy(settings.accuracy, confidences, warnings)
 
 
-def _weights(records: StageRecords) -> str:
+def _weights(records: Provenance) -> str:
     """Describe the weights behind the labels, else those behind the uncertainty."""
     folders = ("predictions", "uncertainty/epistemic", "uncertainty/error", "pixel_labels")
     sha256 = next(filter(None, map(records.weights, folders)), None)
@@ -339,15 +319,15 @@ def _weights(records: StageRecords) -> str:
     return f"{name}, not the default ones; salsanext models FILE describes a file of weights"
 
 
-def _labels(stage: str, settings: Mapping[str, Any]) -> str:
+def _labels(stage: str, settings: StageSettings) -> str:
     words = [stage]
-    if settings.get("engine"):
-        words.append(f"{settings['engine']} in {settings.get('precision')}")
-    if isinstance(temperature := settings.get("temperature"), float):
-        words.append(f"temperature {temperature:.3g}")
-    if settings.get("reject") is not None:
-        kind = settings.get("reject_by", "error").replace("_", " ")
-        words.append(f"points unlabelled whose {kind} is above {settings['reject']:g}")
+    if settings.engine:
+        words.append(f"{settings.engine} in {settings.precision}")
+    if settings.temperature is not None:
+        words.append(f"temperature {settings.temperature:.3g}")
+    if settings.reject is not None:
+        kind = (settings.reject_by or "error").replace("_", " ")
+        words.append(f"points unlabelled whose {kind} is above {settings.reject:g}")
     return ", ".join(words)
 
 

@@ -50,7 +50,7 @@ class PageServer(ThreadingHTTPServer):
         """Address of the page."""
         return f"http://{LOOPBACK}:{self.server_port}/"
 
-    def cloud(self, place: int) -> Mapping[str, Any] | None:
+    def cloud(self, place: int) -> Mapping[str, object] | None:
         """Return the cloud of a scan by its place, as plain data; None if there is no such scan."""
         raise NotImplementedError
 
@@ -105,7 +105,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer_cloud(self, token: str, place: int) -> None:
         status = HTTPStatus.OK
-        data: Mapping[str, Any] | None
+        data: Mapping[str, object] | None
         if token != self.server.token:
             error = "this page is of an earlier salsanext view: reload it"
             status, data = HTTPStatus.GONE, {"error": error}

@@ -17,10 +17,10 @@ from torch import Tensor
 
 from salsanext_cli.errors import LabelError, TrainingError, counted
 from salsanext_cli.files.identity import identity
-from salsanext_cli.files.json_files import encode_json, read_json
+from salsanext_cli.files.json_files import MALFORMED, decoded, encode_json, read_json
 from salsanext_cli.fitting.label_scan import check_with_remedy
 from salsanext_cli.labelling.label_records import require_truth
-from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, log_recorded
+from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWarning, log_recorded
 from salsanext_cli.network.card import parted, scan_digest
 from salsanext_cli.records import Double, Mask
 from salsanext_cli.results.layout import ScanFile
@@ -36,7 +36,7 @@ class ClassCounts:
     """Result of reading labelled scans once."""
 
     points: Counts  # (C,): training points of each class
-    warnings: list[dict[str, Any]]  # About scans of either split, as `RunSummary.warnings` has them
+    warnings: list[ScanWarning]  # About scans of either split
     digests: dict[ScanFile, str]  # Of the training scans
 
 
@@ -133,7 +133,7 @@ def class_counts(
     return result
 
 
-def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[dict[str, Any]]:
+def _warnings(source: Source, summaries: Sequence[ScanSummary]) -> list[ScanWarning]:
     """Return the reasons to doubt scans; each fitted sequence may have a sensor of its own."""
     summary = RunSummary(source.sensor)
     for _, members in groupby(summaries, lambda each: source.fitted and each.file.sequence):
@@ -153,8 +153,8 @@ def _kept(
     try:
         counts = np.array([known["points"][name] for name in names], np.int64)
         digests = dict(zip(files, parted(known["scans"]), strict=True))
-        return ClassCounts(counts, known["warnings"], digests)
-    except (LookupError, OverflowError, TypeError, ValueError):
+        return ClassCounts(counts, decoded(list[ScanWarning], known["warnings"]), digests)
+    except (*MALFORMED, LookupError, OverflowError):
         return None
 
 

@@ -5,7 +5,7 @@ import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -114,7 +114,7 @@ def fit_error_model(scans: TuningScans) -> Tuned:
     if not changed:
         return network.card, report
     model = replace(model, temperature=start.temperature if start else None)
-    return replace(network.card, error=model, risk={}), report
+    return replace(network.card, error=model, risk=None), report
 
 
 def cross_validated(
@@ -134,7 +134,7 @@ def cross_validated(
     sequences = {file.sequence for file in judged}
     before = start.scores if start else {}
     from_one = f", from one fitted to {before.get('fitted_to', 'other scans')}" if start else ""
-    scores: dict[str, Any] = {
+    scores = {
         "fitted_to": f"{counted(len(judged), 'scan')} of {first_few(sorted(sequences))}{from_one}",
         "scans": len(judged),
         "sequences": sorted(sequences | {*before.get("sequences", ())}),
@@ -150,7 +150,7 @@ def _scores_held_out(
     judged: Mapping[ScanFile, JudgedPoints],
     parts: Sequence[Sequence[ScanFile]],
     start: ErrorModel | None,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Fit without each fold of the scans, and score all points by the models that lack them."""
     errors, held_out = list[Float](), list[JudgedPoints]()
     for part in parts:

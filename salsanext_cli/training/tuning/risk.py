@@ -3,10 +3,10 @@
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +14,9 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.errors import LabelError, TrainingError, UsageError, counted, first_few
-from salsanext_cli.fitting.label_scan import (
-    PreparedScan,
-    labelled,
-    prepared_for,
-)
-from salsanext_cli.fitting.scan_fit import labels_depend_on, view_record
+from salsanext_cli.files.json_files import plain
+from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
+from salsanext_cli.fitting.scan_fit import labels_depend_on
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
@@ -33,10 +30,11 @@ from salsanext_cli.measures.risk_control import (
     promise,
 )
 from salsanext_cli.measures.scores import Counts, Ratios
-from salsanext_cli.network.card import scan_digest
+from salsanext_cli.network.card import RiskThreshold, scan_digest
 from salsanext_cli.options import KnnParameters
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.sensors.sensor import FittedView
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
@@ -55,6 +53,38 @@ class JudgedScan:
     points: int
     # (2, C, B): points kept, and kept and wrong, up to each bin, by label; (2, 1, B): of all labels
     below: npt.NDArray[np.int32]
+
+
+class RiskLevel(NamedTuple):
+    """Level of risk that a threshold is to hold."""
+
+    at_most: float  # Largest share of the points that may be kept and wrong, 0…1
+    confidence: float | None  # Share of scans or drives that hold it; None: it holds for their mean
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Points of a sequence that the threshold of the other sequences keeps, shares 0…1."""
+
+    sequence: str
+    scans: int
+    kept: float  # Mean share of the points of a scan that is kept
+    loss: float  # Mean share that is kept and wrong, and the largest of a scan
+    worst: float
+    above: float  # Share of the scans with a larger share than the level
+
+    def exceeds(self, level: RiskLevel) -> bool:
+        """Return whether more is wrong than the level allows."""
+        if level.confidence is None:
+            return self.loss > level.at_most
+        return self.above > 1 - level.confidence
+
+    @property
+    def sentence(self) -> str:
+        """Sentence about the sequence."""
+        shares = f"{self.kept:.1%} kept, {self.loss:.1%} of all points kept and wrong"
+        by = "by the threshold of the others for all classes"
+        return f"{self.sequence} {by}: {shares}, {self.worst:.1%} at worst"
 
 
 def judged_scan(
@@ -115,89 +145,95 @@ def fit_risk(
     many scans or drives have that label. Reports beside it `KeptLabels`, and what the threshold of
     the other sequences keeps of each.
     """
-    if not 0 < at_most < 1:
-        raise UsageError("--at-most", f"{at_most:.4g}", "above 0 and below 100%, such as 5%")
-    if confidence is not None and not 0.5 <= confidence < 1:
-        raise UsageError("--confidence", f"{confidence:.4g}", "from 50% to below 100%")
-    _require_scans(scans, at_most, confidence)
+    level = RiskLevel(at_most, confidence)
+    _require_scans(scans, level)
     network, space = scans.network, scans.space
-    kind = "error" if knows_error(network) else "least_confidence"
-    # The error may have been fitted to sequences of the same names.
-    fitted = set(network.card.error.scores.get("sequences", ())) if network.card.error else set()
-    if kind == "error" and (same := sorted(fitted & {file.sequence for file in scans.files})):
-        message = "the error was fitted to %s too: a threshold holds for scans that no fit has seen"
-        log.warning(message, first_few(same))
-    classes = space.class_count
-    counts = np.zeros((classes, classes, UNCERTAINTY_BINS + 1), np.int64)
+    kind = _kind_of_threshold(scans)
+    counts = np.zeros((space.class_count, space.class_count, UNCERTAINTY_BINS + 1), np.int64)
     judge = partial(judged_scan, space=space, counts=counts, per_class=per_class)
 
     def predict(some: Sequence[PreparedScan]) -> list[PixelPrediction]:
         return network.predict([scan.input for scan in some], softmax=kind == "error")
 
-    job = Steps(partial(prepared_for, network), predict, judge)
-    judged = [*scans.run(job)]
-    shares = np.empty((len(judged), 2, UNCERTAINTY_BINS))
-    for share, scan in zip(shares, judged, strict=True):
-        np.divide(scan.below.sum(axis=1), scan.points, out=share)
-    numbers: dict[str, Any] = {"at_most": at_most, "confidence": confidence}
+    judged = [*scans.run(Steps(partial(prepared_for, network), predict, judge))]
+    shares = np.array([scan.below.sum(axis=1) / scan.points for scan in judged])
     sequences = np.array([scan.file.sequence for scan in judged])
     unit, units = "scan", np.arange(len(judged))
-    if enough_drives(len(np.unique(sequences)), **numbers):
+    if enough_drives(len(np.unique(sequences)), at_most, confidence):
         unit, units = "drive", sequences
-    held = held_thresholds(means_of_units(shares[:, 1], units), **numbers)
+    held = held_thresholds(means_of_units(shares[:, 1], units), at_most, confidence)
     if not held or not shares[:, 0, held - 1].any():
         found = f"no threshold of {kind} keeps points and at most {at_most:.3g} of them wrong"
         raise TrainingError(scans.source, found, "a higher --at-most, or better weights")
-    of_labels, own = _of_labels(judged, units, held, numbers)
-    labels, of_scans = kept_labels(judged, counts, space, of_labels)
+    of_labels, own = _of_labels(judged, units, held, level)
     # Of none, the last.
     highest = np.append(np.minimum(highest_of_bins(), 1.0), KEEPS_NONE)
-    left_out = _left_out(shares, sequences, units, numbers)
-    risk = {
-        "kind": kind,
-        "threshold": float(highest[held - 1]),
-        **numbers,
-        "unit": unit,
-        "scans": len(judged),
-        "sequences": np.unique(sequences).tolist(),
-        "digests": "".join(scan.digest for scan in judged),
-        "settings": labels_depend_on(scans.settings, scans.loaded),
-        "view": view_record(network.sensor),
-        "other_views": [view_record(each) for each in network.sensor.others],
-    }
-    worst = sorted(left_out, key=lambda each: -each["loss"])[:MAX_LISTED]
-    sentences = [*labels.sentences, *map(_sentence, worst)]
-    if more := len(left_out) - len(worst):
-        sentences.append(f"{counted(more, 'sequence')} more with less of them wrong")
-    if per_class:
-        of_class = zip(space.names, highest[of_labels - 1].tolist(), strict=True)
-        risk["classes"] = {name: value for i, (name, value) in enumerate(of_class) if own[i]}
-        few = [space.names[i] for i in np.flatnonzero(counts.any(axis=(0, 2)) & ~own) if i]
-        if few:
-            common = f"too few {unit}s for a promise, so by the common threshold"
-            sentences.append(f"{first_few(few)}: {common}")
-    means = shares.mean(axis=0)
-    wanted = np.linspace(0, means[0, -1], CURVE_POINTS)
-    steps = np.unique(np.searchsorted(means[0], wanted).clip(max=UNCERTAINTY_BINS - 1))
+    of_class = zip(space.names, highest[of_labels - 1].tolist(), strict=True)
+    risk = RiskThreshold(
+        kind=kind,
+        threshold=float(highest[held - 1]),
+        at_most=at_most,
+        confidence=confidence,
+        unit=unit,
+        scans=len(judged),
+        sequences=tuple(np.unique(sequences).tolist()),
+        digests="".join(scan.digest for scan in judged),
+        settings=labels_depend_on(scans.settings, scans.loaded),
+        view=FittedView.of(network.sensor),
+        other_views=tuple(map(FittedView.of, network.sensor.others)),
+        classes={n: value for i, (n, value) in enumerate(of_class) if own[i]} if per_class else {},
+    )
+    left_out = _left_out(shares, sequences, units, level)
+    labels, of_scans = kept_labels(judged, counts, space, of_labels)
+    few = [space.names[i] for i in np.flatnonzero(counts.any(axis=(0, 2)) & ~own) if i]
     report = {
         "promise": promise(risk),
-        **risk,
-        "kept": asdict(labels),
-        "left_out": left_out,
-        "risk_coverage": means[:, steps].tolist(),
+        **{name: value for name, value in plain(risk).items() if name != "classes" or per_class},
+        "kept": plain(labels),
+        "left_out": plain(left_out),
+        "risk_coverage": _curve(shares).tolist(),
         "of_scans": [[kept / points, wrong / points] for points, kept, wrong in of_scans.values()],
-        "sentences": sentences,
+        "sentences": [*labels.sentences, *_sentences(left_out, few if per_class else (), unit)],
     }
-    above = [each["sequence"] for each in left_out if exceeds(each, **numbers)]
-    if above and unit == "scan":
+    if (above := [each.sequence for each in left_out if each.exceeds(level)]) and unit == "scan":
         log.warning("%s: more wrong than that, by the threshold of the others", first_few(above))
     elif not left_out:
         log.warning("scans of one sequence do not tell how the threshold holds on another")
     return replace(network.card, risk=risk), report
 
 
+def _kind_of_threshold(scans: TuningScans) -> str:
+    """Return the kind of uncertainty that the threshold is of; warn of a fit to these scans."""
+    network = scans.network
+    kind = "error" if knows_error(network) else "least_confidence"
+    # The error may have been fitted to sequences of the same names.
+    fitted = set(network.card.error.scores.get("sequences", ())) if network.card.error else set()
+    if kind == "error" and (same := sorted(fitted & {file.sequence for file in scans.files})):
+        message = "the error was fitted to %s too: a threshold holds for scans that no fit has seen"
+        log.warning(message, first_few(same))
+    return kind
+
+
+def _curve(shares: Ratios) -> Ratios:
+    """Return `CURVE_POINTS` of mean coverage and risk (2, P) of shares (n, 2, B)."""
+    means = shares.mean(axis=0)
+    wanted = np.linspace(0, means[0, -1], CURVE_POINTS)
+    steps = np.unique(np.searchsorted(means[0], wanted).clip(max=UNCERTAINTY_BINS - 1))
+    return means[:, steps]
+
+
+def _sentences(left_out: Sequence[LeftOut], few: Sequence[str], unit: str) -> Iterator[str]:
+    """Yield sentences about held-out sequences, and about classes of too few scans or drives."""
+    worst = sorted(left_out, key=lambda each: -each.loss)[:MAX_LISTED]
+    yield from (each.sentence for each in worst)
+    if more := len(left_out) - len(worst):
+        yield f"{counted(more, 'sequence')} more with less of them wrong"
+    if few:
+        yield f"{first_few(few)}: too few {unit}s for a promise, so by the common threshold"
+
+
 def _of_labels(
-    scans: Sequence[JudgedScan], units: npt.NDArray[Any], held: int, numbers: Mapping[str, Any]
+    scans: Sequence[JudgedScan], units: npt.NDArray[Any], held: int, level: RiskLevel
 ) -> tuple[Counts, npt.NDArray[np.bool_]]:
     """Return how many thresholds hold for the points of each label, up to those held by all.
 
@@ -208,15 +244,20 @@ def _of_labels(
     for label in range(1, count):
         below = np.array([scan.below[:, label] for scan in scans])
         has = below[:, 0, -1] > 0
-        own[label] = len(np.unique(units[has])) >= needed_scans(**numbers)
+        own[label] = len(np.unique(units[has])) >= needed_scans(*level)
         if own[label]:
             losses = means_of_units(below[has, 1] / below[has, :1, -1], units[has])
-            of_labels[label] = min(held, held_thresholds(losses, **numbers))
+            of_labels[label] = min(held, held_thresholds(losses, *level))
     return of_labels, own
 
 
-def _require_scans(scans: TuningScans, at_most: float, confidence: float | None) -> None:
+def _require_scans(scans: TuningScans, level: RiskLevel) -> None:
     """Refuse what so many scans cannot promise; say what they can, and how many are missing."""
+    at_most, confidence = level
+    if not 0 < at_most < 1:
+        raise UsageError("--at-most", f"{at_most:.4g}", "above 0 and below 100%, such as 5%")
+    if confidence is not None and not 0.5 <= confidence < 1:
+        raise UsageError("--confidence", f"{confidence:.4g}", "from 50% to below 100%")
     count = len(scans.files)
     missing = needed_scans(at_most, confidence) - count
     if missing <= 0:
@@ -235,11 +276,8 @@ def _require_scans(scans: TuningScans, at_most: float, confidence: float | None)
 
 
 def _left_out(
-    kept: Ratios,
-    sequences: npt.NDArray[np.str_],
-    units: npt.NDArray[Any],
-    numbers: Mapping[str, Any],
-) -> list[dict[str, Any]]:
+    kept: Ratios, sequences: npt.NDArray[np.str_], units: npt.NDArray[Any], level: RiskLevel
+) -> list[LeftOut]:
     """Return what is kept of each sequence by the threshold of the others; none of a single one.
 
     `kept` (n, 2, B): shares of the points that are kept, and kept and wrong; `units`: as
@@ -249,23 +287,9 @@ def _left_out(
     for sequence in names if len(names) > 1 else ():
         own = sequences == sequence
         others = means_of_units(kept[~own, 1], units[~own])
-        held = held_thresholds(others, **numbers, scans=count)
+        held = held_thresholds(others, *level, scans=count)
         shares, losses = kept[own, :, held - 1].T if held else np.zeros((2, own.sum()))
-        means = {"kept": shares.mean(), "loss": losses.mean(), "worst": losses.max()}
-        means["above"] = (losses > numbers["at_most"]).mean()
-        means = {name: float(value) for name, value in means.items()}
-        reports.append({"sequence": str(sequence), "scans": int(own.sum()), **means})
+        above = (losses > level.at_most).mean()
+        means = map(float, (shares.mean(), losses.mean(), losses.max(), above))
+        reports.append(LeftOut(str(sequence), int(own.sum()), *means))
     return reports
-
-
-def exceeds(left_out: Mapping[str, Any], at_most: float, confidence: float | None) -> bool:
-    """Say whether a sequence that was left out has more than is promised."""
-    if confidence is None:
-        return bool(left_out["loss"] > at_most)
-    return bool(left_out["above"] > 1 - confidence)
-
-
-def _sentence(each: Mapping[str, Any]) -> str:
-    shares = f"{each['kept']:.1%} kept, {each['loss']:.1%} of all points kept and wrong"
-    by = "by the threshold of the others for all classes"
-    return f"{each['sequence']} {by}: {shares}, {each['worst']:.1%} at worst"

@@ -82,9 +82,9 @@ def fit_temperature(scans: TuningScans) -> Tuned:
     }
     if not changed:
         return card, report
-    if card.risk and card.risk["kind"] != "error":
+    if card.risk and card.risk.kind != "error":
         log.log(NOTICE, "the threshold is dropped: choose a new one with `salsanext tune risk`")
-        card = replace(card, risk={})
+        card = replace(card, risk=None)
     return with_temperature(card, temperature, logits), report
 
 
@@ -100,7 +100,8 @@ def with_temperature(card: WeightsCard, temperature: float, logits: Tensor) -> W
             (logits.double() / t).softmax(dim=1).amax(dim=1).mean().logit(1e-6).item()
             for t in (card.temperature, temperature)
         )
-        accuracy = {**accuracy, "offset": accuracy["offset"] + accuracy["slope"] * (old - new)}
+        offset = accuracy.offset + accuracy.slope * (old - new)
+        accuracy = replace(accuracy, offset=offset)
     return replace(card, temperature=temperature, error=error, accuracy=accuracy)
 
 

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: MIT
+"""Records as JSON files, read back with their types."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from salsanext_cli.errors import OutputError
+from salsanext_cli.files.json_files import as_json, decoded, plain, read_record, write_json
+
+
+@dataclass(frozen=True)
+class Inner:
+    name: str
+    share: float = 1.0
+
+
+@dataclass(frozen=True)
+class Outer:
+    count: int
+    ends: tuple[float, float]
+    names: tuple[str, ...] = ()
+    inner: Inner | None = None
+    parts: Mapping[str, list[Inner]] | None = None
+    is_done: bool = False
+
+
+WHOLE = Outer(3, (0.5, float("inf")), ("a", "b"), Inner("x", 2.5), {"y": [Inner("z")]}, True)
+
+
+@pytest.mark.parametrize("record", [WHOLE, Outer(0, (1.0, 2.0))])
+def test_records_come_back_as_they_were(record: Outer, tmp_path: Path) -> None:
+    assert decoded(Outer, as_json(record)) == record
+    write_json(tmp_path / "a.json", as_json(record))
+    assert read_record(Outer, tmp_path / "a.json") == record
+    assert read_record(Outer, tmp_path / "none.json") is None
+
+
+def test_whole_numbers_are_numbers_and_unknown_keys_are_passed_over() -> None:
+    assert decoded(Outer, {"count": 1, "ends": [1, 2], "later": 5}) == Outer(1, (1.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"count": value} for value in (None, "3", 1.0, True, [])),
+        *({"ends": value} for value in ([1.0], [1.0, 2.0, 3.0], "ab", 5, [1.0, True])),
+        *({"names": value} for value in ("ab", ["a", 1], {"a": "b"})),
+        *({"inner": value} for value in ({}, {"name": 1}, "name", ["name"], 3)),
+        *({"parts": value} for value in ([], {"y": [{}]}, {"y": "z"})),
+    ],
+)
+def test_what_is_amiss_names_the_file(change: dict[str, object], tmp_path: Path) -> None:
+    write_json(tmp_path / "a.json", as_json(WHOLE) | change)
+    with pytest.raises(OutputError) as caught:
+        read_record(Outer, tmp_path / "a.json")
+    assert (caught.value.subject, caught.value.code) == (str(tmp_path / "a.json"), "output")
+
+
+def test_arrays_are_lists_and_nan_is_null() -> None:
+    data = {"a": np.array([1.0, np.nan]), "b": (np.float64(2), {3}), "c": Path("x")}
+    assert plain(data) == {"a": [1.0, None], "b": [2.0, [3]], "c": "x"}
