@@ -127,7 +127,7 @@ def test_a_fit_is_checked_with_what_it_found(dataset):
 def test_sequences_of_two_sensors(dataset):
     write_sequence(dataset / "sequences/08", ["0"], count=8000)
     (inspected,), (warning,) = inspect(dataset, sensor=SMALL).warnings, trained(dataset)
-    assert inspected["scans"] == warning["scans"] == ["08/0"]
+    assert inspected.scans == warning.scans == ["08/0"]
 
 
 def test_what_was_found_is_told_by_later_runs_too(dataset):

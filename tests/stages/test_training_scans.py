@@ -97,13 +97,15 @@ def test_a_report_leaves_out_the_same(trained):
     assert [row.confusion is None for row in rows.rows] == [False, False, True]
 
 
-@pytest.mark.parametrize(
-    "change", [{"trained_on": "all"}, {"reject": 0.5, "promised": {"digests": "all"}}]
-)
+RISK = {"kind": "error", "threshold": 0.5, "at_most": 0.1, "confidence": None}
+RISK |= {"scans": 3, "sequences": ["00"], "digests": "all"}
+
+
+@pytest.mark.parametrize("change", [{"trained_on": "all"}, {"reject": 0.5, "promised": RISK}])
 def test_a_record_that_was_changed_is_refused(trained, change):
     predict(trained)
     record = json.loads((trained.out / "predict.json").read_text())
     record["settings"] |= change
     (trained.out / "predict.json").write_text(json.dumps(record))
-    with pytest.raises(OutputError, match="no digests of scans under"):
+    with pytest.raises(OutputError, match=r"predict\.json .* no digests of scans"):
         judged(trained)
