@@ -15,7 +15,7 @@ from world import World
 from salsanext_cli import LabelSpace, label_space, load_network, project, read_labels, read_scan
 from salsanext_cli.errors import NOTICE
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.network.card import WeightsCard, read_card
+from salsanext_cli.network.card import AccuracyLine, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.weights import save_weights, save_with_card
 from salsanext_cli.options import ScanSelection
@@ -30,7 +30,7 @@ from salsanext_cli.training.tuning import error
 from salsanext_cli.uncertainty.error_features import FEATURES
 
 MODEL = ErrorModel(FEATURES, [(np.full((9, 1), 0.1, "f4"), np.zeros(1, "f4"))], {"folds": 5})
-LINE = {"slope": 1.25, "offset": 0.5, "deviation": 0.04}
+LINE = AccuracyLine(slope=1.25, offset=0.5, deviation=0.04)
 ONCE = Recipe(epochs=1, batch=2, crop_width=32, learning_rate=1e-3, average=0.5)
 
 
@@ -39,7 +39,7 @@ def start(tmp_path: Path, tiny_training: None) -> Path:
     """Weights with a version, an error model and a line of the expected accuracy."""
     path = tmp_path / "start.safetensors"
     card = WeightsCard({"name": "salsanext", "class_count": 20}, label_space(), SMALL, version=5)
-    card = replace(card, temperature=1.3, error=MODEL, accuracy=LINE, risk={})
+    card = replace(card, temperature=1.3, error=MODEL, accuracy=LINE)
     save_weights(path, TinyNetwork(), card)
     return path
 
@@ -94,10 +94,10 @@ def test_validated_weights_inherit_both_at_their_own_temperature(data, start, tm
     assert card.temperature != 1.3
     old, new = mean_confidences(result.best, data, 1.3, card.temperature)
     logits = [np.log(each / (1 - each)) for each in (old, new)]
-    assert card.accuracy["inherited_from"] == name
-    assert card.accuracy["slope"] == 1.25
+    assert card.accuracy is not None
+    assert (card.accuracy.inherited_from, card.accuracy.slope) == (name, 1.25)
     expected = 1.25 * logits[0] + 0.5
-    assert 1.25 * logits[1] + card.accuracy["offset"] == pytest.approx(expected, abs=1e-4)
+    assert 1.25 * logits[1] + card.accuracy.offset == pytest.approx(expected, abs=1e-4)
     # What is trained from them names the weights that both were fitted to.
     again = read_card(go(data, tmp_path / "again", result.best).best)
     assert again.inherited() == parts
@@ -113,7 +113,7 @@ def test_a_single_scan_leaves_the_temperature_and_the_line(data, start, tmp_path
     assert card.temperature == 1.3
     assert card.error is not None
     assert card.error.temperature in (None, 1.3)
-    assert {**card.accuracy, **LINE} == card.accuracy
+    assert replace(card.accuracy, inherited_from=None) == LINE
 
 
 def test_weights_for_other_classes_inherit_nothing(data, start, tmp_path, caplog):
@@ -122,7 +122,7 @@ def test_weights_for_other_classes_inherit_nothing(data, start, tmp_path, caplog
     named = known | {"labels": {**known["labels"], 10: "automobile"}}
     (data / "labels.yaml").write_text(json.dumps(LabelSpace.from_dict(named, "own").to_dict()))
     card = read_card(go(data, tmp_path / "run", start).best)
-    assert (card.error, card.accuracy, card.inherited()) == (None, {}, "")
+    assert (card.error, card.accuracy, card.inherited()) == (None, None, "")
     said = [text for text in caplog.messages if "inherited" in text]
     assert [text.partition(":")[0] for text in said] == [
         "not inherited, since classes or features differ"
@@ -139,20 +139,21 @@ def test_weights_for_other_classes_inherit_nothing(data, start, tmp_path, caplog
 
 def test_weights_without_either_give_none_and_no_notice(data, start, tmp_path, caplog):
     caplog.set_level(NOTICE)
-    save_with_card(start, start, replace(read_card(start), error=None, accuracy={}))
+    save_with_card(start, start, replace(read_card(start), error=None, accuracy=None))
     shutil.rmtree(data / "sequences/08")
     recipe = ONCE.with_changes(folds=2)
     card = read_card(go(data, tmp_path / "run", start, recipe).best)
-    assert (card.error, card.accuracy) == (None, {})
+    assert (card.error, card.accuracy) == (None, None)
     assert "inherited" not in caplog.text
 
 
 @pytest.fixture
 def heirs(world: World) -> World:
     """Have the weights of a world inherit an error model and a line."""
-    path, mark = world.network.weights, {"inherited_from": "city (SHA-256 abc)"}
+    path, city = world.network.weights, "city (SHA-256 abc)"
     assert path is not None
-    card = replace(read_card(path), error=replace(MODEL, scores=mark), accuracy=LINE | mark)
+    card = replace(read_card(path), error=replace(MODEL, scores={"inherited_from": city}))
+    card = replace(card, accuracy=replace(LINE, inherited_from=city))
     own = world.out.parent / "heirs.safetensors"
     save_with_card(path, own, card)
     return replace(world, network=replace(world.network, weights=own))
@@ -171,14 +172,8 @@ def test_a_run_says_once_what_is_not_fitted_to_its_weights(heirs, tmp_path, monk
     assert facts["Inherited"] == f"{both}, not fitted to these weights"
     assert expected_of_run(world.out, []) is None
     assert world.network.weights is not None
-    assert (
-        describe_weights(world.network.weights)["error"]["inherited_from"] == "city (SHA-256 abc)"
-    )
-    # A record that was damaged is no reason to show no page.
-    record = json.loads((world.out / "predict.json").read_text())
-    record["settings"]["inherited"] = ["<b>"]
-    (world.out / "predict.json").write_text(json.dumps(record))
-    assert "<b>" in dict(facts_of_run(world.out, SMALL))["Inherited"]
+    described = describe_weights(world.network.weights).to_dict()
+    assert described["error"] == {"inherited_from": "city (SHA-256 abc)"}
     # A model that is fitted to the weights is their own; the line stays that of others.
     monkeypatch.setattr(error, "MIN_STEPS", 1)
     monkeypatch.setattr(error, "gains", lambda model: True)

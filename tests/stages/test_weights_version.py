@@ -50,7 +50,7 @@ def test_a_run_prints_and_records_the_version(world: World, default: Path, caplo
     assert recorded["weights_version"] == 5
     assert recorded["weights"] == fingerprint(default)
     assert dict(facts_of_run(world.out, SMALL))["Weights"].startswith(f"{name}. Trained on")
-    assert describe_weights(default)["version"] == 5
+    assert describe_weights(default).to_dict()["version"] == 5
     assert rows_of(default)["weights"] == "default weights version 5"
 
 
@@ -61,7 +61,7 @@ def test_the_default_weights_of_before_have_none(world: World, narrow_default, c
     assert "default weights (random) on cpu by torch in float32" in caplog.messages
     recorded = json.loads((world.out / "predict.json").read_text())["settings"]
     assert "weights_version" not in recorded
-    assert "version" not in describe_weights(narrow_default)
+    assert "version" not in describe_weights(narrow_default).to_dict()
     assert "weights" not in rows_of(narrow_default)
 
 

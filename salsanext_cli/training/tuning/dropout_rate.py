@@ -3,6 +3,7 @@
 
 import logging
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from salsanext_cli.errors import TrainingError, UsageError
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.parallel.job import Steps
-from salsanext_cli.records import Float
+from salsanext_cli.records import Double, Float
+from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
 from salsanext_cli.uncertainty.aleatoric import aleatoric
@@ -92,12 +94,7 @@ def fit_dropout(
         wrong = "the network's uncertainties are not finite"
         raise TrainingError(scans.source, wrong, "finite ones", "use other weights")
     best = int(np.argmin(objectives))
-    changed = not before
-    if before and (parts := held_out(scans.files)):
-        of_scan = dict(zip(scans.files, sums, strict=True))
-        of = [[np.sum([of_scan[f] for f in files], axis=0) for files in each] for each in parts]
-        chosen = sum(part[rest.argmin()] for rest, part in of)
-        changed = bool(chosen < sums[:, rates.index(before)].sum())
+    changed = not before or _gains(scans.files, sums, rates.index(before))
     if changed and rates[best] in (lowest, highest):
         edge = ("--lowest", "--highest")[rates[best] == highest]
         log.warning("the best rate, %g, is the last of the range: move %s", rates[best], edge)
@@ -111,3 +108,16 @@ def fit_dropout(
         "points": points,
     }
     return candidates[best].card if changed else network.card, report
+
+
+def _gains(files: Sequence[ScanFile], sums: Double, before: int) -> bool:
+    """Return whether the rate that other scans choose is better on held-out scans.
+
+    `sums`: of the objective over the points of each scan at each rate, (scans, rates); `before`:
+    index of the existing rate.
+    """
+    of_scan, parts, chosen = dict(zip(files, sums, strict=True)), held_out(files), 0.0
+    for of_parts in parts:
+        rest, part = (np.sum([of_scan[file] for file in some], axis=0) for some in of_parts)
+        chosen += float(part[rest.argmin()])
+    return bool(parts) and chosen < float(sums[:, before].sum())

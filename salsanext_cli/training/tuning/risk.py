@@ -150,12 +150,7 @@ def fit_risk(
     network, space = scans.network, scans.space
     kind = _kind_of_threshold(scans)
     counts = np.zeros((space.class_count, space.class_count, UNCERTAINTY_BINS + 1), np.int64)
-    judge = partial(judged_scan, space=space, counts=counts, per_class=per_class)
-
-    def predict(some: Sequence[PreparedScan]) -> list[PixelPrediction]:
-        return network.predict([scan.input for scan in some], softmax=kind == "error")
-
-    judged = [*scans.run(Steps(partial(prepared_for, network), predict, judge))]
+    judged = _judged(scans, kind, counts, per_class)
     shares = np.array([scan.below.sum(axis=1) / scan.points for scan in judged])
     sequences = np.array([scan.file.sequence for scan in judged])
     unit, units = "scan", np.arange(len(judged))
@@ -200,6 +195,17 @@ def fit_risk(
     elif not left_out:
         log.warning("scans of one sequence do not tell how the threshold holds on another")
     return replace(network.card, risk=risk), report
+
+
+def _judged(scans: TuningScans, kind: str, counts: Counts, per_class: bool) -> list[JudgedScan]:
+    """Label and judge all scans, as `judged_scan` does."""
+    network = scans.network
+    judge = partial(judged_scan, space=scans.space, counts=counts, per_class=per_class)
+
+    def predict(some: Sequence[PreparedScan]) -> list[PixelPrediction]:
+        return network.predict([scan.input for scan in some], softmax=kind == "error")
+
+    return [*scans.run(Steps(partial(prepared_for, network), predict, judge))]
 
 
 def _kind_of_threshold(scans: TuningScans) -> str:
