@@ -36,4 +36,5 @@ def models() -> list[NetworkCosts]:
 
 def describe_weights(path: Path) -> DescribedWeights:
     """Return the card of a weights file, its size and its digest."""
-    return DescribedWeights(path, fingerprint(path), path.stat().st_size, read_card(path))
+    card = read_card(path)
+    return DescribedWeights(path, fingerprint(path), path.stat().st_size, card)
