@@ -110,10 +110,14 @@ def _read(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord | None:
     content = read_json(path)
     if content is None:
         return None
-    if "settings" not in content and content.get("stage") == stage:
+    if content.get("stage") != stage:
+        remedy = "delete it or use another folder"
+        raise OutputError(path, f"not what `{stage}` writes", remedy=remedy)
+    if "settings" not in content:
         # Some stages of older versions wrote their settings without a table.
-        content = {"settings": {k: v for k, v in content.items() if k not in ("stage", "version")}}
-    return record_of(StageRecord, {**content, "stage": stage}, path)
+        settings = {key: each for key, each in content.items() if key not in ("stage", "version")}
+        content = {"stage": stage, "settings": settings}
+    return record_of(StageRecord, content, path)
 
 
 @lru_cache(4 * len(RESULT_STAGES))

@@ -52,4 +52,5 @@ def plug_ins() -> list[dict[str, str]]:
 
 def describe_weights(path: Path) -> DescribedWeights:
     """Return the card of a weights file, its size and its digest."""
-    return DescribedWeights(path, fingerprint(path), path.stat().st_size, read_card(path))
+    card = read_card(path)
+    return DescribedWeights(path, fingerprint(path), path.stat().st_size, card)

@@ -30,7 +30,7 @@ def test_records_of_scans_that_lead_elsewhere(tmp_path, stem):
     if isinstance(stem, str):
         assert ResultFolder(out).scans() == scans
     else:
-        with pytest.raises(OutputError, match=r"predict\.json · not what `predict` writes"):
+        with pytest.raises(OutputError, match=r"predict\.json · not what salsanext writes"):
             ResultFolder(out).scans()
     assert files_below(tmp_path).keys() == before.keys()
 
@@ -42,7 +42,7 @@ def test_synthetic_data_sets_that_name_folders_elsewhere(tmp_path, splits):
     victim.touch()
     (tmp_path / "out").mkdir()
     (tmp_path / "out/synth.json").write_text(json.dumps({"settings": {"splits": splits}}))
-    with pytest.raises(OutputError, match=r"synth\.json · was changed, or not written"):
+    with pytest.raises(OutputError, match=r"synth\.json · not what `synth` writes"):
         synthesise(tmp_path / "out", train=1, valid=0, scans=1, overwrite=True)
     assert victim.exists()
 
@@ -60,7 +60,7 @@ def test_links_in_an_output_folder(tmp_path):
     assert {path.name for path in output.kept} == {"b.label"}
     output.write_labels(scans[0], LABELS)
     assert (disk / "a.label").stat().st_size == 20
-    output = begin_and_end(out, "predict", {"k": 2}, ["predictions"], scans, overwrite=True)
+    output = begin_and_end(out, "predict", {"seed": 2}, ["predictions"], scans, overwrite=True)
     assert {path.name for path in output.kept} == {"a.label", "b.label"}
     assert victim.read_bytes() == b"mine"
 

@@ -137,9 +137,9 @@ def streets(folder: Path) -> Run:
     synth.import_open3d = lambda: None  # type: ignore[assignment,return-value]
 
     def run(out: Path) -> None:
-        if not (out / synth.MANIFEST).exists():
+        if not (out / "synth.json").exists():
             synth.synthesise(out, train=1, valid=0, scans=1, seed=1)
-        if json.loads((out / synth.MANIFEST).read_text())["settings"]["seed"] == 1:
+        if json.loads((out / "synth.json").read_text())["settings"]["seed"] == 1:
             synth.synthesise(out, train=1, valid=1, scans=2, overwrite=True)
         # Without --overwrite it goes on, or finds all there.
         synth.synthesise(out, train=1, valid=1, scans=2)

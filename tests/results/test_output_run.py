@@ -194,9 +194,10 @@ def test_an_infinite_setting_is_recorded_as_json_can(tmp_path: Path) -> None:
 
 def test_damaged_records_are_named(tmp_path: Path) -> None:
     for content in (
-        *(b"{", b"{}", b'{"settings": {}, "writes": 3}'),
-        b'{"settings": {}, "writes": ["elsewhere"]}',
-        b'{"settings": {}, "writes": [], "scans": {"08": {"folder": 3, "asked_for": []}}}',
+        *(b"{", b"{}", b'{"stage": "predict", "settings": {}, "writes": 3}'),
+        b'{"stage": "predict", "settings": {}, "writes": ["elsewhere"]}',
+        b'{"stage": "project", "settings": {}, "writes": []}',
+        b'{"stage": "predict", "settings": {}, "scans": {"08": {"folder": 3, "asked_for": []}}}',
     ):
         (tmp_path / "predict.json").write_bytes(content)
         with pytest.raises(OutputError, match=r"predict\.json"):
