@@ -29,7 +29,7 @@ from salsanext_cli.training.data.sources import (
     scans_to_train_on,
     training_sources,
 )
-from salsanext_cli.training.distributed import group_of_environment, process_group
+from salsanext_cli.training.distributed import default_jobs, group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.log import Row
@@ -75,7 +75,7 @@ def train(
     sensor: Sensor | None = None,
     space: LabelSpace | None = None,
     device: str = "auto",
-    jobs: int = 1,
+    jobs: int | None = None,
     weights: Path | None = None,
     overwrite: bool = False,
     strict: bool = False,
@@ -86,14 +86,15 @@ def train(
 
     With a recipe of some folds, scans without a validation split are cross-validated, and then all
     trained on. Started by torchrun, each worker learns from its share of every batch.
+    Without `jobs`, a GPU gets up to eight processes that prepare samples.
     """
-    workers = worker_count(jobs)
     if recipe.batch < (size := group_of_environment().size):
         expected = f"at least one sample for each of {size} workers"
         remedy = "start fewer workers or set batch higher"
         raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
     start = default_weights() if weights is None and recipe.initial == "default" else weights
     with process_group(device) as (group, own_device), ExitStack() as held:
+        workers = worker_count(default_jobs(own_device) if jobs is None else jobs)
         classes, training, validation = group.on_main(
             lambda: scans_to_train_on(dataset, space, divisible=recipe.folds > 0)
         )
@@ -111,12 +112,13 @@ def train(
             held.enter_context(OwnedFolder(run, STAGE).open())
             require_free(run, settings, overwrite=overwrite)
             require_labels([file for source in given for file in source.files])
-            streets = _simulated_streets(run / STREETS, recipe.streets, classes, sensor, jobs)
-            fitted = training_sources([*given, *streets], fit=recipe.sensors == "fitted", jobs=jobs)
+            streets = _simulated_streets(run / STREETS, recipe.streets, classes, sensor, workers)
+            fit = recipe.sensors == "fitted"
+            fitted = training_sources([*given, *streets], fit=fit, jobs=workers)
             first, scored, *others = fitted
             kept, sources = run / CLASS_COUNTS, [first, *others]
             validated = evenly_spaced(scored.files, recipe.validation_scans)
-            counts = class_counts(kept, sources, scored, validated, jobs, recipe.also)
+            counts = class_counts(kept, sources, scored, validated, workers, recipe.also)
             if strict and (doubts := counts.warnings):
                 found = [f"{w['code']} in {counted(len(w['scans']), 'scan')}" for w in doubts]
                 remedy = "mend the scans or leave them out, or train without --strict"
@@ -142,7 +144,7 @@ def train(
             settings=settings,
             device=own_device,
             group=group,
-            workers=workers if jobs != 1 else 0,
+            workers=workers if workers > 1 else 0,
             overwrite=overwrite,
             error=read_card(start).error if start else None,
             draw=draw_sample,
