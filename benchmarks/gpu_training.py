@@ -94,7 +94,7 @@ def gpu_recipe(device: torch.device, **changes: Any) -> Recipe:
 def measure_steps(figures: Figures, name: str, how: tuple[Learner, Samples]) -> None:
     """Measure steps on one batch: windows a second, and milliseconds of each part of a step."""
     learner, samples = how
-    images, truth, _ = next(batches(samples, 0))
+    images, truth = next(batches(samples, 0))
     steps = iter(range(STEPS))
 
     def step() -> None:

@@ -79,7 +79,7 @@ class Comparison:
         self.module = build({"name": options.architecture, **numbers}, "--architecture")
         self.laps = Laps(options.clock)
 
-    def stream(self) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    def stream(self) -> Iterator[tuple[Tensor, Tensor]]:
         """Return the batches as `salsanext train` has them."""
         return batches(self.samples, 0)
 
@@ -89,7 +89,7 @@ class Comparison:
             *(self.module, self.samples.sources[0].files, self.space, self.sensor),
             *(self.recipe, self.weights, self.laps),
         )
-        images, truth, _ = next(self.stream())
+        images, truth = next(self.stream())
         return self.first(
             lambda: loop.loss(loop.module(images).softmax(1), truth.long())
         ), loop.step
@@ -97,7 +97,7 @@ class Comparison:
     def ours(self) -> tuple[float, Callable[[], object]]:
         """Return the same of our training, whose parts are told by hooks."""
         learner = Learner(self.module, self.recipe, self.weights, torch.device("cpu"))
-        images, truth, _ = next(self.stream())
+        images, truth = next(self.stream())
         learner.module.train()
 
         def of_first() -> Tensor:
@@ -111,7 +111,7 @@ class Comparison:
         stream = enumerate(self.stream())
 
         def step() -> None:
-            number, (images, truth, _) = next(stream)
+            number, (images, truth) = next(stream)
             self.laps("data")
             learner.step(images, truth, number, 100)
             self.laps("update")

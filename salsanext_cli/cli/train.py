@@ -77,7 +77,15 @@ def train(
     start: Start,
     label_space: options.LabelSpaceName = None,
     device: options.Device = "auto",
-    jobs: options.Jobs = 1,
+    jobs: Annotated[
+        int | None,
+        options.running_option(
+            "--jobs",
+            "-j",
+            help="Number of processes that prepare samples; -1: one per core.",
+            show_default="up to 8 on a GPU, 1 on a CPU",
+        ),
+    ] = None,
     overwrite: options.Overwrite = False,
     strict: Annotated[
         bool, options.running_option("--strict", help="Do not train if a scan is doubtful.")

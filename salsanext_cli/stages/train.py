@@ -28,7 +28,7 @@ from salsanext_cli.training.data.sources import (
     scans_to_train_on,
     training_sources,
 )
-from salsanext_cli.training.distributed import group_of_environment, process_group
+from salsanext_cli.training.distributed import default_jobs, group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.log import Row
@@ -132,7 +132,7 @@ def train(
     sensor: Sensor | None = None,
     space: LabelSpace | None = None,
     device: str = "auto",
-    jobs: int = 1,
+    jobs: int | None = None,
     weights: Path | None = None,
     overwrite: bool = False,
     strict: bool = False,
@@ -143,10 +143,12 @@ def train(
 
     With a recipe of some folds, scans without a validation split are cross-validated, and then all
     trained on. Started by torchrun, each worker learns from its share of every batch.
+    Without `jobs`, a GPU gets up to eight processes that prepare samples.
     """
     _require_batch(recipe.batch, group_of_environment().size)
     start = default_weights() if weights is None and recipe.initial == "default" else weights
     with process_group(device) as (group, own_device), ExitStack() as held:
+        workers = worker_count(default_jobs(own_device) if jobs is None else jobs)
         classes, training, validation = group.on_main(
             lambda: scans_to_train_on(dataset, space, divisible=recipe.folds > 0)
         )
@@ -157,7 +159,7 @@ def train(
         further = group.on_main(lambda: [further_source(p, classes, card.sensor) for p in also])
         given = [Source(files, classes, card.sensor) for files in (training, validation)] + further
         settings = training_settings(recipe, given, start)
-        new = NewTraining((dataset, *also), run, recipe, given, settings, jobs)
+        new = NewTraining((dataset, *also), run, recipe, given, settings, workers)
         (scored, *sources), counts = group.on_main(
             lambda: new.prepare(held, start, overwrite=overwrite, strict=strict)
         )
@@ -171,7 +173,7 @@ def train(
             settings=settings,
             device=own_device,
             group=group,
-            workers=worker_count(jobs) if jobs != 1 else 0,
+            workers=workers if workers > 1 else 0,
             overwrite=overwrite,
             error=read_card(start).error if start else None,
             draw=draw_sample,

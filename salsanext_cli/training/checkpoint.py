@@ -100,9 +100,10 @@ def _restore(learner: Learner, tensors: Mapping[str, Tensor]) -> None:
         keys = {key: f"optimiser.{name}.{key}" for key in OPTIMISER_STATE[learner.recipe.optimiser]}
         # Parameters have none before the first step, or if they are never used.
         if tensors.keys() & {*keys.values()}:
-            # The step stays on the CPU: on a GPU every parameter would wait for it.
+            # AdamW's step is on the device if fused, else on the CPU: no parameter waits for it.
+            step_device = parameter.device if learner.optimiser.defaults["fused"] else "cpu"
             learner.optimiser.state[parameter] = {
-                key: tensors[of_parameter]
+                key: tensors[of_parameter].to(step_device)
                 if key == "step"
                 else torch.empty_like(parameter).copy_(tensors[of_parameter])
                 for key, of_parameter in keys.items()

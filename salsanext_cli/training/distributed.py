@@ -3,11 +3,14 @@
 
 import logging
 import os
+import platform
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import timedelta
+from itertools import count
 from typing import Any, TypeVar
 
 import torch
@@ -17,11 +20,14 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.engines.device import choose_device
-from salsanext_cli.errors import SalsanextError, UsageError
+from salsanext_cli.errors import SalsanextError, UsageError, error_text
+from salsanext_cli.parallel.options import cores
 
-PROCESS_GROUP_TIMEOUT = timedelta(hours=12)
-"""Time that workers wait for the main one, which counts labels, writes and draws."""
-GLOO_THREADS_S = 0.5  # Time that threads of gloo have to free their last tensors
+MAX_LOADERS = 8  # Processes that prepare samples for a GPU, unless the user says how many
+TIMEOUT = timedelta(minutes=15)  # Longest time that a collective takes
+POLL_S = 0.1  # Time between two looks at the store
+LEAVING_S = 0.5  # Time that a worker stays after its last word
+FAILED = "failed"  # Key of the store: which worker failed, and why
 
 T = TypeVar("T")
 
@@ -34,6 +40,8 @@ class ProcessGroup:
 
     rank: int = 0
     size: int = 1
+    store: Any = None  # `Store` of torch, which all workers share; None in a group of one
+    calls: Iterator[int] = field(default_factory=count, repr=False, compare=False)
 
     @property
     def is_main(self) -> bool:
@@ -67,14 +75,19 @@ class ProcessGroup:
 
     def on_main(self, work: Callable[[], T]) -> T:
         """Call a function in the main worker only; all return its result, or raise its error."""
-        if self.size == 1:
+        if self.store is None:
             return work()
         answer: list[Any] = [None]
+        done = f"call {next(self.calls)} done"
         if self.is_main:
             try:
                 answer = [work()]
             except SalsanextError as error:
                 answer = [error]
+            self.store.set(done, "")
+        # It may take hours, longer than a collective may.
+        while not self.store.check([done]):
+            time.sleep(POLL_S)
         dist.broadcast_object_list(answer)
         if isinstance(answer[0], SalsanextError):
             answer[0].reported_elsewhere = not self.is_main
@@ -92,6 +105,12 @@ def group_of_environment() -> ProcessGroup:
     return ProcessGroup(int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"]))
 
 
+def default_jobs(device: torch.device) -> int:
+    """Return how many processes prepare samples for a device, unless the user says how many."""
+    on_machine = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # Workers of torchrun
+    return 1 if device.type == "cpu" else max(1, min(MAX_LOADERS, cores() // on_machine))
+
+
 @contextmanager
 def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
     """Join the group of this process, and choose its device, a GPU of its own if there is one."""
@@ -105,17 +124,44 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
             raise UsageError(f"device {device}", found, "cuda, cpu or auto")
         own_device = torch.device(choose_device(f"cuda:{os.environ['LOCAL_RANK']}"))
         torch.cuda.set_device(own_device)
-    backend = "nccl" if own_device.type == "cuda" else "gloo"
-    dist.init_process_group(backend, timeout=PROCESS_GROUP_TIMEOUT)
+    gpu = own_device if own_device.type == "cuda" else None
+    store, rank, size = next(dist.rendezvous("env://", timeout=TIMEOUT))  # type: ignore[attr-defined]
+    how = {"store": store, "rank": rank, "world_size": size, "timeout": TIMEOUT, "device_id": gpu}
+    dist.init_process_group("nccl" if gpu else "gloo", **how)
+    left, other_failed = threading.Event(), threading.Event()
+    threading.Thread(target=_watch, args=(store, left, other_failed), daemon=True).start()
     try:
-        yield group, own_device
+        yield ProcessGroup(rank, size, store), own_device
         # A worker that leaves early closes connections that others still read from.
         dist.barrier()
-    finally:
+        left.set()
         dist.destroy_process_group()
-        # Threads of gloo that still free tensors abort a process that ends meanwhile; for that they
-        # need the GIL, and torch's wrapper of modules keeps them from being joined.
-        time.sleep(GLOO_THREADS_S)
+    except BaseException as error:
+        if other_failed.is_set():
+            os._exit(1)  # noqa: TID251 - what fails after it says nothing new
+        left.set()
+        who = f"worker {rank} of {size}, on {platform.node()}"
+        store.set(FAILED, f"{who}, failed: {error_text(error)}")
+        raise
+    finally:
+        # The others learn of a failure. Threads of gloo that still free tensors abort a process
+        # that ends meanwhile; they need the GIL, and torch's wrapper keeps them from being joined.
+        time.sleep(LEAVING_S)
+
+
+def _watch(store: Any, left: threading.Event, other_failed: threading.Event) -> None:
+    """Report that another worker has failed, and end this process, which may wait for it."""
+    while not left.wait(POLL_S):
+        try:
+            failure = store.get(FAILED).decode() if store.check([FAILED]) else ""
+        except RuntimeError as error:
+            failure = f"the connection to the first worker is lost: {error_text(error)}"
+        if failure:
+            other_failed.set()
+            log.error("%s", failure)
+            # No exception reaches a thread in a collective. The worker that failed ends first.
+            time.sleep(3 * LEAVING_S)
+            os._exit(1)  # noqa: TID251
 
 
 def data_parallel(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.Module:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import safetensors.torch
 import torch
+from torch import Tensor
 
 from salsanext_cli.engines.loading import network_of_module
 from salsanext_cli.engines.network import Network
@@ -29,6 +30,7 @@ from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG
 from salsanext_cli.training.validation import validate
 
 SAVE_INTERVAL_S = 600.0  # Seconds between two checkpoints within an epoch
+CHECK_INTERVALS = {"cpu": 1, "cuda": 16}  # Steps between two looks at the losses, which wait
 
 log = logging.getLogger(__name__)
 
@@ -85,15 +87,21 @@ class Training:
         start = saved - state.seconds
         end = (state.epoch + 1) * self.samples.plan.steps_per_epoch
         first = end - self.samples.plan.steps_per_epoch + len(state.losses)
+        interval = CHECK_INTERVALS[self.learner.device.type]
+        unchecked: list[Tensor] = []  # Losses of the last steps
         for step, batch in enumerate(islice(stream, end - first), first):
-            state.losses.append(self._step(batch, step))
-            now = time.monotonic()
-            state.seconds = now - start
-            if step + 1 == end:
+            unchecked.append(self._step(batch, step))
+            is_last, due = step + 1 == end, time.monotonic() - saved > SAVE_INTERVAL_S
+            if is_last or due or len(unchecked) == interval:
+                state.losses += self._checked(unchecked, step)
+                unchecked.clear()
+            state.seconds = time.monotonic() - start
+            if is_last:
                 break
-            if now - saved > SAVE_INTERVAL_S and self.learner.group.is_main:
-                save_checkpoint(self.run / CHECKPOINT, self.learner, state)
-                saved = now
+            if due:
+                saved = time.monotonic()
+                if self.learner.group.is_main:
+                    save_checkpoint(self.run / CHECKPOINT, self.learner, state)
             self._report(state, step)
 
     def _end_epoch(self, state: TrainingState, write_epoch: EpochWriter) -> None:
@@ -118,21 +126,27 @@ class Training:
             self._write(state, row, card, write_epoch)
         self._report(state, step, row)
 
-    def _step(self, batch: Batch, step: int) -> float:
-        images, truth, indices = batch
+    def _step(self, batch: Batch, step: int) -> Tensor:
+        images, truth = batch
         try:
-            loss = self.learner.step(images, truth, step, self.samples.plan.steps_per_epoch)
+            return self.learner.step(images, truth, step, self.samples.plan.steps_per_epoch)
         except torch.OutOfMemoryError as error:
             found = f"no memory is left on {self.learner.device} for {len(images)} images"
             remedy = "--set accumulate=2, or more parts still"
             raise TrainingError(f"step {step + 1}", found, "images that fit", remedy) from error
-        if math.isfinite(loss):
-            return loss
-        batch_indices = self.learner.group.gather(indices.to(self.learner.device))
-        files = [self.samples.scan_at(int(i))[1].path for i in torch.cat(batch_indices)]
-        found = f"the loss or its gradient is not finite with {', '.join(map(str, files))}"
-        remedy = "look at these scans, lower learning_rate or set clip_gradient"
-        raise TrainingError(f"step {step + 1}", found, "finite ones", remedy)
+
+    def _checked(self, losses: list[Tensor], last: int) -> list[float]:
+        """Return the losses of the steps up to the last; an error names the scans of one."""
+        values: list[float] = torch.stack(losses).tolist()
+        first = last + 1 - len(values)
+        for step, value in enumerate(values, first):
+            if not math.isfinite(value):
+                keys = next(self.samples.plan.batches(step))
+                files = [self.samples.scan_at(index)[1].path for _, index in keys]
+                found = f"the loss or its gradient is not finite with {', '.join(map(str, files))}"
+                remedy = "look at these scans, lower learning_rate or set clip_gradient"
+                raise TrainingError(f"step {step + 1}", found, "finite ones", remedy)
+        return values
 
     def _write(self, state: TrainingState, row: Row, card: WeightsCard, write: EpochWriter) -> None:
         """Write weights, log, curve, pictures and, last, the checkpoint."""

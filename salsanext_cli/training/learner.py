@@ -4,11 +4,13 @@
 import copy
 import math
 from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from salsanext_cli.engines.device import PRECISIONS, bfloat16_instructions
 from salsanext_cli.engines.torch_backend import keep_ends_in_float32
@@ -68,28 +70,28 @@ class Learner:
         loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing, sets)
         self.loss = loss.to(device)
         self.forward = data_parallel(module, device, group)
-        self.optimiser = build_optimiser(module, recipe)
+        self.optimiser = build_optimiser(module, recipe, fused=device.type == "cuda")
         self.autocast = torch.autocast(device.type, dtype, enabled=dtype is not torch.float32)
         self.scaler = torch.amp.GradScaler(device.type, enabled=dtype is torch.float16)
 
-    def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> float:
-        """Learn from a worker's images (B, 5, H, W) and truth (B, H, W) uint8; return all's loss.
+    def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> Tensor:
+        """Learn from a worker's images (B, 5, H, W) and truth (B, H, W) uint8, both on the CPU.
 
-        It is NaN, and no weight has changed, if it or its gradient is not finite; steps whose
-        gradient overflows in float16 are left out by the scaler. The number of the step in the
-        whole training, from 0, decides learning rate and dropout.
+        Return the loss of all workers, 0-d on the device, which nothing here waits for. If the loss
+        or its gradient is not finite, it is NaN and no weight changes. In float16 the scaler skips
+        steps whose gradient overflows. The number of the step in the whole training, from 0,
+        decides learning rate and dropout.
         """
         self.optimiser.zero_grad()
-        loss = float(self._gradient(images, truth, step))
-        return loss if math.isfinite(loss) and self._update(step, steps_per_epoch) else math.nan
+        loss = self._gradient(images, truth, step)
+        return torch.where(self._update(loss, step, steps_per_epoch), loss, math.nan)
 
     def _gradient(self, images: Tensor, truth: Tensor, step: int) -> Tensor:
         """Add up the gradient of a batch, part by part, and return its loss."""
-        truth = truth.to(self.device, non_blocking=True)
-        parts = self._parts(images.shape[3])
-        several = parts * self.group.size > 1
-        weight = self.loss.weights[truth.long()].sum()
-        total = self.group.sum(weight) if several else None
+        parts, total = self._parts(images.shape[3]), None
+        if parts * self.group.size > 1:
+            targets = truth.to(self.device, non_blocking=True).long()
+            total = self.group.sum(self.loss.weights[targets].sum())
         losses = []
         self.module.train()
         # Seeded, every step is a function of its number, so that training can be resumed.
@@ -122,28 +124,41 @@ class Learner:
             parts = min(-(-most // images), fewest)
         return parts
 
-    def _update(self, step: int, steps_per_epoch: int) -> bool:
-        """Move the weights; return False, and do not, if the gradient is not finite."""
+    def _update(self, loss: Tensor, step: int, steps_per_epoch: int) -> Tensor:
+        """Move the weights if loss and gradient are finite; return whether they are, 0-d bool."""
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(self.recipe, step, steps_per_epoch)
         self.scaler.unscale_(self.optimiser)
         max_norm = self.recipe.clip_gradient or math.inf
         norm = nn.utils.clip_grad_norm_(self.module.parameters(), max_norm)
-        if not self.scaler.is_enabled() and not norm.isfinite():
-            return False
-        self.scaler.step(self.optimiser)
+        # In float16 a gradient that overflows is no failure: the scaler skips the step.
+        finite = loss.isfinite() if self.scaler.is_enabled() else (loss + norm).isfinite()
+        # A fused optimiser skips the step on the device, so that nothing waits for `finite`. The
+        # running average then moves towards weights that did not.
+        if fused := self.optimiser.defaults["fused"]:
+            vars(self.optimiser).update(grad_scale=None, found_inf=(~finite).float())
+        if fused or finite:
+            self.scaler.step(self.optimiser)
+            if self.average is not self.module:
+                update_average(self.average, self.module, self.recipe.average, step)
         self.scaler.update()
-        if self.average is not self.module:
-            update_average(self.average, self.module, self.recipe.average, step)
-        return True
+        return finite
 
 
-def build_optimiser(module: nn.Module, recipe: Recipe) -> torch.optim.Optimizer:
-    """Return the recipe's optimiser of all parameters."""
-    parameters, rate, decay = module.parameters(), recipe.learning_rate, recipe.weight_decay
-    if recipe.optimiser == "sgd":
-        return torch.optim.SGD(parameters, rate, recipe.momentum, weight_decay=decay)
-    return torch.optim.AdamW(parameters, rate, (recipe.momentum, 0.999), weight_decay=decay)
+def build_optimiser(
+    module: nn.Module, recipe: Recipe, *, fused: bool = False
+) -> torch.optim.Optimizer:
+    """Return the recipe's optimiser of all parameters; `fused` takes a step in one kernel."""
+    parameters, rate = list(module.parameters()), recipe.learning_rate
+    common: dict[str, Any] = {"weight_decay": recipe.weight_decay, "fused": fused}
+    if recipe.optimiser == "adamw":
+        return torch.optim.AdamW(parameters, rate, (recipe.momentum, 0.999), **common)
+    optimiser = torch.optim.SGD(parameters, rate, recipe.momentum, **common)
+    if fused and recipe.momentum:
+        # A first step that is skipped would leave the buffers uninitialised.
+        for parameter in parameters:
+            optimiser.state[parameter]["momentum_buffer"] = torch.zeros_like(parameter)
+    return optimiser
 
 
 def learning_rate(recipe: Recipe, step: int, steps_per_epoch: int) -> float:
@@ -168,8 +183,10 @@ def update_average(average: nn.Module, module: nn.Module, decay: float, step: in
     """Move the running average of the weights towards a module, batch norm's statistics too."""
     # The first steps move it farther, so that the random weights of the start are soon forgotten.
     decay = min(decay, (1 + step) / (10 + step))
-    for old, new in zip(average.state_dict().values(), module.state_dict().values(), strict=True):
-        if old.is_floating_point():
-            old.lerp_(new, 1 - decay)
-        else:
+    pairs = [*zip(average.state_dict().values(), module.state_dict().values(), strict=True)]
+    real = [(old, new) for old, new in pairs if old.is_floating_point()]
+    move = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
+    move(*map(list, zip(*real, strict=True)), None)
+    for old, new in pairs:
+        if not old.is_floating_point():
             old.copy_(new)

@@ -63,10 +63,14 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
 def lovasz_softmax(
     probabilities: Tensor, truth: Tensor, group: ProcessGroup = SINGLE_PROCESS
 ) -> Tensor:
-    """Return a worker's share of the mean Lovász-Softmax loss of softmax (P, C)."""
-    present = group.sum(truth.bincount(minlength=probabilities.shape[1])).nonzero()[:, 0]
+    """Return a worker's share of the mean Lovász-Softmax loss of softmax (P, C), truth on a CPU."""
+    counts = truth.bincount(minlength=probabilities.shape[1])
+    if group.size > 1:
+        counts = group.sum(counts.to(probabilities.device)).cpu()
+    present = counts.nonzero()[:, 0]
     if not len(present):
         return probabilities.sum()
+    truth, present = (sent(indices, probabilities.device) for indices in (truth, present))
     foreground = truth == present[:, None]
     predicted = probabilities.t()[present]
     errors = torch.where(foreground, 1 - predicted, predicted)
@@ -76,6 +80,12 @@ def lovasz_softmax(
     gradients = jaccard_gradient(torch.cat(of_all, 1), of_class)
     own = torch.split(gradients, [each.shape[1] for each in of_all], 1)[group.rank]
     return (errors * own).sum() / len(present)
+
+
+def sent(indices: Tensor, device: torch.device) -> Tensor:
+    """Return indices on a device; from pinned memory, the copy to a GPU waits for nothing."""
+    source = indices.pin_memory() if device.type == "cuda" else indices
+    return source.to(device, non_blocking=True)
 
 
 class SegmentationLoss(nn.Module):
@@ -95,6 +105,7 @@ class SegmentationLoss(nn.Module):
         positive = weights.masked_fill(weights <= 0, math.inf)
         of_sets = [positive[list(several)].min().nan_to_num(posinf=0.0) for several in sets]
         self.register_buffer("weights", torch.cat([weights, *(w[None] for w in of_sets)]))
+        self.counts = self.weights > 0  # (T,) bool; stays on the CPU
         self.class_count = len(weights)
         self.lovasz = lovasz
         self.smoothing = smoothing
@@ -108,27 +119,30 @@ class SegmentationLoss(nn.Module):
         parts: int = 1,
         group: ProcessGroup = SINGLE_PROCESS,
     ) -> Tensor:
-        """Return the loss of logits (B, C, H, W) for integer targets (B, H, W), 0-d.
+        """Return the loss of logits (B, C, H, W) for integer targets (B, H, W) on a CPU, 0-d.
 
+        Which pixels count is decided on the CPU: shapes that a GPU decides must be waited for.
         Of a part of a batch it is the part's share: of cross-entropy in the mean over the pixels of
         all parts, whose weight is `total_weight`, of Lovász-Softmax in the mean over the `parts`.
         """
         truth = truth.flatten().long()
-        counts = (self.weights[truth] > 0).nonzero()[:, 0]
-        truth = truth[counts]
-        classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])
+        counted = self.counts[truth].nonzero()[:, 0]
+        truth, device = truth[counted], logits.device
+        classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])[sent(counted, device)]
         precise = torch.promote_types(logits.dtype, torch.float32)
-        log_probabilities = F.log_softmax(classes[counts], 1, dtype=precise)
-        of_sets = [log_probabilities[:, s].logsumexp(1, keepdim=True) for s in self.sets]
+        log_probabilities = F.log_softmax(classes, 1, dtype=precise)
+        sets = [sent(torch.tensor(each), device) for each in self.sets]
+        of_sets = [log_probabilities[:, each].logsumexp(1, keepdim=True) for each in sets]
         of_targets = torch.cat([log_probabilities, *of_sets], 1) if of_sets else log_probabilities
         weights, smoothing = self.weights.to(precise), self.smoothing
         loss = weighted_cross_entropy(
-            of_targets, truth, weights, total_weight, smoothing, self.class_count
+            of_targets, sent(truth, device), weights, total_weight, smoothing, self.class_count
         )
         if self.lovasz:
             if of_sets:
-                single = truth < self.class_count
-                log_probabilities, truth = log_probabilities[single], truth[single]
+                single = (truth < self.class_count).nonzero()[:, 0]
+                log_probabilities = log_probabilities[sent(single, device)]
+                truth = truth[single]
             lovasz = lovasz_softmax(log_probabilities.exp(), truth, group)
             loss = loss + self.lovasz / parts * lovasz
         return loss

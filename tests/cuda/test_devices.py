@@ -142,7 +142,7 @@ def test_a_step_of_training(device: str, precision: str) -> None:
     learning = learner(device, precision=precision, lovasz=0.0, learning_rate=0.1)
     before = copy.deepcopy(learning.module).cpu().float()
     images, truth = batch(0)
-    loss = learning.step(images, truth, 0, STEPS)
+    loss = learning.step(images, truth, 0, STEPS).item()
     expected = F.cross_entropy(before.train()(images), truth.long(), CLASS_WEIGHTS)
     expected.backward()
     tolerance = 1e-3 if precision == "float32" else 3e-2
@@ -153,6 +153,43 @@ def test_a_step_of_training(device: str, precision: str) -> None:
         torch.testing.assert_close(mine.grad.cpu(), plainly.grad, rtol=tolerance, atol=tolerance)
         moved = plainly - 0.1 * (mine.grad.cpu() + 1e-4 * plainly)
         torch.testing.assert_close(mine.detach().cpu(), moved.detach(), rtol=1e-5, atol=1e-6)
+
+
+@on_both("float32", "bfloat16", "float16")
+@pytest.mark.parametrize("optimiser", ["sgd", "adamw"])
+def test_a_step_without_a_finite_loss_changes_no_weight(
+    device: str, precision: str, optimiser: str
+) -> None:
+    """And the next one learns."""
+    learning = learner(device, precision=precision, optimiser=optimiser, average=0.9)
+    before = copy.deepcopy(learning.module)
+    images, truth = batch(0)
+    images[1, 2, 3, 4] = math.nan
+    learning.scaler.scale(torch.zeros((), device=device))
+    learning.scaler.update(1024.0)  # No gradient overflows.
+    assert math.isnan(learning.step(images, truth, 0, STEPS))
+    for one, other in zip(learning.module.parameters(), before.parameters(), strict=True):
+        assert torch.equal(one, other)
+    assert learning.step(*batch(1), 1, STEPS).isfinite()
+    for one, other in zip(learning.module.parameters(), before.parameters(), strict=True):
+        assert not torch.equal(one, other)
+        assert one.isfinite().all()
+
+
+@pytest.mark.cuda
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+@pytest.mark.filterwarnings("ignore:Synchronization debug mode")
+@pytest.mark.parametrize("precision", ["float32", "bfloat16", "float16"])
+def test_a_step_waits_for_nothing(precision: str) -> None:
+    """On the CPU `test_a_step_reads_nothing_from_the_device` says the same."""
+    learning = learner("cuda", precision=precision, average=0.9, clip_gradient=1.0, accumulate=2)
+    images, truth = (each.pin_memory() for each in batch(0))
+    learning.step(images, truth, 0, STEPS)
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        learning.step(images, truth, 1, STEPS)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
 
 
 @on_both("float32", "float16")
@@ -179,6 +216,7 @@ def test_a_training_that_is_resumed_goes_on_as_one_that_was_not(
 @on_both("float32", "bfloat16")
 @pytest.mark.usefixtures("tiny_training")
 def test_a_whole_training(tmp_path: Path, device: str, precision: str) -> None:
+    """On a GPU loader workers prepare the samples."""
     write_sequence(tmp_path / "data/sequences/00", ["0", "1", "2"], count=600)
     write_sequence(tmp_path / "data/sequences/08", ["0"], count=600)
     changes = {"epochs": 2, "batch": 2, "crop_width": 32, "average": 0.5, "precision": precision}

@@ -28,6 +28,7 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages.train import train
 from salsanext_cli.training import fit, learner
 from salsanext_cli.training.data.class_counts import class_weights
+from salsanext_cli.training.data.dataset import Samples
 from salsanext_cli.training.fit import Training
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe, recipe
@@ -335,7 +336,7 @@ def test_labels_are_learnt_in_merged_classes_by_the_splits_of_the_data_set(datas
 
 
 def test_a_loss_that_is_not_finite_and_lack_of_memory(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(Learner, "step", lambda *_: math.nan)
+    monkeypatch.setattr(Learner, "step", lambda *_: torch.tensor(math.nan))
     with pytest.raises(TrainingError, match=r"finite with .*00/velodyne/\d\.bin, .*bin ·"):
         go(dataset, tmp_path / "run")
 
@@ -346,6 +347,38 @@ def test_a_loss_that_is_not_finite_and_lack_of_memory(dataset, tmp_path, monkeyp
     message = r"step 1 · no memory is left on cpu for 2 images .* --set accumulate=2"
     with pytest.raises(TrainingError, match=message):
         go(dataset, tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "saving_s", "taken"),
+    [(1, 600, 3), (4, 600, 5), (0, -1.0, 1)],
+    ids=["after some steps", "at the end of an epoch", "before a checkpoint"],
+)
+def test_losses_that_are_checked_late_name_the_scans_of_their_step(
+    spoilt, saving_s, taken, dataset, tmp_path, monkeypatch
+):
+    """As on a GPU. Nothing is written after a step that is not finite."""
+    steps, drawn, draw = [], {}, Samples.__getitem__
+
+    def learn(self, images, truth, step, steps_per_epoch):
+        steps.append(step)
+        return torch.tensor(math.nan if step == spoilt else 1.0)
+
+    def spy(self, key):
+        drawn[key[0]] = self.scan_at(key[1])[1].path
+        return draw(self, key)
+
+    monkeypatch.setattr(fit, "CHECK_INTERVALS", {"cpu": 3})
+    monkeypatch.setattr(fit, "SAVE_INTERVAL_S", saving_s)
+    monkeypatch.setattr(Learner, "step", learn)
+    monkeypatch.setattr(Samples, "__getitem__", spy)
+    with pytest.raises(TrainingError) as caught:
+        go(dataset, tmp_path / "run", recipe=TINY.with_changes(samples_per_epoch=10))
+    names = f"{drawn[2 * spoilt]}, {drawn[2 * spoilt + 1]}"
+    assert caught.value.subject == f"step {spoilt + 1}"
+    assert caught.value.found.endswith(names)
+    assert steps == list(range(taken))
+    assert not (tmp_path / "run/checkpoint.safetensors").exists()
 
 
 def test_what_fails_before_the_first_step_costs_no_earlier_training(dataset, tmp_path):

@@ -18,6 +18,7 @@ from two_workers import CASES, batch, learner, share, stepped
 
 import salsanext_cli
 from salsanext_cli.errors import TrainingError, UsageError
+from salsanext_cli.training import distributed
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, process_group
 from salsanext_cli.training.fit import Training
 
@@ -43,23 +44,54 @@ def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.fixture(scope="module")
-def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Return what two workers computed, started as by torchrun, which itself takes seconds."""
-    path = tmp_path_factory.mktemp("two") / "result.pt"
+def started(task: object, count: int) -> list[subprocess.Popen[str]]:
+    """Start workers as torchrun does, which itself takes seconds."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         address = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free.getsockname()[1])}
-    own = os.environ | ENVIRONMENT | address | {"TORCHELASTIC_RUN_ID": "two", "WORLD_SIZE": "2"}
-    command = [sys.executable, str(SCRIPT), str(path)]
-    workers = [subprocess.Popen(command, env=own | {"RANK": rank}) for rank in "01"]
+    group = {"TORCHELASTIC_RUN_ID": "test", "WORLD_SIZE": str(count)}
+    own = os.environ | ENVIRONMENT | address | group
+    return [
+        subprocess.Popen(
+            [sys.executable, str(SCRIPT), str(task)],
+            env=own | {"RANK": str(rank)},
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for rank in range(count)
+    ]
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Return what two workers computed."""
+    path = tmp_path_factory.mktemp("two") / "result.pt"
+    workers = started(path, 2)
     try:
-        assert [worker.wait(200) for worker in workers] == [0, 0]
+        said = [worker.communicate(timeout=200)[1] for worker in workers]
+        assert [worker.returncode for worker in workers] == [0, 0], said
     finally:
         for worker in workers:
             worker.kill()
     found: dict[str, Any] = torch.load(path, weights_only=True)
     assert found["size"] == 2
     return found
+
+
+@gloo
+def test_workers_end_with_the_one_that_fails_and_name_it() -> None:
+    """The first is busy for longer than the test, the second waits in a collective."""
+    workers = started("fail", 3)
+    try:
+        said = [worker.communicate(timeout=200)[1].splitlines() for worker in workers[::-1]]
+    finally:
+        for worker in workers:
+            worker.kill()
+    assert [worker.returncode for worker in workers] == [1, 1, 1]
+    assert said[0][-1].endswith("ZeroDivisionError: out of luck")
+    for lines in said[1:]:
+        (line,) = lines
+        assert line.startswith("worker 2 of 3, on ")
+        assert line.endswith(", failed: out of luck")
 
 
 @gloo
@@ -133,6 +165,18 @@ def test_what_is_wrong_with_the_data_is_said_once(tmp_path: Path) -> None:
     assert ended.returncode != 0
     assert ended.stderr.count("error: ") == 1
     assert len(ended.stdout.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("device", "cores", "on_machine", "expected"),
+    [("cpu", 16, "1", 1), ("cuda", 16, "1", 8), ("cuda:0", 16, "4", 4), ("cuda", 2, "4", 1)],
+)
+def test_a_gpu_gets_several_processes_that_prepare_samples(
+    device: str, cores: int, on_machine: str, expected: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(distributed, "cores", lambda: cores)
+    monkeypatch.setenv("LOCAL_WORLD_SIZE", on_machine)
+    assert distributed.default_jobs(torch.device(device)) == expected
 
 
 def test_one_gpu_for_several_workers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 import copy
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
@@ -48,20 +49,82 @@ def test_a_step_is_a_function_of_its_number_and_leaves_the_global_generator_alon
         assert torch.equal(one, other)
 
 
+def fused(learning: Learner) -> Learner:
+    """Return a learner with the optimiser that it has on a GPU."""
+    learning.optimiser = build_optimiser(learning.module, learning.recipe, fused=True)
+    return learning
+
+
 @pytest.mark.parametrize("clip", [0.0, 1.0])
 @pytest.mark.parametrize("spoilt", ["image", "gradient"])
-def test_what_is_not_finite_changes_no_weight(clip: float, spoilt: str) -> None:
-    learning = learner(clip_gradient=clip, average=0.5)
+@pytest.mark.parametrize("optimiser", ["sgd", "adamw"])
+@pytest.mark.parametrize("prepare", [lambda learning: learning, fused])
+def test_what_is_not_finite_changes_no_weight(
+    clip: float, spoilt: str, optimiser: str, prepare: Callable[[Learner], Learner]
+) -> None:
+    """Nor what the optimiser remembers: the next step is as if it were the first."""
+    changes = {"clip_gradient": clip, "average": 0.5, "optimiser": optimiser}
+    learning, other = prepare(learner(**changes)), prepare(learner(**changes))
     before = [copy.deepcopy(m.state_dict()) for m in (learning.module, learning.average)]
     images, truth = batch()
     if spoilt == "image":
         images[0, 0, 3, 3] = math.nan
     else:
-        learning.module.features.weight.register_hook(lambda gradient: gradient * math.inf)
+        weight = learning.module.features.weight
+        hook = weight.register_hook(lambda gradient: gradient * math.inf)
     assert math.isnan(learning.step(images, truth, 0, 10))
     for module, kept in zip((learning.module, learning.average), before, strict=True):
         for name, parameter in module.named_parameters():
             assert torch.equal(parameter, kept[name])
+    if spoilt == "gradient":
+        hook.remove()
+    assert torch.equal(learning.step(*batch(), 1, 10), other.step(*batch(), 1, 10))
+    for one, two in zip(learning.module.parameters(), other.module.parameters(), strict=True):
+        assert torch.equal(one, two)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"momentum": 0.0}, {"optimiser": "adamw", "clip_gradient": 1.0, "average": 0.9}],
+)
+def test_a_fused_optimiser_learns_the_same(changes: dict[str, object]) -> None:
+    """Without batch norm, before which the gradient of a bias is rounding alone."""
+    plain, together = learner(**changes), fused(learner(**changes))
+    for learning in (plain, together):
+        learning.module.norm = nn.Identity()  # type: ignore[assignment]
+        if learning.average is not learning.module:
+            learning.average.norm = nn.Identity()  # type: ignore[assignment]
+    for step in range(3):
+        for learning in (plain, together):
+            learning.step(*batch(step), step, 10)
+    for one, other in ((plain.module, together.module), (plain.average, together.average)):
+        for name, tensor in one.state_dict().items():
+            torch.testing.assert_close(other.state_dict()[name], tensor, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"accumulate": 2, "label_smoothing": 0.1, "lovasz": 0.0},
+        {"optimiser": "adamw", "clip_gradient": 1.0, "average": 0.9},
+    ],
+)
+def test_a_step_reads_nothing_from_the_device(changes: dict[str, object]) -> None:
+    """Tensors on the device "meta" have no values, so that reading one is an error."""
+    meta, recipe = torch.device("meta"), Recipe(batch=2).with_changes(**changes)
+    learning = Learner(TinyNetwork(3), recipe, WEIGHTS, CPU, sets=((1, 2),))
+    learning.device = meta
+    # Of a fused optimiser, which does not know this device, only the kernel is left out.
+    learning.module = learning.forward = learning.module.to(meta)
+    learning.average = learning.average.to(meta) if recipe.average else learning.module
+    learning.loss.to(meta)
+    learning.optimiser = build_optimiser(learning.module, recipe)
+    learning.optimiser.defaults["fused"] = True
+    learning.optimiser.step = lambda: None  # type: ignore[method-assign]
+    images, truth = batch()
+    truth[0, :4] = 3  # the set
+    assert learning.step(images, truth, 0, 10).device == meta
 
 
 def test_clipping_bounds_the_gradient() -> None:
@@ -94,8 +157,8 @@ def five() -> tuple[Tensor, Tensor]:
 def test_a_batch_in_parts_has_the_gradient_of_the_whole(parts: int, smoothing: float) -> None:
     given = {"lovasz": 0.0, "label_smoothing": smoothing}
     whole, accumulated = without_norm(**given), without_norm(**given, accumulate=parts)
-    loss = whole.step(*five(), 0, 10)
-    assert accumulated.step(*five(), 0, 10) == pytest.approx(loss, rel=1e-6)
+    loss = whole.step(*five(), 0, 10).item()
+    assert accumulated.step(*five(), 0, 10).item() == pytest.approx(loss, rel=1e-6)
     for one, other in zip(whole.module.parameters(), accumulated.module.parameters(), strict=True):
         torch.testing.assert_close(one.grad, other.grad, rtol=1e-5, atol=1e-7)
 
@@ -110,7 +173,7 @@ def test_lovasz_is_the_mean_of_the_parts() -> None:
     parts = [slice(0, 3), slice(3, 5)]
     lovasz = [both(logits[p], truth[p]) - entropy(logits[p], truth[p]) for p in parts]
     expected = float(entropy(logits, truth) + (lovasz[0] + lovasz[1]) / 2)
-    assert learning.step(images, truth, 0, 10) == pytest.approx(expected, rel=1e-6)
+    assert learning.step(images, truth, 0, 10).item() == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +210,7 @@ def stepped(precision: str) -> tuple[Learner, float, list[torch.dtype]]:
     learning, seen = Learner(module, recipe, WEIGHTS, CPU), []
     for layer in (module.features, module.norm[0], module.logits):
         layer.register_forward_hook(lambda layer, given, made: seen.append(made.dtype))
-    return learning, learning.step(*batch(), 0, 1), seen
+    return learning, learning.step(*batch(), 0, 1).item(), seen
 
 
 @pytest.mark.parametrize("precision", ["bfloat16", "float16"])

@@ -6,7 +6,9 @@
     torchrun --nproc-per-node 2 two_workers.py RESULT
 """
 
+import logging
 import sys
+import time
 from pathlib import Path
 
 import torch
@@ -77,7 +79,7 @@ def stepped(group: ProcessGroup, case: str) -> dict[str, Tensor]:
         truth[1:4, 2] = len(WEIGHTS)
     learning = learner(group, **changes)  # type: ignore[arg-type]
     images = images.to(FLOAT[learning.recipe.precision])
-    found = {"loss": torch.tensor(learning.step(share(images, group), share(truth, group), 5, 1))}
+    found = {"loss": learning.step(share(images, group), share(truth, group), 5, 1)}
     for name, parameter in learning.module.named_parameters():
         assert parameter.grad is not None
         found[f"gradient of {name}"] = parameter.grad
@@ -128,6 +130,18 @@ def refused(group: ProcessGroup) -> bool:
     return False
 
 
+def fail() -> None:
+    """Let the last worker fail while the others do what they never end."""
+    logging.basicConfig(format="%(message)s")
+    with process_group("cpu") as (group, _):
+        group.sum(torch.ones(1))
+        if group.rank == 0:
+            group.on_main(lambda: time.sleep(1000))
+        elif group.rank == 1:
+            group.sum(torch.ones(1))
+        raise ZeroDivisionError("out of luck")
+
+
 def main() -> None:
     """Write everything that two workers compute."""
     with process_group("cpu") as (group, _):
@@ -140,4 +154,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    fail() if sys.argv[1] == "fail" else main()

@@ -24,6 +24,7 @@ from salsanext_cli.geometry.network_input import (
     with_filled_gaps,
 )
 from salsanext_cli.geometry.projection import pixels_from_points, project
+from salsanext_cli.parallel.options import use_threads
 from salsanext_cli.records import Float, Mask
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
@@ -38,9 +39,8 @@ ORDER, SAMPLE = 0, 1
 """Purposes of generators, of orders and of samples: parts of their seeds beside `DROPOUT`."""
 
 SampleKey = tuple[int, int]  # Position of a sample in the whole training, index of its scan
-Sample = tuple[Float, TrainIds, int]  # Normalised image (5, H, W), targets (H, W), scan index
-Batch = tuple[Tensor, Tensor, Tensor]
-"""Normalised images (B, 5, H, W), targets (B, H, W) uint8, indices of the scans (B,) int64."""
+Sample = tuple[Float, TrainIds]  # Normalised image (5, H, W), targets (H, W)
+Batch = tuple[Tensor, Tensor]  # Normalised images (B, 5, H, W) float32, targets (B, H, W) uint8
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ class Samples(Dataset[Sample]):
             channels = match_intensity(channels, NO_INTENSITY, self.sensor.intensity_quantiles)
         scored = of_targets(self.sources[0].space.scored, self.sets, np.any)
         columns = augment.choose_columns(truth, scored, width, recipe.crop_on_class, random)
-        return normalise(channels[:, :, columns], self.sensor), truth[:, columns], index
+        return normalise(channels[:, :, columns], self.sensor), truth[:, columns]
 
     def _view(self, index: int, random: np.random.Generator) -> Sensor:
         """Return the sensor that a sample of a scan is projected with, in the sensor's frame."""
@@ -231,12 +231,17 @@ def batches(
         num_workers=workers,
         # A fork would inherit locks that the threads of torch and numba may hold.
         multiprocessing_context="spawn" if workers else None,
+        worker_init_fn=_use_one_thread,
         pin_memory=pinned,
     )
     for batch in loader:
         if isinstance(batch, SalsanextError):
             raise batch
         yield batch
+
+
+def _use_one_thread(_: int) -> None:
+    use_threads(1)
 
 
 def _collate(items: list[Sample] | SalsanextError) -> Any:

@@ -5,13 +5,21 @@ import numpy as np
 import pytest
 import torch
 from scans import SMALL, write_sequence
+from torch.utils.data import get_worker_info
 
 from salsanext_cli import label_space, project
+from salsanext_cli.compiled import thread_count
 from salsanext_cli.formats.kitti import read_bin, read_labels
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.training.data.class_counts import class_shares, count_classes, rare_classes
-from salsanext_cli.training.data.dataset import Samples, SamplingPlan, batches
+from salsanext_cli.training.data.dataset import (
+    Sample,
+    SampleKey,
+    Samples,
+    SamplingPlan,
+    batches,
+)
 from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.distributed import ProcessGroup
 from salsanext_cli.training.recipe import Recipe
@@ -32,7 +40,7 @@ def samples(files: list[ScanFile], recipe: Recipe) -> Samples:
 
 
 def test_a_sample_is_the_normalised_scan_and_its_truth(files: list[ScanFile]) -> None:
-    image, truth, index = samples(files, PLAIN)[7, 2]
+    image, truth = samples(files, PLAIN)[7, 2]
     scan = read_bin(files[2].path)
     raw = read_labels(files[2].label_path)
     projected = project(scan, SMALL)
@@ -43,7 +51,6 @@ def test_a_sample_is_the_normalised_scan_and_its_truth(files: list[ScanFile]) ->
     assert image[1, 3, 5] == pytest.approx(expected, rel=1e-5)
     assert truth.dtype == np.uint8
     assert truth[3, 5] == SPACE.learning_map[int(raw[nearest])]
-    assert index == 2
 
 
 def test_samples_differ_by_position_and_scan_and_repeat_by_both(files: list[ScanFile]) -> None:
@@ -91,9 +98,19 @@ def test_workers_together_draw_what_one_alone_draws(size: int) -> None:
         assert max(lengths) - min(lengths) <= 1
 
 
+class OneThread(Samples):
+    """Samples that a worker may prepare on one thread only."""
+
+    def __getitem__(self, key: SampleKey) -> Sample:
+        if get_worker_info():
+            assert (thread_count(), torch.get_num_threads()) == (1, 1)
+        return Samples.__getitem__(self, key)
+
+
 def test_batches_do_not_depend_on_the_number_of_workers(files: list[ScanFile]) -> None:
     recipe = Recipe(epochs=2, batch=2, crop_width=32, mix=0.5, paste=0.5, whole_epochs=1)
-    alone, helped = (list(batches(samples(files, recipe), 0, n)) for n in (0, 1))
+    one_thread = OneThread([Source(files, SPACE, SMALL)], SMALL, recipe, RARE)
+    alone, helped = (list(batches(one_thread, 0, n)) for n in (0, 1))
     assert len(alone) == len(helped) == 6
     assert [images.shape[3] for images, *_ in alone] == 3 * [32] + 3 * [SMALL.width]
     for one, other in zip(alone, helped, strict=True):
@@ -105,7 +122,7 @@ def test_batches_do_not_depend_on_the_number_of_workers(files: list[ScanFile]) -
 
 def pixels(files: list[ScanFile], recipe: Recipe, index: int) -> list[tuple[np.ndarray, int]]:
     """Return x, y, z and the class of every filled pixel of a sample."""
-    image, truth, _ = samples(files, recipe)[3, index]
+    image, truth = samples(files, recipe)[3, index]
     filled = image.any(axis=0)
     shown = image[1:4, filled].T * SMALL.stds[1:4] + SMALL.means[1:4]
     return list(zip(shown, truth[filled], strict=True))
