@@ -1,21 +1,24 @@
 # SPDX-License-Identifier: MIT
 """Entry point of ``salsanext`` and ``python -m salsanext_cli``."""
 
-try:
-    from salsanext_cli.cli.interruption import end_on_signals
-except KeyboardInterrupt:
-    raise SystemExit(130) from None
+import sys
+
+from salsanext_cli.cli.interruption import end_line, handle_signals
 
 ADVICE = "free some memory, allow more, or use fewer --jobs"
 
 
 def main() -> None:
-    """Run the command line; its imports take a while, in which signals arrive too."""
-    end_on_signals()
+    """Run the command line."""
+    handle_signals()
     try:
         from salsanext_cli.cli.app import main as run
 
         run()
+    except KeyboardInterrupt:  # During the import, which takes tenths of a second
+        line, status = end_line()
+        sys.stderr.write(f"{line}\n")
+        raise SystemExit(status) from None
     except Exception as error:
         from salsanext_cli.errors import error_text, out_of_memory
 
