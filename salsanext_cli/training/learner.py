@@ -65,7 +65,7 @@ class Learner:
             keep_ends_in_float32(module)
         self.recipe, self.module, self.device, self.group = recipe, module, device, group
         self.average = copy.deepcopy(module).eval() if recipe.average else module
-        loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing, sets)
+        loss = SegmentationLoss(weights, recipe.lovasz, sets)
         self.loss = loss.to(device)
         self.forward = data_parallel(module, device, group)
         self.optimiser = build_optimiser(module, recipe)
@@ -86,7 +86,7 @@ class Learner:
     def _gradient(self, images: Tensor, truth: Tensor, step: int) -> Tensor:
         """Add up the gradient of a batch, part by part, and return its loss."""
         truth = truth.to(self.device, non_blocking=True)
-        parts = self._parts(images.shape[3])
+        parts = min(self.recipe.accumulate, self.recipe.batch // self.group.size)
         several = parts * self.group.size > 1
         weight = self.loss.weights[truth.long()].sum()
         total = self.group.sum(weight) if several else None
@@ -110,17 +110,6 @@ class Learner:
                     self.scaler.scale(loss * self.group.size).backward()
                 losses.append(loss.detach())
         return self.group.sum(torch.stack(losses).sum())
-
-    def _parts(self, width: int) -> int:
-        """Return the number of parts that every worker computes its images in."""
-        recipe = self.recipe
-        fewest, most = recipe.batch // self.group.size, -(-recipe.batch // self.group.size)
-        parts = min(recipe.accumulate, fewest)
-        if 0 < recipe.crop_width < width:
-            # Full circles are cut into more: a part holds no more columns than one of windows.
-            images = max(1, -(-most // parts) * recipe.crop_width // width)
-            parts = min(-(-most // images), fewest)
-        return parts
 
     def _update(self, step: int, steps_per_epoch: int) -> bool:
         """Move the weights; return False, and do not, if the gradient is not finite."""

@@ -136,7 +136,7 @@ def _extended(
 ) -> dict[str, Any]:
     """Return the decisive settings of a record, with more epochs if those before stay the same."""
     before, recipe = _decisive(recorded), decisive["recipe"]
-    steady = recipe["schedule"] == "decay" and not recipe["whole_epochs"] and not recipe["folds"]
+    steady = recipe["schedule"] == "decay" and not recipe["folds"]
     if (steady or always) and before.get("recipe", recipe)["epochs"] < recipe["epochs"]:
         before["recipe"] = {**before["recipe"], "epochs": recipe["epochs"]}
     return before
@@ -147,4 +147,7 @@ def _decisive(settings: Mapping[str, Any]) -> dict[str, Any]:
     recipe = settings.get("recipe")
     if not isinstance(recipe, dict):
         return dict(settings)
-    return {**settings, "recipe": {**Recipe().to_dict(), **recipe, "accumulate": None}}
+    defaults = Recipe().to_dict()
+    # A key that this version no longer has changed nothing where it was 0.
+    known = {key: value for key, value in recipe.items() if key in defaults or value}
+    return {**settings, "recipe": {**defaults, **known, "accumulate": None}}
