@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Entry point of ``salsanext`` and ``python -m salsanext_cli``."""
 
-import sys
-
-from salsanext_cli.cli.interruption import end_line, handle_signals
+from salsanext_cli.cli.interruption import handle_signals
 
 ADVICE = "free some memory, allow more, or use fewer --jobs"
 
@@ -15,10 +13,6 @@ def main() -> None:
         from salsanext_cli.cli.app import main as run
 
         run()
-    except KeyboardInterrupt:  # During the import, which takes tenths of a second
-        line, status = end_line()
-        sys.stderr.write(f"{line}\n")
-        raise SystemExit(status) from None
     except Exception as error:
         from salsanext_cli.errors import error_text, out_of_memory
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""SIGINT and SIGTERM: the first one interrupts the command, the next one ends the process."""
+"""SIGINT and SIGTERM: the first one interrupts a command, the next one ends the process."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from contextlib import contextmanager
 WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 INTACT = "everything finished so far is intact"
 ARRIVED: list[int] = []  # The signal that has arrived, if one has
+BUSY: list[bool] = []  # Not empty while a command runs
 REPEATED_S = 1.0  # `timeout` sends one signal twice: to a process and to its group
 
 
 def handle_signals() -> None:
-    """Raise `KeyboardInterrupt` in the main thread at the first signal; end at the next one.
+    """Raise `KeyboardInterrupt` in a command at the first signal; end at the next one.
 
-    A signal that the program already ignores or handles itself stays as it is.
+    Before and after the command the first one ends the process. A signal that the program already
+    ignores or handles itself stays as it is.
     """
     process, since = os.getpid(), 0.0
 
@@ -31,6 +33,9 @@ def handle_signals() -> None:
         if not ARRIVED:
             ARRIVED.append(number)
             since = now
+            if not BUSY:
+                os.write(2, f"{end_line()[0]}\n".encode())
+                os._exit(128 + number)  # noqa: TID251
             raise KeyboardInterrupt
 
     for number in WORDS:
@@ -41,9 +46,11 @@ def handle_signals() -> None:
 @contextmanager
 def interruptible() -> Iterator[None]:
     """Raise `KeyboardInterrupt` after a body with a signal, whatever a library made of it."""
+    BUSY.append(True)
     try:
         yield
     finally:
+        BUSY.clear()
         if ARRIVED:
             raise KeyboardInterrupt from None
 
