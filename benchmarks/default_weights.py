@@ -198,7 +198,7 @@ def finish(
         description=description,
         temperature=1.0,
         error=None,  # What the training inherited is fitted anew.
-        accuracy={},
+        accuracy=None,
         trained_on=card.trained_on | digests,
         version=VERSION,
     )

@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: MIT
 """Entry point of ``salsanext`` and ``python -m salsanext_cli``."""
 
-try:
-    from salsanext_cli.cli.interruption import end_on_signals
-except KeyboardInterrupt:
-    raise SystemExit(130) from None
+from salsanext_cli.cli.interruption import handle_signals
 
 ADVICE = "free some memory, allow more, or use fewer --jobs"
 
 
 def main() -> None:
-    """Run the command line; its imports take a while, in which signals arrive too."""
-    end_on_signals()
+    """Run the command line."""
+    handle_signals()
     try:
         from salsanext_cli.cli.app import main as run
 

@@ -27,6 +27,7 @@ from numba.core.serialize import dumps
 
 from salsanext_cli.errors import error_text
 from salsanext_cli.files.user_cache import cache_folder, read_checked, say_once, write_checked
+from salsanext_cli.version import __version__
 
 MAX_THREADS = 256  # Size of the pool, which starts only as many threads as are busy together
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -68,47 +69,41 @@ class KernelFiles(Files):
 
 
 class KernelCache(FunctionCache):
-    """Cache of a kernel's machine code: a checked file per signature.
+    """Cache of the machine code of a kernel: a file with a checksum for each signature.
 
-    Numba's own files are an index and what it refers to. Two processes that write at once can mix
-    them up, and damaged ones end the program. Here, whatever fails is compiled anew.
+    Numba's own cache ends the process at a truncated file and on a full disk, and loads half a
+    second's worth of libraries at each start. Here a problem leads to a compilation.
     """
 
     _impl_class = KernelFiles
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled kernel of a signature; None if there is none that can be used."""
-        # Compiled code needs numba's memory only; who compiles loads the libraries for it.
+        """Return the compiled kernel of a signature; None if there is no usable one."""
+        # Compiled code needs numba's memory only; a compilation loads the libraries that it needs.
         rtsys.initialize(target_context)
-        codegen = target_context.codegen()
         try:
-            file = self._file(sig, codegen)
+            file = self._file(sig, target_context.codegen())
             if read_checked(file) is None:
                 return None
-            source, reduced = self._cache_file._load_data(file.name)
-            fresh = source == self._source(sig, codegen)
-            return self._impl.rebuild(target_context, reduced) if fresh else None
+            return self._impl.rebuild(target_context, self._cache_file._load_data(file.name))
         except CACHE_ERRORS as error:
             say_once(f"compiled kernels: {error_text(error)}")
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the compiled kernel of a signature, if that is possible."""
+        """Write the compiled kernel of a signature, if that is possible."""
         try:
             if self._impl.check_cachable(data):
-                overload = self._source(sig, data.codegen), self._impl.reduce(data)
-                write_checked(self._file(sig, data.codegen), dumps(overload))
+                write_checked(self._file(sig, data.codegen), dumps(self._impl.reduce(data)))
         except CACHE_ERRORS as error:
             say_once(f"compiled kernels: {error_text(error)}")
 
     def _file(self, sig: Any, codegen: Any) -> Path:
-        machine = repr((numba.__version__, sig, codegen.magic_tuple()))
-        name = f"{self._impl.filename_base}.{hashlib.sha256(machine.encode()).hexdigest()[:16]}.nbc"
-        return Path(self.cache_path) / name
-
-    def _source(self, sig: Any, codegen: Any) -> Any:
-        """Return what must be the same for a cached kernel to be used."""
-        return self._impl.locator.get_source_stamp(), self._index_key(sig, codegen)
+        """Return the file for a signature; its name depends on versions, source and processor."""
+        # The version of this package stands for the kernels of other files that a kernel calls.
+        source = self._impl.locator.get_source_stamp(), self._index_key(sig, codegen)
+        digest = hashlib.sha256(repr((numba.__version__, __version__, source)).encode())
+        return Path(self.cache_path) / f"{self._impl.filename_base}.{digest.hexdigest()[:16]}.nbc"
 
 
 def kernel_folder() -> str:

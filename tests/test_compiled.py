@@ -51,11 +51,19 @@ def test_a_kernel_is_kept_in_the_users_cache_folder_for_each_signature(kernel, t
     assert not list(tmp_path.rglob("*.tmp*"))
 
 
-def test_a_damaged_cache_is_said_once_and_mended(kernel, tmp_path, caplog):
+DAMAGES = {
+    "truncated": lambda content: content[: len(content) // 2],
+    "empty": lambda content: b"",
+    "other bytes": lambda content: content[::-1],
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_cache_is_said_once_and_mended(kernel, tmp_path, caplog, damage):
     first = kernel()
     assert (first(2), first(1.5)) == (4, 3.0)
     for file in cached_in(tmp_path):
-        file.write_bytes(file.read_bytes()[::-1])
+        file.write_bytes(damage(file.read_bytes()))
     again = kernel()
     assert (again(2), again(1.5)) == (4, 3.0)
     assert [record.levelname for record in caplog.records] == ["WARNING"]
@@ -65,14 +73,14 @@ def test_a_damaged_cache_is_said_once_and_mended(kernel, tmp_path, caplog):
     assert sum(mended.stats.cache_hits.values()) == 2
 
 
-def test_machine_code_of_other_source_or_signature_is_not_used(kernel, tmp_path):
-    first = kernel()
-    assert (first(2), first(1.5)) == (4, 3.0)
-    one, other = cached_in(tmp_path)
-    one.write_bytes(other.read_bytes())
-    again = kernel()
-    assert (again(2), again(1.5)) == (4, 3.0)
-    assert sum(again.stats.cache_hits.values()) == 1
+def test_machine_code_of_another_source_or_version_is_not_used(kernel, tmp_path, monkeypatch):
+    assert kernel()(2) == 4
+    for place in ("numba", "salsanext_cli.compiled"):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"{place}.__version__", "0.0.1")
+            other = kernel()
+            assert other(2) == 4
+            assert not other.stats.cache_hits
     (tmp_path / "small_kernel.py").write_text("def twice(x):\n    return x + x + 1\n")
     assert kernel()(2) == 5
 

@@ -54,10 +54,6 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
 }
 
 
-UNUSED = "scipy.linalg"
-"""Module that numba imports if it can: a quarter of a second for what no kernel uses."""
-
-
 class Command(TyperCommand):
     """Command whose flag for help shows no type, as its other flags show none."""
 
@@ -138,7 +134,6 @@ for commands in COMMANDS.values():
 
 def main() -> None:
     """Run the command line."""
-    sys.modules.setdefault(UNUSED, None)  # type: ignore[arg-type]
     if isinstance(sys.stdout, TextIOWrapper):
         # A character that the encoding lacks would be an error by Python's own choice, the second
         # one that of the C locale. Anything else, the user has set.

@@ -5,7 +5,6 @@ import dataclasses
 import functools
 import json
 import logging
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, cast
 
 import typer
 
-from salsanext_cli.cli.interruption import ARRIVED, INTACT, WORDS, interruptible
+from salsanext_cli.cli.interruption import end_line, interruptible
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, escaped, printable
 from salsanext_cli.options import option, option_group
 
@@ -101,11 +100,12 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
                     _print_json({"error": str(error), "code": error.code})
             raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
         except KeyboardInterrupt:
-            number = ARRIVED[0] if ARRIVED else signal.SIGINT
-            tell(f"{WORDS[number]}: {INTACT}")
+            line, status = end_line()
+            tell(line)
             if kwargs.get("json"):
-                _print_json({"error": WORDS[number], "code": WORDS[number]})
-            raise typer.Exit(128 + number) from None
+                word = line.partition(":")[0]
+                _print_json({"error": word, "code": word})
+            raise typer.Exit(status) from None
 
     return run
 

@@ -11,7 +11,7 @@ from salsanext_cli.errors import MissingDependency, error_text
 
 MIN_ROSBAGS_VERSION = (0, 11)
 CONVERTER = "openvino.tools.ovc"
-"""Part of OpenVINO that reports its use over the network. OpenVINO imports it if it can."""
+"""Part of OpenVINO that `import openvino` imports, and that then reports to a server of Google."""
 OPENVINO_ERRORS = (AttributeError, ImportError, OSError, RuntimeError, TypeError, ValueError)
 """Raised by installations that are damaged or of another platform."""
 
@@ -72,6 +72,4 @@ def import_openvino() -> Any:
 def import_nncf() -> Any:
     """Import NNCF without `openvino_telemetry`, by which it would report its use."""
     sys.modules["openvino_telemetry"] = None  # type: ignore[assignment]
-    if "scipy.linalg" in sys.modules and sys.modules["scipy.linalg"] is None:
-        del sys.modules["scipy.linalg"]  # the command line hides it, for a faster start
     return import_extra("nncf", "quantise")

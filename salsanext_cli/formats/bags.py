@@ -62,7 +62,6 @@ class Bag:
         from rosbags.typesys import Stores, get_typestore
 
         self.path, self._lock = path, Lock()
-        self.is_mcap = any(".mcap" in file.suffixes for file in files)
         for file in files:
             # The library would wait at a pipe, and does not say what the system refuses.
             with reading(file):

@@ -2,13 +2,10 @@
 """Files of scans with some of their points: their headers, then the points as they are."""
 
 import copy
-import errno
 import gzip
 import io
 import re
-import sqlite3
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -28,7 +25,6 @@ from salsanext_cli.formats import (
     ply,
     text,
 )
-from salsanext_cli.formats.bags import EXPECTED, POINT_CLOUD2, REMEDY, Bag, columns_of
 from salsanext_cli.formats.feather import read_table
 from salsanext_cli.formats.npy import load_npy
 from salsanext_cli.records import Mask
@@ -212,64 +208,3 @@ def _ply_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
     width = 0 if data.text else vertices.data.itemsize
     body = content[end.end() :]
     return content[: end.end()], body[: width * vertices.count] if width else body, width
-
-
-def write_bag_subset(bag: Bag, target: Path, topic: str, masks: Iterator[tuple[int, Mask]]) -> None:
-    """Copy a bag into a new one, with the points only that stay in the clouds of a topic.
-
-    All else is as it was, but nothing is compressed, and one of ROS 2 is a folder. `masks`: of each
-    cloud, in their order, its time in nanoseconds and which points stay, (N,) bool. `OSError` is
-    raised where the new bag cannot be written.
-    """
-    from rosbags import rosbag1, rosbag2
-
-    reader, store, added = bag.reader, bag.reader.typestore, dict[tuple[Any, ...], Any]()
-    writer: Any
-    if reader.is2:
-        plugin = rosbag2.StoragePlugin.MCAP if bag.is_mcap else rosbag2.StoragePlugin.SQLITE3
-        # That of Humble, which later releases read too.
-        writer, digest = rosbag2.Writer(target, version=8, storage_plugin=plugin), "rihs01"
-    else:
-        writer, digest = rosbag1.Writer(target), "md5sum"
-    try:
-        with writer:
-            for each in reader.connections:
-                how = {"msgdef": each.msgdef.data or None, digest: each.digest or None}
-                # Publishers that connected twice are one.
-                if (key := (*each[1:3], repr(each.ext))) not in added:
-                    how |= each.ext._asdict()
-                    added[key] = writer.add_connection(*each[1:3], typestore=store, **how)
-            for each, time, content in _messages(bag, topic, masks):
-                writer.write(added[*each[1:3], repr(each.ext)], time, content)
-    except sqlite3.Error as error:
-        is_full = error.sqlite_errorcode == sqlite3.SQLITE_FULL
-        raise OSError(errno.ENOSPC if is_full else errno.EIO, str(error)) from error
-
-
-def _messages(
-    bag: Bag, topic: str, masks: Iterator[tuple[int, Mask]]
-) -> Iterator[tuple[Any, int, bytes]]:
-    """Yield connection, time and content of the messages of a bag, in the new one."""
-    reader, store = bag.reader, bag.reader.typestore
-    encode = store.serialize_cdr if reader.is2 else store.serialize_ros1
-    with refusing_damage(bag.path, EXPECTED, REMEDY):
-        for each, time, raw in reader.messages():
-            content = raw
-            if each[1:3] == (topic, POINT_CLOUD2):
-                expected, keep = next(masks)
-                if time != expected:
-                    raise ValueError("its messages are not in the order of their times")
-                cloud = reader.deserialize(raw, each.msgtype)
-                path = bag.path / topic.strip("/") / str(time)
-                content = encode(_cloud_subset(cloud, keep, path), each.msgtype)
-            yield each, time, content
-
-
-def _cloud_subset(cloud: Any, keep: Mask, path: Path) -> Any:
-    """Return a PointCloud2 with the points that stay, in one row."""
-    columns_of(cloud, path)  # Refuses what is cut off.
-    height, width, step = cloud.height, cloud.width, cloud.point_step
-    strides = (cloud.row_step if height > 1 else width * step, step, 1)
-    points = np.ndarray((height, width, step), np.uint8, np.asarray(cloud.data), 0, strides)
-    kept = _kept(points.reshape(height * width, step), keep, path)
-    return replace(cloud, height=1, width=len(kept), row_step=kept.size, data=kept.ravel())

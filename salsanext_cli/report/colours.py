@@ -2,7 +2,8 @@
 """Colours of labels and values, for pictures and point clouds, and scales of values."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from colorsys import hsv_to_rgb
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -29,25 +30,23 @@ FIXED_SCALES: Scales = {"error": (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)}
 EMPTY = (36, 38, 45)  # Colour of a place without a measurement
 COLOUR_MAP = "viridis"  # matplotlib's map for values; it is perceptually uniform
 MIN_CONTRAST = 2.5  # Least ratio of luminances of a colour and `EMPTY`, as WCAG 2 defines it
-MIN_DIFFERENCE = 18.5  # Least difference of two classes in pictures, by `colour_difference`
-APART = np.frombuffer(
-    bytes.fromhex(
-        "636363 5392ff 17c7fa 4361a5 9589b5 7b20ff ff1e1e ff5992 "
-        "a27571 ff00ff fdaafe 845184 c20f50 ffc800 ffa08f 00af00 "
-        "95521d 96f71b fffcba f57906 7a8c6e ffe5e8 03ffff c0cfff "
-        "007325 c0ae94 05aca5 9d9b03 706517 ecffff 03e8a1 066f70"
-    ),
-    np.uint8,
-).reshape(-1, 3)
-"""Colours that differ by `MIN_DIFFERENCE` or more, near SemanticKITTI's if they can, (32, 3)."""
-XYZ = np.array(
-    [
-        [0.4124564, 0.3575761, 0.1804375],
-        [0.2126729, 0.7151522, 0.0721750],
-        [0.0193339, 0.1191920, 0.9503041],
-    ]
+ON_SCREEN = {
+    (100, 150, 245): (83, 146, 255),  # car
+    (80, 30, 180): (149, 137, 181),  # truck
+    (255, 40, 200): (255, 89, 146),  # bicyclist
+    (150, 30, 90): (162, 117, 113),  # motorcyclist
+    (255, 120, 50): (245, 121, 6),  # fence
+    (255, 240, 150): (255, 252, 186),  # pole
+    (255, 0, 0): (255, 160, 143),  # traffic-sign
+}
+"""Colours of SemanticKITTI that resemble others of it on a dark background, and those instead."""
+PALETTE = bytes.fromhex(
+    "17c7fa 7b20ff fdaafe ffe5e8 03ffff c0cfff 7a8c6e 007325 "
+    "c0ae94 05aca5 9d9b03 706517 ecffff 03e8a1 066f70 4361a5"
 )
-"""From linear sRGB to CIE XYZ."""
+"""Colours of classes that have the colour of an earlier class, three bytes each."""
+GOLDEN_RATIO = 0.618034  # Steps of this share of the circle of hues never come close to each other
+MAX_HUES = 1024  # More than a label space has classes
 RIGHT = (92, 100, 112)
 WRONG = (255, 72, 48)
 """Colours of points with a right and with a wrong label."""
@@ -110,65 +109,32 @@ def on_dark(colours: npt.ArrayLike) -> Colours:
 
 def _luminance(colours: npt.NDArray[Any]) -> Values:
     """Return the relative luminance of sRGB, to which WCAG 2 adds the light of a room."""
-    return _linear(colours) @ (0.2126, 0.7152, 0.0722) + 0.05
+    share = colours / 255
+    linear = np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
+    return linear @ (0.2126, 0.7152, 0.0722) + 0.05
 
 
 def screen_colours(space: LabelSpace) -> Colours:
-    """Return the colours of the classes in pictures, plots and pages, (C, 3).
+    """Return the colours of the classes in pictures, plots and pages, (C, 3) uint8.
 
-    They are those of the label space, dark ones lightened. If two of these differ by less than
-    `MIN_DIFFERENCE`, each class gets one of `APART`, those nearest to their own first. A class
-    keeps its own if that is far enough from all.
+    They are those of the label space, dark ones lightened. A class with the colour of an earlier
+    class gets one of `PALETTE`, and after these one of evenly spread hues.
     """
-    own = on_dark(space.colours)
-    first, second = np.triu_indices(len(own), 1)
-    if (colour_difference(own[first], own[second]) >= MIN_DIFFERENCE).all():
-        return own
-    apart = _spread(len(own))
-    colours, differences = own.copy(), colour_difference(own[:, None], apart)
-    for _ in own:
-        i, closest = np.unravel_index(differences.argmin(), differences.shape)
-        colours[i] = apart[closest]
-        differences[i] = differences[:, closest] = np.inf
-    for each, colour in enumerate(own):
-        if colour_difference(colour, np.delete(colours, each, axis=0)).min() >= MIN_DIFFERENCE:
-            colours[each] = colour
-    return colours
+    own = on_dark([ON_SCREEN.get((*rgb,), rgb) for rgb in space.colours.tolist()])
+    unused = _unused_colours({*map(tuple, own.tolist())})
+    colours: dict[tuple[int, ...], None] = {}
+    for rgb in map(tuple, own.tolist()):
+        colours[next(unused) if rgb in colours else rgb] = None
+    return np.array([*colours], np.uint8).reshape(-1, 3)
 
 
-def _spread(count: int) -> Colours:
-    """Return `APART`, and up to a count those of a grid that differ most from all before."""
-    apart = APART
-    if count > len(apart):
-        grid = on_dark(36 * np.indices((8, 8, 8)).reshape(3, -1).T)
-        nearest = colour_difference(grid[:, None], apart).min(axis=1)
-        for _ in range(count - len(apart)):
-            most = grid[nearest.argmax()]
-            apart = np.concatenate([apart, most[None]])
-            nearest = np.minimum(nearest, colour_difference(grid, most))
-    return apart
-
-
-def _linear(colours: npt.NDArray[Any]) -> Values:
-    """Return the light of sRGB values of 0 to 255, from 0 to 1."""
-    share = colours / 255
-    return np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
-
-
-def colour_difference(first: Colours, second: Colours) -> Values:
-    """Return how far sRGB colours, (…, 3) each, lie apart in CIELAB of compressed chroma."""
-    return np.linalg.norm(_lab_of(first) - _lab_of(second), axis=-1)
-
-
-def _lab_of(colours: Colours) -> Values:
-    """Return CIELAB coordinates under the white of sRGB, their chroma compressed as in DIN99o."""
-    xyz = _linear(colours) @ XYZ.T / XYZ.sum(axis=1)
-    root = np.where(xyz > (6 / 29) ** 3, np.cbrt(xyz), xyz * (29 / 6) ** 2 / 3 + 4 / 29)
-    x, y, z = np.moveaxis(root, -1, 0)
-    a, b = 500 * (x - y), 200 * (y - z)
-    chroma = np.maximum(np.hypot(a, b), np.finfo(float).tiny)
-    compressed = np.log1p(0.075 * chroma) / (0.0435 * chroma)
-    return np.stack([116 * y - 16, compressed * a, compressed * b], axis=-1)
+def _unused_colours(used: set[tuple[int, ...]]) -> Iterator[tuple[int, ...]]:
+    hues = [hsv_to_rgb(GOLDEN_RATIO * n % 1, 0.3 + n % 3 * 0.3, 1.0) for n in range(MAX_HUES)]
+    palette = np.frombuffer(PALETTE, np.uint8).reshape(-1, 3)
+    for rgb in map(tuple, on_dark([*palette, *np.multiply(hues, 255)]).tolist()):
+        if rgb not in used:
+            used.add(rgb)
+            yield rgb
 
 
 @cache

@@ -30,6 +30,9 @@ from salsanext_cli.sensors.sensor import Sensor
 ABSENT = "–"
 NETWORK_NOTES = """* not the paper's number of parameters to the digit
 † the paper does not determine this network: the nearest reading"""
+BAND_HEADINGS = (
+    *("distance", "mean IoU % of\nthe same classes", "accuracy %", "points", "absent classes"),
+)
 IMPORTED = ("points", "labelled", "unlabelled", "ambiguous", "missing")
 """Numbers of points of a scan whose labels are imported."""
 
@@ -84,15 +87,16 @@ def score_table(result: Scores, title: str = "") -> Table:
     return table_of(headings, rows, totals=totals, title=title)
 
 
+def band_cells(bands: Mapping[str, Scores]) -> Iterator[tuple[str, ...]]:
+    """Yield the cells of each distance band, in the order of `BAND_HEADINGS`."""
+    for name, band, mean, absent in band_rows(bands):
+        shares = percent(mean), percent(band.accuracy)
+        yield name, *shares, f"{band.points:,}", ", ".join(absent)
+
+
 def band_table(bands: Mapping[str, Scores]) -> Table:
     """Return a table with a row per distance band: mean IoU of the same classes, accuracy."""
-    rows = (
-        (name, percent(mean), percent(band.accuracy), f"{band.points:,}", ", ".join(absent))
-        for name, band, mean, absent in band_rows(bands)
-    )
-    absent = "absent classes"
-    headings = ("distance", "mean IoU % of\nthe same classes", "accuracy %", "points", absent)
-    return table_of(headings, rows, texts=[absent])
+    return table_of(BAND_HEADINGS, band_cells(bands), texts=BAND_HEADINGS[-1:])
 
 
 def uncertainty_tables(evaluation: UncertaintyEvaluation) -> list[Table]:

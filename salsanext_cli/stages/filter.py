@@ -2,26 +2,21 @@
 """Stage `filter`: scans in their own format, without the points of some classes."""
 
 import logging
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, contradiction
-from salsanext_cli.errors import NoInputError, UsageError, counted, first_few
-from salsanext_cli.files.atomic import refusal
-from salsanext_cli.files.locks import temporary_folder
-from salsanext_cli.files.reading import filled, is_folder, present
+from salsanext_cli.errors import UsageError, counted, first_few
+from salsanext_cli.files.reading import filled, present
 from salsanext_cli.formats import read_scan
-from salsanext_cli.formats.bags import Bag
 from salsanext_cli.formats.kitti import read_labels
-from salsanext_cli.formats.recordings import files_of, is_bag, recorded_paths, recording_of
-from salsanext_cli.formats.subsets import subsets_of, write_bag_subset
+from salsanext_cli.formats.recordings import recording_of
+from salsanext_cli.formats.subsets import subsets_of
 from salsanext_cli.geometry.projection import measured_ranges, without_ego
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
@@ -45,6 +40,7 @@ from salsanext_cli.sensors.sensor import Sensor
 MASKS = "masks"  # Folder of a sequence with masks of its scans' points
 MOVING = "moving"
 """Name of all movable classes, and where they are dropped, of all that is not the scene."""
+REMEDY = "`salsanext convert {} DATA`, then predict and filter DATA; or masks, with --indices"
 Count = tuple[str, int, int]  # Name of a scan, number of its points, and of those that stay
 
 log = logging.getLogger(__name__)
@@ -180,8 +176,11 @@ def filter_scans(
     measured_only = MOVING in drop
     if max_error is not None and not with_outputs(scans, out, ERROR):
         raise results.missing_column("error", scans[0])
-    recording = None if indices else recording_of(scans[0].path)
-    _require_usable(recording, space, split, options)
+    if recording := None if indices else recording_of(scans[0].path):
+        found, expected = "a recording, which `filter` does not write", "files of scans"
+        raise UsageError(recording, found, expected, REMEDY.format(recording))
+    if odd := [name for name in space.names if split and Path(name).name != name]:
+        raise UsageError("--split", f"class {odd[0]}", "names that folders can have")
     settings = FilterSettings(
         results=str(out.absolute()),
         classes=tuple(np.array(space.names)[stays].tolist()),
@@ -203,98 +202,13 @@ def filter_scans(
             stack.enter_context(owned.open(shared=True))
         parts = [task.path(file, part) for file in scans for part in task.folders]
         task = replace(task, kept=frozenset(owned.foreign_files(parts)))
-        if recording:
-            outcome = _filter_bags(task, scans, options, counts)
-        else:
-            outcome = run_over_scans(
-                task.write, scans, options, is_done=task.is_done, on_result=counts.append
-            )
+        outcome = run_over_scans(
+            task.write, scans, options, is_done=task.is_done, on_result=counts.append
+        )
     total = sum(count for _, count, _ in counts), sum(kept for *_, kept in counts)
     if empty := sorted(name for name, _, kept in counts if not kept):
         log.warning("no point stays of %s: %s", counted(len(empty), "scan"), first_few(empty))
     return replace(outcome, missing=chosen.missing, kept_points=total)
-
-
-def _require_usable(
-    recording: Path | None, space: LabelSpace, split: bool, options: RunOptions
-) -> None:
-    """Refuse what a recording, or the name of a class, makes impossible."""
-    if recording and (split or options.shard.count > 1):
-        raise UsageError("--split, --shard", "a bag is written whole", "neither, or --indices")
-    if recording and not is_bag(recording):
-        remedy = f"`salsanext convert {recording} DATA` first, or masks of it with --indices"
-        raise UsageError(recording, "a recording, which is not written", "files of scans", remedy)
-    if odd := [name for name in space.names if split and Path(name).name != name]:
-        raise UsageError("--split", f"class {odd[0]}", "names that folders can have")
-
-
-def _filter_bags(
-    task: PointFilter, scans: list[ScanFile], options: RunOptions, counts: list[Count]
-) -> Outcome:
-    """Write whole bags, each a unit of the run; those that fail leave nothing."""
-    first_of_bag = [next(group) for _, group in groupby(scans, lambda file: file.sequence)]
-    write = partial(_filter_bag, task=task, scans=scans, overwrite=options.overwrite)
-
-    def add(of_bag: list[Count]) -> None:
-        counts.extend(of_bag)
-        if options.progress:
-            options.progress(len(counts), len(scans))
-
-    in_bags = replace(options, progress=None)
-    outcome = run_over_scans(write, first_of_bag, in_bags, on_result=add)
-    failed = {failure.scan.sequence for failure in outcome.failures}
-    there = len([file for file in scans if file.sequence not in failed])
-    return replace(outcome, done=len(counts), skipped=there - len(counts))
-
-
-def _filter_bag(
-    first: ScanFile, task: PointFilter, scans: list[ScanFile], overwrite: bool
-) -> list[Count]:
-    """Write the bag of a scan, all of one topic; return its counts, none if it is there."""
-    files = {file.path: file for file in scans if file.sequence == first.sequence}
-    topic_folder = first.path.parent
-    recording = recording_of(topic_folder) or topic_folder
-    clouds = recorded_paths(topic_folder)
-    if missing := [path.name for path in clouds if path not in files]:
-        found = f"{len(missing)} of {len(clouds)} clouds are left out: {first_few(missing)}"
-        remedy = "predict and choose the whole bag, or write masks with --indices"
-        raise NoInputError(recording, found, "those of all, as it is written whole", remedy)
-    bag = Bag(recording, files_of(recording))
-    target = task.owned.root / (first.sequence + ".bag" * (not bag.reader.is2))
-    before = _files_in(target)
-    if task.owned.foreign_files(before):
-        raise not_own(target)
-    if any(map(filled, before)) and not overwrite:
-        return []
-    counts = list[Count]()
-
-    def masks() -> Iterator[tuple[int, Mask]]:
-        for path in clouds:
-            parts, count = task.parts(files[path])
-            keep = parts.get(SCAN_FOLDER, np.zeros(count, bool))
-            counts.append((files[path].name, count, int(keep.sum())))
-            yield int(path.name.partition("_")[0]), keep
-
-    (topic,) = (t for t in bag.clouds() if recording / t.strip("/") == topic_folder)
-    try:
-        with temporary_folder(task.owned.root) as temporary:
-            written = temporary / target.name
-            write_bag_subset(bag, written, topic, masks())
-            if task.owned.remove_own(before):
-                raise not_own(target)
-            if is_folder(target):
-                target.rmdir()
-            written.rename(target)
-    except OSError as error:
-        raise refusal(target, error) from error
-    for path in _files_in(target):
-        task.owned.add(path)
-    return counts
-
-
-def _files_in(target: Path) -> list[Path]:
-    """Return a bag that is a file, or the files of one that is a folder."""
-    return [*target.rglob("*")] if is_folder(target) else [target]
 
 
 def _begin(owned: OwnedFolder, settings: FilterSettings, overwrite: bool) -> None:

@@ -67,7 +67,7 @@ class Learner:
             keep_ends_in_float32(module)
         self.recipe, self.module, self.device, self.group = recipe, module, device, group
         self.average = copy.deepcopy(module).eval() if recipe.average else module
-        loss = SegmentationLoss(weights, recipe.lovasz, recipe.label_smoothing, sets)
+        loss = SegmentationLoss(weights, recipe.lovasz, sets)
         self.loss = loss.to(device)
         self.forward = data_parallel(module, device, group)
         self.optimiser = build_optimiser(module, recipe, fused=device.type == "cuda")
@@ -88,7 +88,7 @@ class Learner:
 
     def _gradient(self, images: Tensor, truth: Tensor, step: int) -> Tensor:
         """Add up the gradient of a batch, part by part, and return its loss."""
-        parts, total = self._parts(images.shape[3]), None
+        parts, total = min(self.recipe.accumulate, self.recipe.batch // self.group.size), None
         if parts * self.group.size > 1:
             targets = truth.to(self.device, non_blocking=True).long()
             total = self.group.sum(self.loss.weights[targets].sum())
@@ -112,17 +112,6 @@ class Learner:
                     self.scaler.scale(loss * self.group.size).backward()
                 losses.append(loss.detach())
         return self.group.sum(torch.stack(losses).sum())
-
-    def _parts(self, width: int) -> int:
-        """Return the number of parts that every worker computes its images in."""
-        recipe = self.recipe
-        fewest, most = recipe.batch // self.group.size, -(-recipe.batch // self.group.size)
-        parts = min(recipe.accumulate, fewest)
-        if 0 < recipe.crop_width < width:
-            # Full circles are cut into more: a part holds no more columns than one of windows.
-            images = max(1, -(-most // parts) * recipe.crop_width // width)
-            parts = min(-(-most // images), fewest)
-        return parts
 
     def _update(self, loss: Tensor, step: int, steps_per_epoch: int) -> Tensor:
         """Move the weights if loss and gradient are finite; return whether they are, 0-d bool."""

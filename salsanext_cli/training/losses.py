@@ -20,23 +20,13 @@ def weighted_cross_entropy(
     truth: Tensor,
     weights: Tensor,
     total_weight: Tensor | None = None,
-    smoothing: float = 0.0,
-    class_count: int | None = None,
 ) -> Tensor:
     """Return the mean of -log p(truth), each pixel weighing what its true class does, 0-d.
 
-    Of log-probabilities (P, T) of `class_count` classes and, behind them, of sets of classes; truth
-    (P,) int64; weights (T,). `total_weight` is that of all pixels, if these are only some. Smoothed
-    by ε, with K classes that have a weight, −log p(truth) becomes (1 − ε) (−log p(truth)) +
-    ε/K Σ_k (−log p(k)); `F.cross_entropy` weighs the terms of the sum by their own classes, so that
-    a common class is spread mostly over the rarest.
+    Log-probabilities (P, T), truth (P,) int64, weights (T,). `total_weight` is the weight of all
+    pixels, if these are a part of them.
     """
     loss = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
-    if smoothing:
-        counts = (weights[:class_count] > 0).to(weights.dtype)
-        shares = counts / counts.sum().clamp_min(1)
-        of_all = (log_probabilities[:, :class_count] * shares).sum(1)
-        loss = (1 - smoothing) * loss - smoothing * (weights[truth] * of_all).sum()
     total = weights[truth].sum() if total_weight is None else total_weight
     return loss / total.clamp_min(torch.finfo(total.dtype).tiny)
 
@@ -98,9 +88,7 @@ class SegmentationLoss(nn.Module):
 
     weights: Tensor
 
-    def __init__(
-        self, weights: Tensor, lovasz: float = 1.0, smoothing: float = 0.0, sets: ClassSets = ()
-    ) -> None:
+    def __init__(self, weights: Tensor, lovasz: float = 1.0, sets: ClassSets = ()) -> None:
         super().__init__()
         positive = weights.masked_fill(weights <= 0, math.inf)
         of_sets = [positive[list(several)].min().nan_to_num(posinf=0.0) for several in sets]
@@ -108,7 +96,6 @@ class SegmentationLoss(nn.Module):
         self.counts = self.weights > 0  # (T,) bool; stays on the CPU
         self.class_count = len(weights)
         self.lovasz = lovasz
-        self.smoothing = smoothing
         self.sets = sets
 
     def forward(
@@ -134,10 +121,8 @@ class SegmentationLoss(nn.Module):
         sets = [sent(torch.tensor(each), device) for each in self.sets]
         of_sets = [log_probabilities[:, each].logsumexp(1, keepdim=True) for each in sets]
         of_targets = torch.cat([log_probabilities, *of_sets], 1) if of_sets else log_probabilities
-        weights, smoothing = self.weights.to(precise), self.smoothing
-        loss = weighted_cross_entropy(
-            of_targets, sent(truth, device), weights, total_weight, smoothing, self.class_count
-        )
+        weights = self.weights.to(precise)
+        loss = weighted_cross_entropy(of_targets, sent(truth, device), weights, total_weight)
         if self.lovasz:
             if of_sets:
                 single = (truth < self.class_count).nonzero()[:, 0]

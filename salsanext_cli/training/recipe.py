@@ -46,7 +46,6 @@ class Recipe:
     samples_per_epoch: Count = 0
     crop_width: Count = 0
     crop_on_class: Share = 0.0
-    whole_epochs: Count = 0
     optimiser: Annotated[str, one_of("sgd", "adamw")] = "sgd"
     learning_rate: Rate = 0.01
     schedule: Annotated[str, one_of("decay", "one-cycle")] = "decay"
@@ -59,7 +58,6 @@ class Recipe:
     dropout: ShareBelow1 = 0.2
     class_weight: Amount = 0.5
     lovasz: Amount = 1.0
-    label_smoothing: ShareBelow1 = 0.0
     rotate: Share = 0.5
     shift: Share = 0.5
     flip: Share = 0.5

@@ -169,7 +169,7 @@ def _extended(
 ) -> TrainingSettings:
     """Return recorded settings, with more epochs if those before stay the same."""
     recipe = wanted.recipe
-    steady = recipe.schedule == "decay" and not recipe.whole_epochs and not recipe.folds
+    steady = recipe.schedule == "decay" and not recipe.folds
     if (steady or always) and recorded.recipe.epochs < recipe.epochs:
         return replace(recorded, recipe=replace(recorded.recipe, epochs=recipe.epochs))
     return recorded

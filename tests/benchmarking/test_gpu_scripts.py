@@ -1,24 +1,19 @@
 # SPDX-License-Identifier: MIT
-"""Scripts of a run on a GPU: packed scans, ray casting, scenes that are simulated meanwhile."""
+"""Scripts of a run on a GPU: packed scans, ray casting, and all parts of the run."""
 
 import json
 import math
 
 import gpu_run
-import gpu_train
 import numpy as np
 import pack
 import pytest
-import scene_pool
-from gpu_measures import Figures
 from ray_casting import RayScene
-from scans import SMALL, make_scan, write_bin, write_sequence
+from scans import write_bin, write_sequence
 
-from salsanext_cli import Scan, read_labels, read_scan, write_labels
-from salsanext_cli.errors import FormatError, LabelError, NoInputError, TrainingError, UsageError
+from salsanext_cli import read_labels, read_scan
 from salsanext_cli.network.card import read_card
 from salsanext_cli.results.layout import find_scans
-from salsanext_cli.synthesis.drive import Frame
 from salsanext_cli.synthesis.mesh import Mesh, Skin
 from salsanext_cli.synthesis.surfaces import Material
 
@@ -48,28 +43,6 @@ def test_packed_scans_come_back_as_fine_as_they_are_stored(tmp_path):
             np.testing.assert_array_equal(read_labels(new.label_path), labels)
             stored = other.points.astype(np.float64) * 128
             np.testing.assert_array_equal(stored, np.rint(stored))
-
-
-def test_scans_that_cannot_be_packed_are_named(tmp_path, monkeypatch):
-    data = write_sequence(tmp_path / "data/sequences/00", ["a"], count=50).parents[1]
-    target, scan = tmp_path / "p.npz", find_scans(data)[0]
-    with pytest.raises(UsageError, match=r"data, data"):
-        pack.pack([data, data], target)
-    write_labels(scan.label_path, np.full(50, 257))
-    with pytest.raises(LabelError, match=r"a\.label · label 257"):
-        pack.pack([data], target)
-    scan.label_path.unlink()
-    with pytest.raises(NoInputError, match="no labelled scans"):
-        pack.pack([data], target)
-    write_labels(scan.label_path, np.full(50, 40))
-    points = make_scan(50)
-    write_bin(scan.path, Scan(points.points, points.intensity * 255))
-    with pytest.raises(FormatError, match=r"a\.bin · intensity"):
-        pack.pack([data], target)
-    write_bin(scan.path, points)
-    monkeypatch.setattr(pack, "MAX_BYTES", 100)
-    with pytest.raises(UsageError, match="MiB"):
-        pack.pack([data], target)
 
 
 # Ray casting
@@ -126,89 +99,7 @@ def test_rays_hit_the_nearest_triangle(count):
     assert not cosine[~hit].any()
 
 
-def test_rays_hit_what_those_of_open3d_hit():
-    pytest.importorskip("open3d")
-    from salsanext_cli.synthesis.lidar import Scene
-
-    mesh, random = triangles(2000), np.random.default_rng(1)
-    directions = random.normal(size=(3000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    rays = np.concatenate([random.uniform(-15, 15, (3000, 3)), directions], axis=1)
-    (one, _, _), (other, _, _) = (kind(mesh).cast(rays) for kind in (RayScene, Scene))
-    # Open3d computes in float32, in which few rays miss an edge.
-    assert np.isclose(one, other, rtol=1e-4, atol=1e-5).mean() > 0.999
-
-
-# Scenes
-
-
-def test_complete_scenes_stand_for_those_that_are_planned(tmp_path, monkeypatch):
-    def record(seed, number, scans, *_):
-        for index in range(scans):
-            yield Frame(make_scan(3000, index), np.full(3000, 40, np.uint32), np.eye(4), 0.0)
-
-    monkeypatch.setattr(scene_pool, "record", record)
-    pool = scene_pool.ScenePool(tmp_path, SMALL, scans=1, validation=0)
-    pool.make(0)
-    source = pool.source("hdl64", planned=1000)
-    assert len(source.files) == 1000
-    assert {source.files[i].name for i in (0, 5, 999)} == {"000000/000000"}
-    with pytest.raises(IndexError):
-        source.files[1000]
-    pool.make(2)
-    source.files._looked = -math.inf
-    assert {source.files[i].name for i in range(9)} == {"000000/000000", "000001/000000"}
-    assert pool.count("hdl64") == 2
-    assert pool.count("random") == 0
-    now = pool.source("hdl64")
-    assert [file.name for file in now.files] == ["000000/000000", "000001/000000"]
-    scan, labels = now.read(now.files[0], ())
-    assert len(scan) == len(labels) > 2000
-    assert now.sensor_of(now.files[0]).intensity_quantiles
-    assert source.sensor_of(now.files[0]) == now.sensor_of(now.files[0])
-
-
-# Real scans
-
-
-def test_both_sensors_of_pandaset_are_one_source_and_held_out_from_the_same_time(tmp_path):
-    for name, stems in (("pandaset", range(12)), ("pandargt", (0, 1, 2, 7))):
-        folder = tmp_path / name / "sequences/002"
-        write_sequence(folder, [f"{stem:02}" for stem in stems], count=2000)
-    roots = [tmp_path / "pandaset", tmp_path / "pandargt"]
-    pack.pack(roots, tmp_path / "p.npz")
-    (source,), held_out = gpu_train.real_data(tmp_path / "p.npz", tmp_path / "real", SMALL, 1)
-    sensors = [f"{name}-002/{stem}" for name in ("pandaset", "pandargt") for stem in ("00", "01")]
-    assert [file.name for file in source.files] == sensors
-    assert {name: [f.stem for f in held.files] for name, held in held_out.items()} == {
-        "pandaset": [f"{stem:02}" for stem in range(2, 12)],
-        "pandargt": ["02", "07"],
-    }
-    # Each sensor is fitted to all its scans, and its held-out scans are projected with it.
-    assert source.fitted.keys() == {"pandaset-002", "pandargt-002"}
-    for held in held_out.values():
-        assert held.fitted == source.fitted
-        assert held.files[0].sequence in held.fitted
-
-    pack.pack(roots[1:], tmp_path / "alone.npz")
-    with pytest.raises(TrainingError, match=r"alone\.npz .*without pandaset"):
-        gpu_train.real_data(tmp_path / "alone.npz", tmp_path / "other", SMALL, 1)
-
-
 # The run
-
-
-def test_parts_and_figures(tmp_path, capsys):
-    assert gpu_run.parts_of("train, tests") == ["tests", "train"]
-    with pytest.raises(SystemExit):
-        gpu_run.main(str(tmp_path), "--parts", "tests,fly")
-    assert "fly: not of tests, speed, training, train" in capsys.readouterr().err
-    figures = Figures(tmp_path / "f.json", "cpu", deadline=-1.0)
-    assert not figures.has_time_for("more")
-    assert json.loads((tmp_path / "f.json").read_text())["figures"][0]["name"] == "more"
-    calls = []
-    assert figures.seconds(lambda: calls.append(1), 3) >= 0
-    assert len(calls) == 4
 
 
 @pytest.mark.slow

@@ -6,8 +6,6 @@ import json
 import logging
 import os
 import re
-import signal
-import time
 
 import pytest
 import typer
@@ -68,7 +66,7 @@ def test_memory_that_runs_out_is_one_line(monkeypatch, raised):
         except Exception:
             raise SystemError("error return without exception set")  # noqa: B904
 
-    monkeypatch.setattr("salsanext_cli.__main__.end_on_signals", lambda: None)
+    monkeypatch.setattr("salsanext_cli.__main__.handle_signals", lambda: None)
     monkeypatch.setattr("salsanext_cli.cli.app.main", fail)
     with pytest.raises(SystemExit, match=r"^error: memory ran out · "):
         main()
@@ -195,36 +193,6 @@ def test_an_error_is_one_line_and_a_status():
     ):
         result = invoke(raising(error), *flags)
         assert (result.exit_code, result.stdout, result.stderr) == (status, stdout, stderr)
-
-
-def test_sigterm_is_status_143_and_unwinds(tmp_path):
-    lock = tmp_path / "lock"
-    # Not that of a library which another test has used.
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-
-    def body(output):
-        lock.touch()
-        try:
-            os.kill(os.getpid(), signal.SIGTERM)
-            time.sleep(10)
-        finally:
-            lock.unlink()
-
-    result = invoke(body)
-    assert result.exit_code == 143
-    assert result.stderr == "terminated: everything finished so far is intact\n"
-    assert not lock.exists()
-    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
-
-
-def test_a_program_that_handles_sigterm_goes_on_doing_so():
-    seen = []
-    before = signal.signal(signal.SIGTERM, lambda *_: seen.append(1))
-    try:
-        result = invoke(lambda _: os.kill(os.getpid(), signal.SIGTERM))
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    assert (result.exit_code, seen) == (0, [1])
 
 
 def test_a_bug_keeps_its_traceback():

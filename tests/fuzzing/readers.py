@@ -176,7 +176,7 @@ READERS: dict[str, Callable[[Path], Reader]] = {
         f"pcd {form}": lambda folder, form=form: Reader("s.pcd", _pcd(folder, form), _scan)
         for form in ("ascii", "binary", "binary_compressed")
     },
-    "las": lambda _: Reader("a.las", las(_table()), _scan),
+    "las": lambda folder: Reader("a.las", las(folder, _table()), _scan),
     "npy of points": lambda _: Reader("s.npy", structured(_table()), _scan),
     "npz": lambda _: Reader("s.npz", npz(_table()), _scan),
     "feather": lambda _: Reader("s.feather", feather(_table()), _scan),

@@ -143,33 +143,28 @@ def disturb(trial: Trial, folder: Path, number: signal.Signals, step: int) -> No
     trial.require_made_good(folder, number)
 
 
-SIGNALS = pytest.mark.parametrize(
-    "number", [signal.SIGKILL, signal.SIGTERM], ids=lambda number: number.name
+SLOW = (
+    *((name, signal.SIGTERM, 12) for name in COMMANDS),
+    *((name, signal.SIGKILL, 12) for name in ("knn-refine", "tune")),
 )
+"""`predict`, `synth` and `train` are killed at their steps in `test_killed_runs`."""
 
 
 @pytest.mark.parametrize(
-    ("name", "number"),
+    ("name", "number", "most"),
     [
-        ("export-ply", signal.SIGTERM),
-        pytest.param("knn-refine", signal.SIGKILL, marks=pytest.mark.slow),
+        ("export-ply", signal.SIGTERM, 1),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in SLOW),
     ],
 )
-def test_a_signal_at_some_step(
-    tmp_path: Path, trials: Callable[[str], Trial], name: str, number: signal.Signals
+def test_a_signal_at_a_step(
+    tmp_path: Path, trials: Callable[[str], Trial], name: str, number: signal.Signals, most: int
 ) -> None:
-    step = random.Random(f"{name} {number}").randint(1, trials(name).steps)
-    disturb(trials(name), tmp_path / "trial", number, step)
-
-
-@pytest.mark.slow
-@SIGNALS
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_signal_at_many_steps(
-    tmp_path: Path, trials: Callable[[str], Trial], name: str, number: signal.Signals
-) -> None:
-    for step in range(1, trials(name).steps + 1, max(1, trials(name).steps // 12)):
-        disturb(trials(name), tmp_path / f"{step}", number, step)
+    """At most `most` steps, evenly spaced."""
+    trial = trials(name)
+    spacing = max(1, trial.steps // most)
+    for step in range((spacing + 1) // 2, trial.steps + 1, spacing):
+        disturb(trial, tmp_path / f"{step}", number, step)
 
 
 @pytest.fixture(scope="module")

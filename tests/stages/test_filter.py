@@ -1,25 +1,22 @@
 # SPDX-License-Identifier: MIT
-import resource
 import shutil
 from dataclasses import replace
 from functools import partial
-from operator import itemgetter
 
 import numpy as np
 import pytest
-from bags import KINDS, START, STEP, TOPIC, cloud, structured, text, write_bag
+from bags import KINDS, START, STEP, TOPIC, cloud, structured, write_bag
 from evaluated import World
 from scans import files_below, make_scan, write_array, write_bin
 
-from salsanext_cli import LabelSpace, Scan, label_space, read_scan, sensor, write_labels
-from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError
+from salsanext_cli import LabelSpace, Scan, label_space, sensor, write_labels
+from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.geometry.scan_traits import traits_of
 from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
-from salsanext_cli.results.manifest import Manifest, ScanSource, StageRecord
+from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.stages import filter as stage
 from salsanext_cli.stages.filter import filter_scans, named_classes
 
 SPACE = label_space()
@@ -195,166 +192,25 @@ def test_scans_that_changed_or_lack_labels_fail_alone(apply, world, tmp_path):
     assert not (tmp_path / "to/sequences/08/velodyne").exists()
 
 
-@pytest.fixture
-def bag_of(tmp_path):
-    """Return what writes a bag of a kind with three clouds, the second organised and padded."""
-
-    def make(kind, **compression):
-        points = structured(6)
-        clouds = [cloud(points), cloud(points[::-1].copy(), height=2, row_padding=5), cloud(points)]
-        times = [START, START + STEP, START + STEP]
-        written = [(TOPIC, time, each) for time, each in zip(times, clouds, strict=True)]
-        written += [("/rear", START + 1, cloud(points)), ("/name", START + 2, text)]
-        path = write_bag(tmp_path, kind, sorted(written, key=itemgetter(1)), **compression)
-        for stem in (START, START + STEP, f"{START + STEP}_1"):
-            raw = np.uint32([10, 40, 10, 0, 40, 10 if stem == START else 30])
-            write_labels(output_path(tmp_path / "out", "drive", "predictions", str(stem)), raw)
-        return path
-
-    return make
-
-
-def contents(bag):
-    """Return the messages of a bag, with points for clouds."""
-    from rosbags.highlevel import AnyReader
-
-    with AnyReader([bag]) as reader:
-        for connection, time, raw in reader.messages():
-            message = reader.deserialize(raw, connection.msgtype)
-            if hasattr(message, "data") and connection.topic != "/name":
-                rows = message.data.reshape(message.height, message.row_step)
-                points = rows[:, : message.width * message.point_step].reshape(-1, 32).tobytes()
-                kept = replace(message, data=0, width=0, height=0, row_step=0)
-                yield connection.topic, time, str(kept), np.frombuffer(points, "V32")
-            else:
-                yield connection.topic, time, str(message), np.zeros(0)
-
-
-@pytest.mark.parametrize(
-    ("kind", "compression"),
-    [
-        *((".bag", "LZ4"), (".db3", "MESSAGE")),
-        *(
-            pytest.param(*given, marks=pytest.mark.slow)
-            for given in ((".mcap", ""), (".db3", "FILE"))
-        ),
-    ],
-)
-def test_a_bag_keeps_all_but_the_points_that_go(bag_of, tmp_path, kind, compression):
-    path = bag_of(kind, compression=compression)
-    source = (path if kind == ".bag" else path.parent) / TOPIC.strip("/")
-    options = {"drop": ["car"], "query": ResultQuery(source)}
-    outcome = filter_scans(tmp_path / "out", tmp_path / "to", **options)
-    assert (outcome.done, outcome.kept_points) == (3, (18, 11))
-    target = tmp_path / "to" / ("drive.bag" if kind == ".bag" else "drive")
-    for before, after in zip(contents(source.parent), contents(target), strict=True):
-        assert before[:3] == after[:3]
-        dropped = [0, 2, 5] if before[1] == START else [0, 2]
-        expected = np.delete(before[3], dropped) if before[0] == TOPIC else before[3]
-        np.testing.assert_array_equal(after[3], expected)
-    assert len(read_scan(target / TOPIC.strip("/") / f"{START + STEP}_1")) == 4
-    files = files_below(tmp_path / "to")
-    assert filter_scans(tmp_path / "out", tmp_path / "to", **options).skipped == 3
-    again = RunOptions(overwrite=True)
-    assert filter_scans(tmp_path / "out", tmp_path / "to", **options, options=again).done == 3
-    assert files_below(tmp_path / "to").keys() == files.keys()
-    next(each for each in (target, *target.glob("*.*")) if each.is_file()).write_bytes(b"mine")
-    again = RunOptions(overwrite=True, on_error="stop")
-    with pytest.raises(OutputError, match="was changed, or not written by salsanext"):
-        filter_scans(tmp_path / "out", tmp_path / "to", **options, options=again)
-
-
-def test_a_bag_that_fails_leaves_those_of_others(bag_of, tmp_path):
-    first, outputs = bag_of(".bag"), tmp_path / "out/sequences"
-    shutil.copy(first, first.with_name("evening.bag"))
-    shutil.copytree(outputs / "drive", outputs / "evening")
-    stems = {path.stem: "" for path in outputs.glob("drive/predictions/*")}
-    scans = {
-        name: ScanSource(str(tmp_path / f"{name}.bag" / TOPIC.strip("/")), stems)
-        for name in ("drive", "evening")
-    }
-    settings = {"label_space": SPACE.to_dict(), "sensor": sensor("hdl64").to_dict()}
-    Manifest(tmp_path / "out").write(StageRecord("predict", settings, ("predictions",), scans))
-    bad = output_path(tmp_path / "out", "drive", "predictions", f"{START + STEP}_1")
-    bad.write_bytes(bytes(4))
-    call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
-    done = []
-    options = RunOptions(progress=lambda *numbers: done.append(numbers))
-    outcome = call(options=options)
-    (failure,) = outcome.failures
-    assert (outcome.done, outcome.skipped, outcome.kept_points) == (3, 0, (18, 11))
-    assert "6 points · expected 1, as it has labels" in failure.reason
-    assert done == [(3, 6)]
-    assert {path.name for path in (tmp_path / "to").glob("*.bag")} == {"evening.bag"}
-    shutil.copy(outputs / "evening/predictions" / bad.name, bad)
-    assert (call().done, call().skipped) == (3, 6)
-
-
-def test_a_bag_is_written_whole_or_not_at_all(bag_of, tmp_path):
-    bag = bag_of(".bag")
-    call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
-    for options in ({"split": True}, {"options": RunOptions(shard=Shard(1, 2))}):
-        with pytest.raises(UsageError, match="a bag is written whole"):
-            call(query=ResultQuery(bag / TOPIC.strip("/")), **options)
-    last = output_path(tmp_path / "out", "drive", "predictions", f"{START + STEP}_1")
-    last.write_bytes(bytes(4))
-    stop = RunOptions(on_error="stop")
-    with pytest.raises(LabelError, match="6 points · expected 1, as it has labels"):
-        call(query=ResultQuery(bag / TOPIC.strip("/")), options=stop)
-    last.unlink()
-    with pytest.raises(NoInputError, match=r"1 of 3 clouds are left out: \d+_1"):
-        call(query=ResultQuery(bag / TOPIC.strip("/")), options=stop)
-    assert {path.name for path in (tmp_path / "to").iterdir()} <= {
-        "filter.json",
-        ".salsanext.files",
-    }
-    again = RunOptions(overwrite=True)
-    call(query=ResultQuery(bag / TOPIC.strip("/")), indices=True, options=again)
-    mask = np.load(tmp_path / f"to/sequences/drive/masks/{START}.npy")
-    assert mask.tolist() == [False, True, False, True, True, False]
-
-
-def test_a_bag_that_is_changed_while_it_is_written_anew_is_kept(bag_of, tmp_path, monkeypatch):
-    bag, target = bag_of(".bag"), tmp_path / "to/drive.bag"
-    call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
-    call = partial(call, query=ResultQuery(bag / TOPIC.strip("/")))
-    assert not call().failures
-    write = stage.write_bag_subset
-
-    def slowly(*given):
-        write(*given)
-        target.write_bytes(b"mine")
-
-    monkeypatch.setattr(stage, "write_bag_subset", slowly)
-    (failure,) = call(options=RunOptions(overwrite=True)).failures
-    assert "drive.bag" in failure.reason
-    assert target.read_bytes() == b"mine"
-
-
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_bag_on_a_full_disk_names_the_new_one(bag_of, tmp_path, monkeypatch, kind):
-    bag = bag_of(kind)
-    source = (bag if kind == ".bag" else bag.parent) / TOPIC.strip("/")
-    target = tmp_path / "to" / ("drive.bag" if kind == ".bag" else "drive")
+def test_a_bag_is_refused_but_for_masks(tmp_path, kind):
+    """Three clouds, of which the last two have one time."""
+    points = structured(6)
+    times = [START, START + STEP, START + STEP]
+    path = write_bag(tmp_path, kind, [(TOPIC, time, cloud(points)) for time in times])
+    source = (path if kind == ".bag" else path.parent) / TOPIC.strip("/")
+    for stem in (START, START + STEP, f"{START + STEP}_1"):
+        raw = np.uint32([10, 40, 10, 0, 40, 30])
+        write_labels(output_path(tmp_path / "out", "drive", "predictions", str(stem)), raw)
     call = partial(filter_scans, tmp_path / "out", tmp_path / "to", drop=["car"])
-    call = partial(call, query=ResultQuery(source))
-    write, limits = stage.write_bag_subset, resource.getrlimit(resource.RLIMIT_FSIZE)
-
-    def without_room(*given):
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
-        try:
-            write(*given)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(stage, "write_bag_subset", without_room)
-        (failure,) = call().failures
-    assert failure.code == "output"
-    assert failure.reason.startswith(f"{target} ")
-    names = {path.name for path in (tmp_path / "to").iterdir()}
-    assert names <= {"filter.json", ".salsanext.files"}
-    assert call().done == 3
+    with pytest.raises(UsageError) as refused:
+        call(query=ResultQuery(source))
+    assert (refused.value.subject, refused.value.code) == (str(source.parent), "usage")
+    assert f"`salsanext convert {source.parent} DATA`" in str(refused.value.remedy)
+    assert not (tmp_path / "to").exists()
+    assert call(query=ResultQuery(source), indices=True).kept_points == (18, 12)
+    mask = np.load(tmp_path / f"to/sequences/drive/masks/{START}.npy")
+    assert mask.tolist() == [False, True, False, True, True, True]
 
 
 def test_merged_classes_have_their_own_names():

@@ -141,7 +141,7 @@ OTHERWISE = dict.fromkeys(CHANGES, 0.5) | {"sensors": "fitted", "no_intensity": 
 @pytest.mark.parametrize(
     ("stop", "changes"),
     [
-        (1, {"accumulate": 2, "clip_gradient": 0.5, "precision": "float16", "whole_epochs": 1}),
+        (1, {"accumulate": 2, "clip_gradient": 0.5, "precision": "float16"}),
         (4, {"precision": "bfloat16", "samples_per_epoch": 8, **OTHERWISE}),
     ],
 )
@@ -195,12 +195,17 @@ def test_another_cpu_resumes_in_the_precision_of_the_first(dataset, tmp_path, mo
 
 
 def test_a_training_of_before_a_key_goes_on(dataset, tmp_path):
-    """A key that is not recorded was the default; another value is another recipe."""
+    """A key that is not recorded was the default, and one that is gone was off if it was 0."""
     first = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
     path = tmp_path / "run/train.json"
     manifest = json.loads(path.read_text("utf-8"))
-    for key in ("mix", "paste", "label_smoothing", "whole_epochs"):
-        del manifest["settings"]["recipe"][key]
+    recorded = manifest["settings"]["recipe"]
+    del recorded["mix"], recorded["paste"]
+    recorded["label_smoothing"] = 0.1
+    path.write_text(json.dumps(manifest), "utf-8")
+    with pytest.raises(OutputError, match=r"recipe\.label_smoothing was 0\.1"):
+        go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
+    recorded["label_smoothing"] = 0.0
     path.write_text(json.dumps(manifest), "utf-8")
     with pytest.raises(OutputError, match=r"recipe\.mix was 0\.0 and is 0\.5"):
         go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1, mix=0.5))

@@ -16,7 +16,6 @@ from salsanext_cli.training.losses import (
     SegmentationLoss,
     jaccard_gradient,
     lovasz_softmax,
-    weighted_cross_entropy,
 )
 
 Numbers = npt.NDArray[np.float64]
@@ -89,13 +88,10 @@ def test_the_loss_passes_gradcheck() -> None:
     assert torch.autograd.gradcheck(lambda x: loss(x, truth), (logits,))
 
 
-@pytest.mark.parametrize("smoothing", [0.0, 0.1])
 @pytest.mark.parametrize("images", [0, 2])
-def test_without_a_pixel_that_counts_loss_and_gradient_are_zero(
-    images: int, smoothing: float
-) -> None:
+def test_without_a_pixel_that_counts_loss_and_gradient_are_zero(images: int) -> None:
     logits = torch.randn(images, 4, 3, 5, requires_grad=True)
-    loss = SegmentationLoss(torch.tensor([0.0, 1.0, 1.0, 0.0]), 1.0, smoothing)
+    loss = SegmentationLoss(torch.tensor([0.0, 1.0, 1.0, 0.0]))
     value = loss(logits, torch.tensor([0, 3]).repeat(15)[: 15 * images].reshape(images, 3, 5))
     value.backward()
     assert value.shape == ()
@@ -125,37 +121,6 @@ def test_logits_may_be_large() -> None:
 
 
 # Smoothing
-
-
-def test_smoothed_with_equal_weights_it_is_torchs() -> None:
-    truth, logits, weights = torch.randint(0, 5, (30,)), torch.randn(30, 5), torch.full((5,), 3.0)
-    ours = weighted_cross_entropy(logits.log_softmax(1), truth, weights, None, 0.2)
-    torch.testing.assert_close(ours, F.cross_entropy(logits, truth, weights, label_smoothing=0.2))
-
-
-def test_smoothing_gives_nothing_to_ignored_classes() -> None:
-    """A slow loop over pixels and classes; classes 0 and 3 are ignored, in the truth too."""
-    weights = np.array([0.0, 1.0, 4.0, 0.0, 0.5])
-    random = np.random.default_rng(3)
-    logits, truth = random.normal(0, 2, (5, 24)), random.integers(0, 5, 24)
-    total = weight = 0.0
-    for pixel, label in enumerate(truth):
-        if weights[label] == 0:
-            continue
-        each = np.exp(logits[:, pixel])
-        wanted = dict.fromkeys((1, 2, 4), 0.1 / 3)
-        wanted[label] += 0.9
-        total -= weights[label] * sum(t * np.log(each[c] / each.sum()) for c, t in wanted.items())
-        weight += weights[label]
-    given = torch.from_numpy(logits).reshape(1, 5, 4, 6).requires_grad_()
-    loss = SegmentationLoss(torch.from_numpy(weights), 0.0, 0.1)
-    value = loss(given, torch.from_numpy(truth).reshape(1, 4, 6))
-    assert float(value.detach()) == pytest.approx(total / weight, rel=1e-12)
-    value.backward()
-    assert given.grad is not None
-    assert (given.grad[:, [0, 3]] >= 0).all()  # pushed down wherever anything is
-    ignored = torch.from_numpy(np.isin(truth, [0, 3])).reshape(4, 6)
-    assert not given.grad[0, :, ignored].any()
 
 
 def test_class_weights_are_inverse_square_roots_of_shares() -> None:

@@ -24,8 +24,6 @@ from salsanext_cli.training.recipe import Recipe
 WEIGHTS = torch.tensor([0.0, 1.0, 2.0, 0.5])
 CASES: dict[str, dict[str, object]] = {
     "both losses": {},
-    "smoothed": {"label_smoothing": 0.2},
-    "smoothed in parts": {"label_smoothing": 0.2, "lovasz": 0.0, "accumulate": 2},
     "clipped": {"clip_gradient": 0.01},
     "in parts": {"lovasz": 0.0, "accumulate": 2},
     "nothing labelled": {"labels": 0},

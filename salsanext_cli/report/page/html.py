@@ -17,7 +17,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, escaped, printable
 from salsanext_cli.measures.scan_counts import BAND_NAMES, ScanCounts
-from salsanext_cli.measures.scores import Counts, band_rows, largest_confusions, scored_rows, scores
+from salsanext_cli.measures.scores import Counts, largest_confusions, scored_rows, scores
 from salsanext_cli.report.colours import COLOUR_MAP, WRONG, Colours, map_colours, screen_colours
 from salsanext_cli.report.page.clouds import NO_VALUE, Scale, base64_of, encode_cloud
 from salsanext_cli.report.page.run_results import (
@@ -31,7 +31,7 @@ from salsanext_cli.report.page.run_results import (
     leading_kind,
 )
 from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
-from salsanext_cli.report.tables import percent
+from salsanext_cli.report.tables import BAND_HEADINGS, band_cells, percent
 from salsanext_cli.results.layout import find_outputs
 from salsanext_cli.version import __version__
 
@@ -227,16 +227,11 @@ def _bands(compared: Comparison, space: LabelSpace) -> str:
     """Return a table of the scores of the distance bands; none if they were not counted."""
     bands = (scores(band, space) for band in compared.counts.bands)
     found = dict(zip(BAND_NAMES, bands, strict=bool(compared.counts.bands)))
-    names = ("distance", "mean IoU % of the same classes", "accuracy %", "points", "absent classes")
-    lines = []
-    for name, band, mean, absent in band_rows(found):
-        if band.points:
-            shares = (percent(mean), percent(band.accuracy))
-            cells = (name, *shares, f"{band.points:,}", ", ".join(absent))
-            lines.append("".join(f"<td>{_text(cell)}</td>" for cell in cells))
-    heading = "".join(f"<th>{name}</th>" for name in names)
-    table = "".join(f"<tr>{line}</tr>" for line in (heading, *lines))
-    return f"<h3>By distance</h3><table>{table}</table>" if lines else ""
+    with_points = {name: band for name, band in found.items() if band.points}
+    rows = [[f"<td>{_text(cell)}</td>" for cell in row] for row in band_cells(with_points)]
+    heading = [f"<th>{name}</th>" for name in BAND_HEADINGS]
+    table = "".join(f"<tr>{''.join(line)}</tr>" for line in (heading, *rows))
+    return f"<h3>By distance</h3><table>{table}</table>" if rows else ""
 
 
 def _confusions(confusion: Counts, space: LabelSpace) -> list[str]:

@@ -65,12 +65,6 @@ class SamplingPlan:
         """Number of batches of the whole training."""
         return self.steps_per_epoch * self.recipe.epochs
 
-    def crop_width(self, position: int) -> int:
-        """Return the columns of the window of a sample, 0 for the full circle."""
-        epoch = position // (self.steps_per_epoch * self.recipe.batch)
-        last = epoch >= self.recipe.epochs - self.recipe.whole_epochs
-        return 0 if self.recipe.whole_epochs and last else self.recipe.crop_width
-
     def batches(
         self, first_step: int = 0, group: ProcessGroup = SINGLE_PROCESS
     ) -> Iterator[list[SampleKey]]:
@@ -139,7 +133,7 @@ class Samples(Dataset[Sample]):
     def __getitem__(self, key: SampleKey) -> Sample:
         """Return the sample at a position of the training, of the scan with an index."""
         position, index = key
-        recipe, width = self.recipe, self.plan.crop_width(position)
+        recipe = self.recipe
         random = np.random.default_rng((recipe.seed, SAMPLE, position))
         scan, labels = self._mixed(index, random)
         view = self._view(index, random)
@@ -157,7 +151,9 @@ class Samples(Dataset[Sample]):
         if _drawn(recipe.no_intensity, random):
             channels = match_intensity(channels, NO_INTENSITY, self.sensor.intensity_quantiles)
         scored = of_targets(self.sources[0].space.scored, self.sets, np.any)
-        columns = augment.choose_columns(truth, scored, width, recipe.crop_on_class, random)
+        columns = augment.choose_columns(
+            truth, scored, recipe.crop_width, recipe.crop_on_class, random
+        )
         return normalise(channels[:, :, columns], self.sensor), truth[:, columns]
 
     def _view(self, index: int, random: np.random.Generator) -> Sensor:

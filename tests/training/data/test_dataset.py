@@ -77,15 +77,6 @@ def test_every_scan_is_drawn_once_before_any_is_drawn_again(size: int) -> None:
     assert rounds[0] != rounds[1][: len(rounds[0])]
 
 
-def test_the_last_epochs_are_whole_and_a_batch_is_never_mixed() -> None:
-    """More whole epochs than there are epochs are all of them."""
-    for whole, expected in ((0, 4 * [32]), (2, [32, 32, 0, 0]), (9, 4 * [0])):
-        recipe = Recipe(epochs=4, batch=3, samples_per_epoch=4, crop_width=32, whole_epochs=whole)
-        plan = SamplingPlan([5], recipe)
-        batches = [{plan.crop_width(position) for position, _ in batch} for batch in plan.batches()]
-        assert batches == [{width} for width in expected for _ in range(plan.steps_per_epoch)]
-
-
 @pytest.mark.parametrize("size", [1, 2, 3, 4])
 def test_workers_together_draw_what_one_alone_draws(size: int) -> None:
     plan = SamplingPlan([8], Recipe(epochs=2, batch=5))
@@ -108,11 +99,11 @@ class OneThread(Samples):
 
 
 def test_batches_do_not_depend_on_the_number_of_workers(files: list[ScanFile]) -> None:
-    recipe = Recipe(epochs=2, batch=2, crop_width=32, mix=0.5, paste=0.5, whole_epochs=1)
+    recipe = Recipe(epochs=2, batch=2, crop_width=32, mix=0.5, paste=0.5)
     one_thread = OneThread([Source(files, SPACE, SMALL)], SMALL, recipe, RARE)
     alone, helped = (list(batches(one_thread, 0, n)) for n in (0, 1))
     assert len(alone) == len(helped) == 6
-    assert [images.shape[3] for images, *_ in alone] == 3 * [32] + 3 * [SMALL.width]
+    assert [images.shape[3] for images, *_ in alone] == 6 * [32]
     for one, other in zip(alone, helped, strict=True):
         for a, b in zip(one, other, strict=True):
             assert torch.equal(a, b)

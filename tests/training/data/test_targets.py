@@ -52,11 +52,11 @@ def test_the_probability_of_a_set_is_the_sum_of_its_classes(truth: list[int], se
     logits = np.random.default_rng(seed).normal(0, 2, (len(truth), 5))
     given_logits = torch.from_numpy(logits.T.reshape(1, 5, 1, -1))
     targets = torch.tensor(truth).reshape(1, 1, -1)
-    loss = SegmentationLoss(torch.from_numpy(weights), 0.0, 0.0, sets)
+    loss = SegmentationLoss(torch.from_numpy(weights), 0.0, sets)
     expected = slow_loss(logits, np.array(truth), weights, sets)
     assert float(loss(given_logits, targets)) == pytest.approx(expected, abs=1e-9)
     single = [i for i, target in enumerate(truth) if 0 < target < 4]
-    both = SegmentationLoss(torch.from_numpy(weights), 1.0, 0.0, sets)
+    both = SegmentationLoss(torch.from_numpy(weights), 1.0, sets)
     flat = torch.from_numpy(logits[single]).softmax(1)
     lovasz = lovasz_softmax(flat, torch.tensor([truth[i] for i in single], dtype=torch.long))
     expected += float(lovasz) if single else 0
