@@ -83,7 +83,6 @@ def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, full_weights):
         ("predict", data, out, *network),
         ("predict", data, out, *network, "--jobs", 2, "--overwrite"),
         ("uncertainty", data, out, *network, "--samples", 2),
-        ("uncertainty", data, tmp_path / "analytic", *network, "--method", "analytic"),
         ("eval", "--out", out),
         ("export-ply", "--out", out, "--colour", "uncertainty"),
         ("picture", out, "--limit", 1, "--gif"),
