@@ -8,6 +8,7 @@ from salsanext_cli.cli.console import guarded
 from salsanext_cli.errors import UsageError
 
 REMOVED = {
+    ("", "--backend ray"): "use `--backend dask`, or `--shard I/N` for each machine",
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
 }
 """Remedy by command, "" for all commands, and option, with its value if other values remain."""

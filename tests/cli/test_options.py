@@ -113,6 +113,8 @@ def test_values_are_completed():
     [
         ("uncertainty", "--method", "analytic"),
         ("uncertainty", "--method=sampling"),
+        ("predict", "--backend", "ray"),
+        ("eval", "--backend=ray"),
     ],
     ids=" ".join,
 )
