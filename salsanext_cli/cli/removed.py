@@ -8,6 +8,8 @@ from salsanext_cli.cli.console import guarded
 from salsanext_cli.errors import UsageError
 
 REMOVED = {
+    ("pick", "--strategy"): "use `pick` without it: scans are uncertain and unlike each other",
+    ("pick", "--disagreement"): "use `pick` without it: uncertainty is that of the network",
     ("", "--backend ray"): "use `--backend dask`, or `--shard I/N` for each machine",
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
 }

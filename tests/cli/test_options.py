@@ -115,6 +115,8 @@ def test_values_are_completed():
         ("uncertainty", "--method=sampling"),
         ("predict", "--backend", "ray"),
         ("eval", "--backend=ray"),
+        ("pick", "--strategy", "both"),
+        ("pick", "--disagreement", "out"),
     ],
     ids=" ".join,
 )
