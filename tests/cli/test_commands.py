@@ -223,8 +223,6 @@ def test_wrong_settings_are_status_two(run, predicted, weights, monkeypatch):
         ("export-ply --format obj", "--format · obj"),
         ("picture --colour range --scale 2 1", "--scale · 2.0 1.0"),
         ("picture --colour label --scale 1 2", "--scale · --colour is label"),
-        ("picture --fps nan", "--fps · nan"),
-        ("picture --gif --shard 1/2", "--gif · --shard 1/2"),
         (
             "tune dropout {data} other.safetensors --split valid --weights {weights} --samples 1",
             "--samples · 1",

@@ -85,7 +85,7 @@ def test_no_command_opens_a_socket_or_loads_telemetry(tmp_path, full_weights):
         ("uncertainty", data, out, *network, "--samples", 2),
         ("eval", "--out", out),
         ("export-ply", "--out", out, "--colour", "uncertainty"),
-        ("picture", out, "--limit", 1, "--gif"),
+        ("picture", out, "--limit", 1),
         ("project", data, steps, "--sensor", sensor),
         ("predict", steps, steps, *network),
         ("knn-refine", steps),

@@ -115,6 +115,8 @@ def test_values_are_completed():
         ("uncertainty", "--method=sampling"),
         ("predict", "--backend", "ray"),
         ("eval", "--backend=ray"),
+        ("picture", "--gif"),
+        ("picture", "--fps=2"),
         ("pick", "--strategy", "both"),
         ("pick", "--disagreement", "out"),
     ],
