@@ -29,7 +29,7 @@ from salsanext_cli.report.scan_pictures import (
 from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.result_folder import ScanResults
 
-RED, GREEN, RARE = (255, 0, 0), (0, 255, 0), (30, 40, 250)
+RED, GREEN = (255, 0, 0), (0, 255, 0)
 SPACE = label_space()
 CAR, SIDEWALK = 10, 48
 
