@@ -166,7 +166,8 @@ def dask_pool(options: RunOptions) -> Iterator[WorkerPool]:
 
         def run(work: Work, cut: Sequence[Chunk]) -> Results:
             left = (client.submit(partial(work, chunk), pure=False) for chunk in cut)
-            sent = distributed.as_completed(islice(left, limit or CHUNKS_IN_FLIGHT * workers))
+            first = islice(left, limit or CHUNKS_IN_FLIGHT * workers)
+            sent = distributed.as_completed(first, loop=client.loop)
             for future in sent:
                 sent.update(islice(left, 1))
                 yield future.result()
