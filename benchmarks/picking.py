@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scores over the number of labelled scans, for each strategy of `pick` and several seeds.
+"""Scores over the number of labelled scans, for several seeds of `pick`.
 
 Scans are picked from a labelled pool, get its labels in the place of a person's, and are trained
 on with the recipe `finetune`. The weights of the end are scored on the scans of another data set of
@@ -8,7 +8,7 @@ deviation over seeds. The seed is that of `pick` and of the training. Complete r
 repeated.
 
 Run: python benchmarks/picking.py pool/ others/ folder/ [--counts 2 4 8] [--seeds 5]
-     [--strategies both diverse] [--weights default] [--train --epochs 2]
+     [--weights default] [--train --epochs 2]
 """
 
 import argparse
@@ -16,7 +16,6 @@ from pathlib import Path
 
 from commands import link_data_set, mean_and_spread, salsanext, scored
 
-from salsanext_cli.labelling.scan_choice import STRATEGIES
 from salsanext_cli.results.layout import find_scans
 
 
@@ -41,18 +40,15 @@ def main(*words: str) -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--counts", type=int, nargs="+", default=[2, 4, 8])
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--strategies", nargs="+", choices=STRATEGIES, default=STRATEGIES)
     parser.add_argument("--weights", default="default")
     parser.add_argument("--train", nargs=argparse.REMAINDER, default=[])
     given = parser.parse_args(words or None)
-    for strategy in given.strategies:
-        for count in given.counts:
-            scores = []
-            for seed in range(given.seeds):
-                root = given.folder / f"{strategy}-{count}-{seed}"
-                how = ("--count", count, "--strategy", strategy)
-                scores.append(score(root, given, *how, seed=seed))
-            mean_and_spread(f"{strategy}, {count} scans", scores)
+    for count in given.counts:
+        scores = []
+        for seed in range(given.seeds):
+            root = given.folder / f"{count}-{seed}"
+            scores.append(score(root, given, "--count", count, seed=seed))
+        mean_and_spread(f"{count} scans", scores)
 
 
 if __name__ == "__main__":

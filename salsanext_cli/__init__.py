@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from salsanext_cli.formats import read_scan
     from salsanext_cli.formats.kitti import read_labels, write_labels
     from salsanext_cli.formats.ply import write_ply
-    from salsanext_cli.fusion.window import fuse
     from salsanext_cli.geometry.knn import knn_refine
     from salsanext_cli.geometry.projection import project
     from salsanext_cli.in_memory import label, label_drive
@@ -40,7 +39,6 @@ __all__ = [
     "Sensor",
     "__version__",
     "fit_network",
-    "fuse",
     "knn_refine",
     "label",
     "label_drive",
@@ -61,7 +59,6 @@ _HOMES = {
     "formats": ("read_scan",),
     "formats.kitti": ("read_labels", "write_labels"),
     "formats.ply": ("write_ply",),
-    "fusion.window": ("fuse",),
     "geometry.knn": ("knn_refine",),
     "geometry.projection": ("project",),
     "engines.loading": ("load_network",),

@@ -13,6 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 from salsanext_cli.cli import look, models, own_data, pipeline, results
 from salsanext_cli.cli.console import WRONG_USE, guarded, usage_errors
 from salsanext_cli.cli.option_groups import expanded
+from salsanext_cli.cli.removed import refuse_removed
 from salsanext_cli.cli.train import train
 from salsanext_cli.cli.tune import tune
 from salsanext_cli.version import __version__
@@ -55,7 +56,13 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
 
 
 class Command(TyperCommand):
-    """Command whose flag for help shows no type, as its other flags show none."""
+    """Command that names what replaces a removed option, and whose help flag shows no type."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Refuse removed options, then parse."""
+        if not ctx.resilient_parsing:
+            refuse_removed(ctx.info_name, args, json="--json" in args)
+        return super().parse_args(ctx, args)
 
     def get_help_option(self, ctx: Any) -> Any:
         """Return the option of the help."""

@@ -22,7 +22,7 @@ from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
 
 @option_group
 class PictureOptions:
-    """Colours and animations of `picture`."""
+    """Colours of `picture`."""
 
     colour: list[str] | None = own_option(
         f"{COLOUR_HELP}; may be given several times.",
@@ -33,8 +33,6 @@ class PictureOptions:
         "Values at the two ends of the colour map, for a single --colour.",
         show_default="range of most values; fixed for error",
     )
-    gif: bool = own_option("Animate each sequence as GIF.", default=False)
-    fps: float = own_option("Scans per second of the animation.", default=5.0)
 
 
 def picture(
@@ -45,7 +43,7 @@ def picture(
     running: RunOptions,
     output: console.Output,
 ) -> None:
-    """Draw scans and their results, from above and as range images, as PNG or GIF.
+    """Draw scans and their results, from above and as range images, as PNG.
 
     Example: salsanext picture --colour label --colour uncertainty
     """
@@ -57,8 +55,6 @@ def picture(
             out,
             colours=pictures.colour or (),
             scale=pictures.scale,
-            gif=pictures.gif,
-            frames_per_second=pictures.fps,
             query=query,
             options=run,
         )

@@ -104,20 +104,11 @@ class PickOptions:
     """Number and kind of the scans that `pick` takes."""
 
     count: int = own_option("Number of scans to pick.", default=10)
-    strategy: Literal["both", "uncertainty", "diverse", "random"] = own_option(
-        "Pick what is uncertain, what is unlike the rest, both, or any.", default="both"
-    )
-    seed: int = own_option("Seed of dropout masks and of random picks.", default=0)
+    seed: int = own_option("Seed of the dropout masks.", default=0)
     labelled: list[Path] | None = own_option(
         "Data set of scans that are labelled already: others are picked, unlike them; may be given "
         "several times.",
         metavar="DATASET",
-    )
-    disagreement: Path | None = own_option(
-        "Folder of `fuse`: the disagreement of its views, mean over a scan, counts as the scan's "
-        "uncertainty.",
-        metavar="RESULTS",
-        show_default="that of the network",
     )
 
 
@@ -151,8 +142,7 @@ def pick(
             selection=selection,
             options=run,
         )
-    unit = "nats" if choice.disagreement is None else "share"
-    table = picked_table(found.picked, unit) if found.picked else None
+    table = picked_table(found.picked) if found.picked else None
     output.result(found.to_dict() | {"out": str(out)}, table)
     outcome, doubted = found.outcome, found.warnings
     run_end.name_failures(outcome.failures)

@@ -271,10 +271,6 @@ def uncertainty(
     scans: options.SeveralScans = None,
     out: options.Out = Path("out"),
     *,
-    method: Annotated[
-        Literal["sampling", "analytic"],
-        typer.Option(help="Monte-Carlo dropout, or an estimate of it in one pass."),
-    ] = "sampling",
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 30,
     seed: Annotated[int, typer.Option(help="Seed of the dropout masks and the noise.")] = 0,
     aleatoric: Annotated[
@@ -308,7 +304,7 @@ def uncertainty(
             out,
             settings=replace(settings, classes=named_label_space(classes)),
             knn=knn,
-            method=UncertaintyMethod(method, samples, seed, aleatoric),
+            method=UncertaintyMethod(samples, seed, aleatoric),
             selection=selection,
             options=run,
         )

@@ -113,7 +113,7 @@ def compare(
     Example: salsanext compare out/ tuned/
     """
     from salsanext_cli.report.comparison import comparison_tables
-    from salsanext_cli.stages.compare import FILES
+    from salsanext_cli.stages.compare import RECORD
     from salsanext_cli.stages.compare import compare as stage
 
     with over_scans("compare", running, output.quiet) as run:
@@ -123,7 +123,7 @@ def compare(
         {"stage": "compare", **found.to_dict(), "failures": failed}, comparison_tables(found)
     )
     run_end.name_failures(failures)
-    output.say(f"compare: {counted(len(found.pairs), 'scan')} → {after}/{', '.join(FILES)}")
+    output.say(f"compare: {counted(len(found.pairs), 'scan')} → {after / RECORD}")
     run_end.leave(failures)
 
 

@@ -119,19 +119,13 @@ def with_w_first(poses: Poses) -> Poses:
     return poses
 
 
-def is_rigid(pose: Poses) -> bool:
-    """Say whether a pose (3, 4) is not too far away, turns, and neither scales nor mirrors."""
-    is_near = np.abs(pose).max() < MAX_PLACE_M  # It is not either of NaN.
-    shear = np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max()
-    return bool(is_near and shear < MAX_SHEAR and np.linalg.det(pose[:, :3]) > 0)
-
-
 def _rigid(path: Path, name: str, row: Poses) -> Poses:
     """Return 3 × 4 numbers whose rotation, rounded in a file, is one to the last digit."""
     pose = row.reshape(3, 4)
     if (farthest := np.abs(pose[:, 3]).max()) >= MAX_PLACE_M:
         raise FormatError(path, f"{name} has a coordinate of {farthest:.3g} m", "places in metres")
-    if not is_rigid(pose):
+    shear = np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max()
+    if not (shear < MAX_SHEAR and np.linalg.det(pose[:, :3]) > 0):
         raise FormatError(path, f"{name} scales, shears or mirrors the scan", "rigid poses")
     left, lengths, right = np.linalg.svd(pose[:, :3])
     if np.abs(lengths - 1).max() < ROUNDED:

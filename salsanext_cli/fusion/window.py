@@ -2,17 +2,17 @@
 """Fusion of the softmax of scans that see the same places, in a window along the drive."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import LabelSpace, TrainIds, label_space
-from salsanext_cli.errors import SalsanextError, UsageError, counted, warn_once
+from salsanext_cli.classes.label_space import LabelSpace, TrainIds
+from salsanext_cli.errors import SalsanextError, UsageError, warn_once
 from salsanext_cli.fusion.drive import Drive
-from salsanext_cli.fusion.pose_checks import MAX_MISFIT, Parts, fitting_parts
-from salsanext_cli.fusion.poses import MAX_PLACE_M, Poses, is_rigid
+from salsanext_cli.fusion.pose_checks import Parts
+from salsanext_cli.fusion.poses import Poses
 from salsanext_cli.fusion.visibility import nearest_ranges, seen_by
 from salsanext_cli.fusion.votes import (
     MAX_CELLS,
@@ -24,11 +24,10 @@ from salsanext_cli.fusion.votes import (
     votes_of_scan,
 )
 from salsanext_cli.options import FusionReach
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Float
 
 MOVABLE_SHARE = 0.2  # Share of votes for movable classes from which others are asked
 SCAN_M = 500.0  # Least reach of the voxels around the farthest scan of a drive
-ROUNDING = 1e-3  # By which a probability may be above 1
 log = logging.getLogger(__name__)
 Content = TypeVar("Content")
 ReadScan = Callable[[int], tuple[Float, Float, npt.NDArray[np.bool_]]]
@@ -150,77 +149,6 @@ def disagreement(tally: Tally, labels: TrainIds) -> Float:
     """Return which share of the votes is against the label of each point (N,); NaN without any."""
     share = 1 - np.take_along_axis(tally.probabilities, labels[:, None].astype(np.intp), 1)[:, 0]
     return np.where((tally.views > 0) & (labels > 0), share, np.nan).astype(np.float32)
-
-
-def fuse(
-    scans: Sequence[Scan],
-    probabilities: Sequence[Float],
-    poses: Poses,
-    reach: FusionReach = FusionReach(),
-    space: LabelSpace | None = None,
-) -> list[Tally]:
-    """Fuse the softmax of the scans of a drive where they see the same places.
-
-    Parameters
-    ----------
-    scans : sequence of S Scan
-        In the order of the drive.
-    probabilities : sequence of S arrays (N, C)
-        Softmax of the points of each scan, certain of class 0 for a point without a label.
-    poses : (S, 4, 4) float64
-        From the frame of each scan to that of the drive, metres.
-    reach : FusionReach
-        How many scans before and after each vote, of those whose poses bring them to lie on it.
-    space : LabelSpace
-        Classes, some of them movable; SemanticKITTI's by default.
-
-    Returns
-    -------
-    list of S Tally
-        ``probabilities`` (N, C) float32, the mean over the scans that see the place of each point,
-        and ``views`` (N,), their number.
-
-    Raises
-    ------
-    SalsanextError
-        If the arrays do not fit each other, or are no softmax or no rigid poses.
-    """
-    known, placed = space or label_space("semantic-kitti"), np.asarray(poses, np.float64)
-    _require_poses(placed, len(scans), len(probabilities))
-
-    def read(index: int) -> tuple[Float, Float, npt.NDArray[np.bool_]]:
-        points, softmax = scans[index].points, np.asarray(probabilities[index], np.float32)
-        subject, shape = f"probabilities of scan {index}", (len(points), known.class_count)
-        if softmax.shape != shape:
-            expected = f"{shape}, its points and the classes of {known.name}"
-            raise UsageError(subject, f"an array {softmax.shape}", expected)
-        if not ((softmax >= 0) & (softmax < 1 + ROUNDING)).all():
-            raise UsageError(subject, "NaN, below 0 or above 1", "a softmax")
-        if not (np.abs(softmax.sum(axis=1) - 1) < ROUNDING * softmax.shape[1]).all():
-            raise UsageError(subject, "rows that do not add up to 1", "a softmax")
-        softmax = np.minimum(softmax, 1)
-        return points, softmax, voting(softmax)
-
-    parts, misfit = fitting_parts(placed, lambda index: scans[index].points)
-    if misfit > MAX_MISFIT:
-        found = f"they do not fit {misfit:.0%} of the scans"
-        raise UsageError("poses", found, "from each scan to the drive, in metres")
-    window = FusionWindow(Drive(placed, parts), read, reach, movable_classes(known))
-    return [window.tally(index) for index in range(len(scans))]
-
-
-def _require_poses(poses: Poses, scans: int, softmax_arrays: int) -> None:
-    """Refuse arrays that are not one for each of so many scans, or poses that are not rigid."""
-    of_all = f"for {counted(scans, 'scan')}"
-    if softmax_arrays != scans:
-        found = counted(softmax_arrays, "array")
-        raise UsageError("probabilities", found, f"one each {of_all}")
-    if poses.shape != (scans, 4, 4):
-        raise UsageError("poses", f"an array {poses.shape}", f"({scans}, 4, 4) {of_all}")
-    for index, pose in enumerate(poses):
-        if not (is_rigid(pose[:3]) and (pose[3] == [0, 0, 0, 1]).all()):
-            found = f"NaN, sheared, scaled, mirrored or {MAX_PLACE_M:g} m away"
-            raise UsageError(f"pose of scan {index}", found, "rotation and place, then 0 0 0 1")
 
 
 def voting(softmax: Float) -> npt.NDArray[np.bool_]:

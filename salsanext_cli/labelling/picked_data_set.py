@@ -29,7 +29,8 @@ from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.version import __version__
 
 STAGE = "pick"
-LABEL_SPACE, TABLE, SHEET = "labels.yaml", "picked.csv", "picked.png"
+LABEL_SPACE, TABLE = "labels.yaml", "picked.csv"
+OLD_SHEET = "picked.png"  # Written by earlier versions
 
 log = logging.getLogger(__name__)
 
@@ -41,7 +42,7 @@ class PickedScan:
     rank: int  # From 1, the scan most worth labelling
     sequence: str  # Its sequence and its name without suffix
     scan: str
-    uncertainty: float  # Mean mutual information of its pixels, nats, or mean disagreement
+    uncertainty: float  # Mean mutual information of its pixels, nats
     # Distance to the nearest scan picked before, 1 being that of two scans of the source (root mean
     # square); None for the first
     distance: float | None
@@ -59,13 +60,12 @@ class PickSettings:
     """Settings that decide which scans are picked."""
 
     network: StageSettings
-    strategy: str
     count: int  # Number of scans to pick
     seed: int
     scans: str  # Number and digest of the scans to choose from
     labelled: str | None  # The same of those that are labelled already
-    disagreement: Mapping[str, str] | None  # Digests of the settings behind the disagreement
     samples: int  # Monte-Carlo passes of a scan
+    strategy: str = "both"  # Earlier versions had others
 
     def to_dict(self) -> dict[str, object]:
         """Return all settings in one table."""
@@ -200,13 +200,13 @@ class PickedDataSet(OwnedFolder):
             write_json(self.record_path, record)
 
     def _certain_files(self, record: PickRecord) -> list[Path]:
-        files = [self.root / name for name in (LABEL_SPACE, TABLE, SHEET)]
+        files = [self.root / name for name in (LABEL_SPACE, TABLE)]
         return files + [p for each in record.picked for p in self.paths(each.sequence, each.scan)]
 
     def _files(self, record: PickRecord) -> list[Path]:
         folders = sorted({self.root / "sequences" / each.sequence for each in record.picked})
         uncertain = [folder / name for folder in folders for name in (POSES, CALIBRATION)]
-        return self._certain_files(record) + uncertain
+        return [*self._certain_files(record), *uncertain, self.root / OLD_SHEET]
 
     def _require_unchanged(self, record: PickRecord) -> None:
         """Refuse to replace files that are not as `pick` wrote them, and imported labels."""

@@ -16,7 +16,6 @@ from salsanext_cli.errors import UsageError
 
 Double = npt.NDArray[np.float64]
 
-STRATEGIES = ("both", "uncertainty", "diverse", "random")
 SHARE_OF_SPREAD = 0.5
 """Least distance of a chosen scan from earlier ones, as a share of what is possible for so many.
 There are always enough scans for a share of 1/2 or less: each ball of that radius holds but one of
@@ -40,11 +39,9 @@ def choose_scans(
     features: npt.ArrayLike,
     uncertainty: npt.ArrayLike,
     count: int,
-    strategy: str = "both",
-    seed: int = 0,
     labelled: Sequence[int] = (),
 ) -> list[Choice]:
-    """Choose the scans most worth labelling, the most valuable first, by one of `STRATEGIES`.
+    """Choose the scans most worth labelling, the most valuable first.
 
     `features` (S, F) weigh equally, by their standard deviation; `uncertainty` (S,) is at least 0;
     `labelled` scans count as chosen before all others, and are not returned.
@@ -52,11 +49,7 @@ def choose_scans(
     weights = np.asarray(uncertainty, np.float64)
     points, before = standardised(features), list(labelled)
     total = min(len(before) + count, len(weights))
-    if strategy == "random":
-        permuted = np.random.default_rng(seed).permutation(len(weights)).tolist()
-        order = [*before, *(scan for scan in permuted if scan not in before)][:total]
-    else:
-        order = _greedy(points, weights, total, strategy, before)
+    order = _greedy(points, weights, total, before)
     ranks = np.empty(len(weights), np.intp)
     ranks[np.argsort(-weights, kind="stable")] = np.arange(1, len(weights) + 1)
     chosen = []
@@ -66,12 +59,10 @@ def choose_scans(
     return chosen
 
 
-def require_choice(count: int, strategy: str, seed: int) -> None:
-    """Refuse what `choose_scans` cannot take, before any scan is read."""
+def require_choice(count: int, seed: int) -> None:
+    """Refuse wrong settings of a choice, before any scan is read."""
     if count < 1:
         raise UsageError("--count", str(count), "at least 1")
-    if strategy not in STRATEGIES:
-        raise UsageError("--strategy", strategy, f"one of {', '.join(STRATEGIES)}")
     if seed < 0:
         raise UsageError("--seed", str(seed), "a whole number of at least 0")
 
@@ -93,9 +84,9 @@ def distances(points: Double, scan: int) -> Double:
 
 
 def spread(points: Double, count: int) -> float:
-    """Return the least distance between two scans of a diverse choice; infinite for one scan."""
+    """Return the least distance of a farthest-first choice; infinite for one scan."""
     apart = np.full(len(points), math.inf)
-    scan, least = typical(points), math.inf
+    scan, least = int(np.linalg.norm(points, axis=1).argmin()), math.inf  # Nearest to the mean
     for _ in range(count - 1):
         apart = np.minimum(apart, distances(points, scan))
         scan = int(apart.argmax())
@@ -103,27 +94,17 @@ def spread(points: Double, count: int) -> float:
     return least
 
 
-def typical(points: Double) -> int:
-    """Return the scan nearest to the mean of all."""
-    return int(np.linalg.norm(points, axis=1).argmin())
-
-
-def _greedy(
-    points: Double, weights: Double, count: int, strategy: str, before: Sequence[int]
-) -> list[int]:
-    """Choose by the highest score among those far enough from all that are chosen."""
-    worth = np.zeros(len(weights)) if strategy == "diverse" else weights
+def _greedy(points: Double, weights: Double, count: int, before: Sequence[int]) -> list[int]:
+    """Choose by uncertainty times distance, among scans far enough from all that are chosen."""
     least = SHARE_OF_SPREAD * spread(points, count)
-    first = typical(points) if strategy == "diverse" else int(worth.argmax())
-    order = list(before) or [first]
+    order = list(before) or [int(weights.argmax())]
     apart = np.min([distances(points, scan) for scan in order], axis=0)
     left = np.ones(len(weights), bool)
     left[order] = False
     while len(order) < count:
         unlike = left & (apart > 0)
-        scores = {"both": worth * apart, "uncertainty": worth, "diverse": apart}
         # Scans equal to chosen ones come last, and differ by their uncertainty only.
-        score = scores[strategy] if unlike.any() else worth
+        score = weights * apart if unlike.any() else weights
         # Rounding may hide the one that must be far enough.
         levels = (unlike & (apart >= least), unlike, left)
         eligible = next(level for level in levels if level.any())

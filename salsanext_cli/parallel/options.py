@@ -18,7 +18,6 @@ from salsanext_cli.options import option, option_group
 if TYPE_CHECKING:
     from salsanext_cli.results.layout import ScanFile
 
-CLUSTERS = ("dask", "ray")  # Backends whose workers may be on other machines
 Progress = Callable[[int, int], None]  # Called with the numbers of scans done and to do
 SLURM_PREFIX = "SLURM_ARRAY_TASK_"
 
@@ -139,11 +138,11 @@ class RunOptions:
         "-j",
         show_default="1; all workers of a cluster",
     )
-    backend: Literal["loky", "threading", "dask", "ray"] = running_option(
-        "Processes (loky), threads, or workers of a Dask or Ray cluster.", default="loky"
+    backend: Literal["loky", "threading", "dask"] = running_option(
+        "Processes (loky), threads, or workers of a Dask cluster.", default="loky"
     )
     scheduler: str | None = running_option(
-        "Address of the running cluster, which dask and ray need.", metavar="ADDRESS"
+        "Address of the running scheduler, which dask needs.", metavar="ADDRESS"
     )
     shard: Shard = running_option(
         "Only share I of N shares of the scans, from 1/N to N/N.",
@@ -161,13 +160,10 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         self.workers_here()
-        is_cluster = self.backend in CLUSTERS
-        if self.scheduler is not None and not is_cluster:
+        if self.scheduler is not None and self.backend != "dask":
             subject = f"--scheduler {self.scheduler}"
-            raise UsageError(subject, f"--backend {self.backend}", "dask or ray")
-        # The program that calls us may have initialised Ray.
-        ray = _if_loaded("ray") if self.backend == "ray" else None
-        if self.scheduler is None and is_cluster and not (ray and ray.is_initialized()):
+            raise UsageError(subject, f"--backend {self.backend}", "dask")
+        if self.scheduler is None and self.backend == "dask":
             expected, remedy = "the address of a running cluster", "use loky on one machine"
             raise UsageError(f"--backend {self.backend}", "no --scheduler", expected, remedy)
 

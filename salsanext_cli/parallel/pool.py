@@ -1,28 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Workers of a run: threads and processes of this machine (joblib), or a Dask or Ray cluster."""
+"""Workers of a run: threads and processes of this machine (joblib), or a Dask cluster."""
 
-import logging
 import os
-import re
 import signal
-import socket
-import sys
-import threading
-import time
 import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import CancelledError, Future
-from contextlib import (
-    AbstractContextManager,
-    ExitStack,
-    closing,
-    contextmanager,
-    nullcontext,
-    redirect_stdout,
-)
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
-from itertools import groupby, pairwise
+from itertools import groupby, islice, pairwise
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
@@ -32,7 +19,7 @@ from salsanext_cli.errors import UsageError, WorkersLost
 from salsanext_cli.files.atomic import MARK
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.parallel.job import Attempt, OpenableTask, Task
-from salsanext_cli.parallel.options import CLUSTERS, RunOptions, cores, threads_of_workers
+from salsanext_cli.parallel.options import RunOptions, cores, threads_of_workers
 from salsanext_cli.parallel.worker import (
     WORKER,
     Chunk,
@@ -43,8 +30,7 @@ from salsanext_cli.parallel.worker import (
 from salsanext_cli.results.layout import ScanFile
 
 CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is there when one is done
-CONNECT_TIMEOUT_S = 15  # For a scheduler and a first worker; Ray itself waits for minutes
-RESULT_TIMEOUT_S = 3.0
+CONNECT_TIMEOUT_S = 15  # For a scheduler and a first worker
 HARMLESS_WARNINGS = (
     # Who stops a run knows that it has been stopped.
     ".*tasks which were still being processed",
@@ -57,43 +43,46 @@ MAX_CHUNK_SCANS = 16
 """Bound of the work that is lost with a worker, and of the scans between signs of progress."""
 MIN_CHUNKS_PER_WORKER = 4  # Lower bound, so that the last chunks end about together
 
+Work = Callable[[Chunk], list[Attempt[Any]]]
+Results = Generator[list[Attempt[Any]], None, None]
+
 
 @dataclass(frozen=True, slots=True)
 class WorkerPool:
     """Workers that are ready."""
 
-    backend: dict[str, Any]  # Arguments of `joblib.parallel_config`
+    # Yields what the workers return for each chunk, in the order in which they finish
+    run: Callable[[Work, Sequence[Chunk]], Results]
     workers: int  # Number of chunks that are worked on side by side
-    in_flight: int  # Number of chunks that are sent before the first comes back
     threads: int  # Threads that each worker may use
-    died: tuple[type[BaseException], ...]  # Raised by the backend when a worker died
+    died: tuple[type[BaseException], ...]  # Raised by `run` when a worker died
 
 
 def attempts_of_workers(
     task: Task, scans: Sequence[ScanFile], options: RunOptions
 ) -> Generator[Attempt[Any], None, None]:
     """Yield the attempts that workers make, in no particular order."""
-    stop = options.on_error == "stop"
+    stop, most = options.on_error == "stop", MAX_CHUNK_SCANS
+    if isinstance(task, OpenableTask):
+        most = task.max_chunk_scans
+    opened = dask_pool(options) if options.backend == "dask" else local_pool(options, len(scans))
     with warnings.catch_warnings():
         for message in HARMLESS_WARNINGS:
             warnings.filterwarnings("ignore", message)
-        with _pool(options, len(scans)) as pool:
+        with opened as pool:
             context = WorkerContext(uuid4().hex, MARK.get(), stop, Path.cwd(), pool.threads)
             work = partial(attempt_chunk, context, task)
-            most = task.max_chunk_scans if isinstance(task, OpenableTask) else MAX_CHUNK_SCANS
             try:
-                cut = chunks(scans, pool.workers, most)
-                yield from _of_chunks(work, cut, pool, options.backend)
+                with closing(pool.run(work, chunks(scans, pool.workers, most))) as of_chunks:
+                    for of_chunk in of_chunks:
+                        yield from of_chunk
+            except pool.died as error:
+                subject = f"--backend {options.backend} --jobs {pool.workers}"
+                found, expected = "the system ended a worker", "memory for all of them"
+                raise WorkersLost(subject, found, expected, "use fewer jobs") from error
             finally:
                 # Joblib kills processes, but cannot kill threads and does not wait for them.
                 WORKER.end(context.run)
-
-
-def _pool(options: RunOptions, scans: int) -> AbstractContextManager[WorkerPool]:
-    """Start workers for so many scans, or connect to those of a cluster; end that afterwards."""
-    if options.backend not in CLUSTERS:
-        return local_pool(options, scans)
-    return {"dask": dask_pool, "ray": ray_pool}[options.backend](options)
 
 
 def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS) -> list[Chunk]:
@@ -108,29 +97,6 @@ def chunks(scans: Sequence[ScanFile], workers: int, most: int = MAX_CHUNK_SCANS)
     return cut
 
 
-def _of_chunks(
-    work: Callable[[Chunk], list[Attempt[Any]]],
-    cut: Iterable[Chunk],
-    pool: WorkerPool,
-    backend: str,
-) -> Generator[Attempt[Any], None, None]:
-    import joblib
-
-    with joblib.parallel_config(**pool.backend):
-        parallel = joblib.Parallel(
-            return_as="generator_unordered", batch_size=1, pre_dispatch=pool.in_flight
-        )
-    try:
-        with signals_blocked(signal.SIGINT, signal.SIGTERM) if backend == "loky" else nullcontext():
-            attempts = parallel(joblib.delayed(work)(chunk) for chunk in cut)
-        with closing(attempts):
-            for of_chunk in attempts:
-                yield from of_chunk
-    except pool.died as error:
-        subject, found = f"--backend {backend} --jobs {pool.workers}", "the system ended a worker"
-        raise WorkersLost(subject, found, "memory for all of them", "use fewer jobs") from error
-
-
 @contextmanager
 def local_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
     """Give a pool of threads or processes, at most so many; joblib starts them when needed."""
@@ -139,15 +105,26 @@ def local_pool(options: RunOptions, max_workers: int) -> Iterator[WorkerPool]:
     workers = min(max_workers, options.workers_here())
     threads = max(1, cores() // workers)
     backend: dict[str, Any] = {"backend": options.backend, "n_jobs": workers}
-    died = (TerminatedWorkerError,)
-    pool = WorkerPool(backend, workers, CHUNKS_IN_FLIGHT * workers, threads, died)
-    if options.backend == "threading":
-        with threads_of_workers(threads):
-            yield pool
-    else:
+    if options.backend == "loky":
         backend |= {"initializer": end_with_parent, "initargs": (os.getpid(),)}
         backend["inner_max_num_threads"] = threads
+    pool = WorkerPool(partial(_run_here, backend), workers, threads, (TerminatedWorkerError,))
+    with threads_of_workers(threads) if options.backend == "threading" else nullcontext():
         yield pool
+
+
+def _run_here(backend: dict[str, Any], work: Work, cut: Sequence[Chunk]) -> Results:
+    import joblib
+
+    is_loky, in_flight = backend["backend"] == "loky", CHUNKS_IN_FLIGHT * backend["n_jobs"]
+    with joblib.parallel_config(**backend):
+        parallel = joblib.Parallel(
+            return_as="generator_unordered", batch_size=1, pre_dispatch=in_flight
+        )
+    with signals_blocked(signal.SIGINT, signal.SIGTERM) if is_loky else nullcontext():
+        attempts = parallel(joblib.delayed(work)(chunk) for chunk in cut)
+    with closing(attempts):
+        yield from attempts
 
 
 @contextmanager
@@ -186,116 +163,17 @@ def dask_pool(options: RunOptions) -> Iterator[WorkerPool]:
         slots = sum(client.nthreads().values())
         limit = options.workers_of_cluster()
         workers = limit or slots
-        yield WorkerPool(
-            {"backend": _dask_backend(client)},
-            workers,
-            limit or CHUNKS_IN_FLIGHT * workers,
-            max(1, slots // workers),
-            (distributed.scheduler.KilledWorker, CancelledError),
-        )
 
+        def run(work: Work, cut: Sequence[Chunk]) -> Results:
+            left = (client.submit(partial(work, chunk), pure=False) for chunk in cut)
+            first = islice(left, limit or CHUNKS_IN_FLIGHT * workers)
+            sent = distributed.as_completed(first, loop=client.loop)
+            for future in sent:
+                sent.update(islice(left, 1))
+                yield future.result()
 
-def _dask_backend(client: Any) -> Any:
-    from joblib._dask import DaskDistributedBackend
-
-    class DaskBackend(DaskDistributedBackend):  # type: ignore[misc]
-        """Backend of joblib that would wait for ever for a chunk whose workers died."""
-
-        def effective_n_jobs(self, n_jobs: int) -> Any:
-            # Joblib does the work of a single worker itself.
-            return max(2, super().effective_n_jobs(n_jobs))
-
-        def submit(self, func: Any, callback: Callable[[Any], object]) -> Any:
-            def pass_on_error(done: Future[Any]) -> None:
-                if error := done.exception():
-                    callback(error)
-
-            future = super().submit(func, callback)
-            future.add_done_callback(pass_on_error)
-            return future
-
-    return DaskBackend(client=client)
-
-
-@contextmanager
-def ray_pool(options: RunOptions) -> Iterator[WorkerPool]:
-    """Connect to the workers of a cluster, unless the program that calls us has done so."""
-    ray = import_extra("ray", "ray")
-    # Ray tells on stdout that a worker died.
-    with redirect_stdout(sys.stderr), _connected_to_ray(ray, options.scheduler):
-        cpus, gpus = _resources(ray, "CPU"), _resources(ray, "GPU")
-        slots = sum(cpus)
-        if slots < 2:
-            # Joblib does the work of a single worker itself, and Ray wants a CPU for each.
-            raise UsageError("--backend ray", "a cluster of one CPU", "at least two")
-        workers = min(options.workers_of_cluster() or slots, slots)
-        yield WorkerPool(
-            {"backend": _ray_backend(workers, sum(gpus)), "n_jobs": max(2, workers)},
-            workers,
-            1 if workers == 1 else CHUNKS_IN_FLIGHT * workers,
-            max(1, min(max(cpus), slots // workers)),
-            (ray.exceptions.RayActorError, ray.exceptions.OutOfMemoryError),
-        )
-
-
-def _resources(ray: Any, kind: str) -> list[int]:
-    """Return how many CPUs or GPUs each machine has."""
-    return [int(node["Resources"].get(kind, 0)) for node in ray.nodes() if node["Alive"]]
-
-
-def _ray_backend(workers: int, gpus: int) -> Any:
-    """Return joblib's backend; it waits until all workers have what they reserve."""
-    from ray.util.joblib.ray_backend import RayBackend
-
-    class UnorderedRayBackend(RayBackend):
-        """Backend that does not say that it can give results as they come."""
-
-        supports_return_generator = True
-
-    reserved = (
-        {"num_cpus": 0, "num_gpus": 1 / -(-max(2, workers) // gpus)} if gpus else {"num_cpus": 1}
-    )
-    return UnorderedRayBackend(ray_remote_args={**reserved, "scheduling_strategy": "SPREAD"})
-
-
-@contextmanager
-def _connected_to_ray(ray: Any, address: str | None) -> Iterator[None]:
-    if ray.is_initialized():
-        yield
-        return
-    # It would tell its makers that it was used.
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    on_sigterm = signal.getsignal(signal.SIGTERM)
-    try:
-        _connect_to_ray(ray, address)
-        if threading.current_thread() is threading.main_thread():
-            # Ray takes it over, and puts a handler that prints a traceback beneath Python's.
-            signal.signal(signal.SIGTERM, on_sigterm)
-        yield
-    finally:
-        _join_result_threads()
-        ray.shutdown()
-
-
-def _connect_to_ray(ray: Any, address: str | None) -> None:
-    try:
-        if host_port := re.fullmatch(r"(?:ray://)?\[?([^/]+?)]?:(\d+)", address or ""):
-            peer = host_port[1], int(host_port[2])
-            socket.create_connection(peer, CONNECT_TIMEOUT_S).close()
-        ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
-    except (OSError, ValueError, RuntimeError, OverflowError) as error:
-        expected = "a Ray cluster, such as host:6379, ray://host:10001 or auto"
-        raise UsageError(f"--scheduler {address}", _first_line(error), expected) from error
-
-
-def _join_result_threads() -> None:
-    """Let the threads of Ray's pool end: one that still asks for a result would connect again."""
-    from ray.util.multiprocessing.pool import ResultThread
-
-    end = time.monotonic() + RESULT_TIMEOUT_S
-    for thread in threading.enumerate():
-        if isinstance(thread, ResultThread):
-            thread.join(max(0.0, end - time.monotonic()))
+        died = (distributed.scheduler.KilledWorker, CancelledError)
+        yield WorkerPool(run, workers, max(1, slots // workers), died)
 
 
 def _first_line(error: Exception) -> str:

@@ -11,7 +11,7 @@ from typing import Any
 from salsanext_cli.errors import WorkersLost, first_few
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.job import Attempt, Task
-from salsanext_cli.parallel.options import CLUSTERS, Progress, RunOptions
+from salsanext_cli.parallel.options import Progress, RunOptions
 from salsanext_cli.parallel.worker import opened
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.selection import MissingResults
@@ -105,7 +105,7 @@ def _attempts(
     """Yield the attempts of all scans, in no particular order where workers make them."""
     if not scans:
         return
-    if options.backend not in CLUSTERS and min(len(scans), options.workers_here()) == 1:
+    if options.backend != "dask" and min(len(scans), options.workers_here()) == 1:
         yield from opened(task)(scans)
         return
     from salsanext_cli.parallel.pool import attempts_of_workers

@@ -1,34 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""Tables and a page of what changed between two runs."""
-
-import io
-from base64 import b64encode
-from collections.abc import Sequence
-from html import escape as escape_html
+"""Tables of what changed between two runs."""
 
 import numpy as np
-from rich.console import Console, Group
+from rich.console import Group
 from rich.table import Table
 
-from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import counted, printable
-from salsanext_cli.geometry.projection import in_sensor_frame
-from salsanext_cli.measures.paired import Difference, RunComparison, ScanPair, changed
-from salsanext_cli.report.colours import legend_of, screen_colours
-from salsanext_cli.report.scan_pictures import scan_picture
+from salsanext_cli.errors import counted
+from salsanext_cli.measures.paired import Difference, RunComparison, changed
 from salsanext_cli.report.tables import ABSENT, percent, table_of
-from salsanext_cli.results.result_folder import ScanResults
-from salsanext_cli.sensors.sensor import Sensor
 
-CHANGES = {
-    "same label": (70, 75, 86),
-    "other label": (235, 235, 240),
-    "now right": (70, 200, 110),
-    "now wrong": (255, 72, 48),
-}
-PAGE = """<!doctype html><meta charset="utf-8"><title>{title}</title><style>
-body{{background:#16181d;color:#e8e8ea;font:15px sans-serif;margin:2em}}img{{max-width:100%}}
-</style><h1>{title}</h1>{body}"""
 INTERVAL = "* the interval, over scans, leaves out 0; of scans of one drive it is too narrow\n"
 ACCEPTED = "coverage: share of the points with a label; risk: share of these that is wrong"
 DIFFERENCE = ("before %", "after %", "difference", "95 % interval")
@@ -76,36 +56,3 @@ def comparison_tables(compared: RunComparison) -> Group:
         scans.append((pair.file.name, *numbers, "trained on" * pair.trained_on))
     headings = ("scan", "changed %", "risk" if compared.rejecting else "accuracy", "note")
     return Group(*tables, table_of(headings, scans, title="Scans that changed most"))
-
-
-def change_picture(
-    pair: ScanPair, before: ScanResults, after: ScanResults, space: LabelSpace, sensor: Sensor
-) -> bytes:
-    """Draw a scan from above with the labels of both runs, the truth if known, and the changes."""
-    named = {"before": before.label, "after": after.label, "truth": before.truth}
-    train = {
-        name: space.to_train(raw, strict=False) for name, raw in named.items() if raw is not None
-    }
-    kind = (train["before"] != train["after"]).astype(np.intp)
-    if "truth" in train:
-        judged = space.scored[train["truth"]] & (kind > 0)
-        judged &= True if after.rejected is None else ~after.rejected
-        kind[judged & (train["after"] == train["truth"])] = 2
-        kind[judged & (train["before"] == train["truth"])] = 3
-    views = {name: screen_colours(space)[ids] for name, ids in train.items()}
-    views["changes"] = np.array(list(CHANGES.values()), np.uint8)[kind]
-    heading = f"{pair.file.name}   {percent(changed(pair.turned))} % changed"
-    heading += "   trained on" * pair.trained_on
-    legend = [*legend_of(space, *train.values()), *CHANGES.items()]
-    points = in_sensor_frame(before.scan, before.sensor or sensor).points
-    return scan_picture(printable(heading), points, views, legend=legend)
-
-
-def comparison_page(compared: RunComparison, title: str, pictures: Sequence[bytes]) -> bytes:
-    """Return the tables, and pictures of scans, as one HTML file."""
-    console = Console(record=True, file=io.StringIO(), width=110)
-    console.print(comparison_tables(compared))
-    tables = console.export_html(inline_styles=True, code_format="<pre>{code}</pre>")
-    images = (f'<p><img src="data:image/png;base64,{b64encode(p).decode()}">' for p in pictures)
-    title = escape_html(printable(title))
-    return PAGE.format(title=title, body=tables + "".join(images)).encode()

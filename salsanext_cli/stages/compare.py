@@ -14,7 +14,6 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import (
     LabelError,
     NoInputError,
-    SalsanextError,
     UsageError,
     counted,
     escaped,
@@ -28,7 +27,6 @@ from salsanext_cli.measures.paired import RunComparison, ScanPair
 from salsanext_cli.measures.scan_counts import ScanComparison, ScanCounts
 from salsanext_cli.measures.scores import class_sums, confusion_matrix, scored_rows
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.report.comparison import change_picture, comparison_page
 from salsanext_cli.results.layout import ScanFile, output_path, with_outputs
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
@@ -36,8 +34,7 @@ from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import space_of_labels
 from salsanext_cli.sensors.sensor import Sensor
 
-FILES = ("compare.json", "compare.html")
-SHOWN = 4
+RECORD = "compare.json"
 
 log = logging.getLogger(__name__)
 
@@ -81,11 +78,11 @@ def compare(
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> tuple[RunComparison, tuple[Failure, ...]]:
-    """Compare two output folders; write `compare.json` and `compare.html` into the second one."""
+    """Compare two output folders; write `compare.json` into the second one."""
     if before.resolve() == after.resolve():
         raise UsageError("OUT_B", f"{after}, as OUT_A", "the folder of another run")
     runs = ResultFolder(before, query.dataset), ResultFolder(after, query.dataset)
-    OwnedFolder(after).require_own([after / name for name in FILES])
+    OwnedFolder(after).require_own([after / RECORD])
     both, alone, space = _common_scans(runs, query)
     sensor, labels = runs[0].sensor(), space_of_labels(both, space, query.label_space)
     trained_on = runs[0].trained_on() | runs[1].trained_on()
@@ -101,17 +98,9 @@ def compare(
     pairs, failures = _compared(both, (one, other), options)
     rejecting = any(run.rejection() for run in runs)
     result = RunComparison(space, sorted(pairs, key=lambda pair: pair.file), rejecting)
-    pictures = []
-    for pair in result.most_changed()[:SHOWN]:
-        try:
-            old, new = (run.read(pair.file, sensor, space, (labels, space)) for run in runs)
-            pictures.append(change_picture(pair, old, new, space, sensor))
-        except SalsanextError as error:
-            log.warning("not shown: %s", error)
     content = {"stage": "compare", "before": str(before), "after": str(after), "alone": alone}
     content |= {"weights": [run.weights("predictions") for run in runs], **result.to_dict()}
-    files = encode_json(escaped(content)), comparison_page(result, f"{before} → {after}", pictures)
-    OwnedFolder(after).replace(dict(zip((after / name for name in FILES), files, strict=True)))
+    OwnedFolder(after).replace({after / RECORD: encode_json(escaped(content))})
     return result, failures
 
 

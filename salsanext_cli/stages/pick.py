@@ -3,7 +3,7 @@
 
 import hashlib
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,13 +14,12 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.errors import NOTICE, FormatError, NoInputError, counted
+from salsanext_cli.errors import NOTICE, NoInputError, counted
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
 from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans, settings_of_network
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.picked_data_set import (
-    SHEET,
     STAGE,
     TABLE,
     PickedDataSet,
@@ -33,17 +32,9 @@ from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWar
 from salsanext_cli.options import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
-from salsanext_cli.records import Float
-from salsanext_cli.report.picked import (
-    PickedLabels,
-    picked_cloud,
-    picked_csv,
-    picked_scans,
-    picked_sheet,
-)
-from salsanext_cli.results.layout import DISAGREEMENT, ScanFile, find_scans, output_path
-from salsanext_cli.results.manifest import Manifest, settings_json
-from salsanext_cli.results.result_folder import ResultFolder, read_kind
+from salsanext_cli.report.picked import picked_cloud, picked_csv, picked_scans
+from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.manifest import settings_json
 from salsanext_cli.results.selection import choose, evenly_spaced, scans_of, space_of
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import require_sampling
@@ -94,31 +85,15 @@ class PickJob:
         """Sample each scan."""
         return [checked_sample(p, network, SAMPLES, self.seed) for p, network, _ in scans]
 
-    def finish(self, scan: PreparedScan, estimate: Estimate) -> PickedLabels:
-        """Label the points by the mean softmax, and write the scan and its cloud."""
+    def finish(self, scan: PreparedScan, estimate: Estimate) -> tuple[ScanFile, bytes]:
+        """Write the scan and its cloud; return the labels by the mean softmax, encoded."""
         file, space = scan.projected.file, scan.network.space
         guess = labelled(scan, PixelPrediction.of(estimate.probabilities), KnnParameters())
         information = estimate.uncertainty.mutual_information
         self.data_set.write_points(file, scan.network.sensor)
         cloud = picked_cloud(guess, information, space)
         self.data_set.write_missing(self.data_set.paths(file.sequence, file.stem).cloud, cloud)
-        return PickedLabels.of(guess, information, space)
-
-
-@dataclass(frozen=True, slots=True)
-class DisagreementJob(DescribeJob):
-    """Job that takes the mean disagreement of the views of a scan's places as its uncertainty."""
-
-    folder: Path  # Output folder of `fuse`
-
-    def finish(self, scan: PreparedScan, computed: tuple[Float, Float | None]) -> ScanDescription:
-        """Return the means over the pixels with a point, and over the points with votes."""
-        described, file = DescribeJob.finish(self, scan, computed), scan.projected.file
-        path = output_path(self.folder, file.sequence, DISAGREEMENT, file.stem)
-        against = read_kind(path, "disagreement", described.points)
-        if not (known := np.isfinite(against)).any():
-            raise FormatError(path, "nothing but NaN", "the disagreement of some point")
-        return replace(described, uncertainty=float(against[known].mean()))
+        return file, encode_labels(space.to_raw(guess.labels))
 
 
 def pick(
@@ -126,29 +101,24 @@ def pick(
     out: Path,
     *,
     count: int = 10,
-    strategy: str = "both",
     seed: int = 0,
     settings: NetworkSettings = NetworkSettings(),
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
     labelled: Sequence[Path] = (),
-    disagreement: Path | None = None,
 ) -> Picking:
     """Pick the scans most worth labelling; write a data set of them in SemanticKITTI's layout.
 
     Files that are there stay; a pick that nobody changed may be overwritten. `labelled`: data sets
-    of scans that others are picked unlike; `disagreement`: output folder of `fuse`, whose mean
-    disagreement over a scan counts as its uncertainty.
+    of scans that others are picked unlike.
     """
-    require_choice(count, strategy, seed)
+    require_choice(count, seed)
     network = settings.load()
     require_sampling(network, SAMPLES)
     every, data_set = scans_of(source), PickedDataSet(out)
     data_set.require_apart(every)
     space = space_of(every, network.space)
     scans = _candidates(every, selection, space, source)
-    if disagreement is not None:
-        ResultFolder(disagreement).require_column("disagreement", scans)
     known = {scan.name for path in labelled for scan in find_scans(path)}
     if len(done := {scan for scan in scans if scan.name in known}) == len(scans):
         raise NoInputError(source, "every scan is labelled already", "others to pick")
@@ -156,12 +126,10 @@ def pick(
         network = fit_scans(settings, network, ScanSample(every, network.sensor))
         recorded = PickSettings(
             network=settings_of_network(network),
-            strategy=strategy,
             count=count,
             seed=seed,
             scans=_digest(scans),
             labelled=_digest(sorted(done)) if labelled else None,
-            disagreement=Manifest(disagreement).origins(["fuse"]) if disagreement else None,
             samples=SAMPLES,
         )
         record = data_set.earlier(recorded, overwrite=options.overwrite)
@@ -170,10 +138,7 @@ def pick(
             return _picking(record, scans)
         resolved = settings.resolved(network)
         if record is None:
-            describe: Callable[[Network], DescribeJob]
             describe = partial(DescribeJob, samples=SAMPLES, seed=seed)
-            if disagreement is not None:
-                describe = partial(DisagreementJob, samples=0, seed=seed, folder=disagreement)
             task = NetworkTask(describe, resolved, network, batch=1)
             summary = RunSummary.of_scans(scans, network.sensor)
             if not (record := _chosen(task, scans, recorded, done, summary, options)).picked:
@@ -231,9 +196,8 @@ def _chosen(
             log.log(NOTICE, "only %s: all are picked", counted(left, "scan"))
         features = np.stack([scan.features for scan in described])
         uncertainty = [scan.uncertainty for scan in described]
-        how = (settings.count, settings.strategy, settings.seed)
-        choices = choose_scans(features, uncertainty, *how, labelled)
-        picked = picked_scans(choices, [scan.file for scan in described], settings.strategy)
+        choices = choose_scans(features, uncertainty, settings.count, labelled)
+        picked = picked_scans(choices, [scan.file for scan in described])
     failed, warnings = [each.to_dict() for each in failures], summary.finished().warnings()
     return PickRecord(settings_json(settings), picked, failed, warnings)
 
@@ -247,23 +211,15 @@ def _written(
     space: LabelSpace,
 ) -> Outcome:
     """Write what is missing of a data set of picked scans."""
-    files, guesses = {scan.name: scan for scan in scans}, dict[str, PickedLabels]()
-
-    def keep(guess: PickedLabels) -> None:
-        guesses[guess.file.name] = guess
-
+    files, guesses = {scan.name: scan for scan in scans}, dict[ScanFile, bytes]()
     picked = [files[each.name] for each in record.picked if each.name in files]
-    outcome = run_over_scans(task, picked, options, on_result=keep)
-    labels_of = {each.file: encode_labels(each.raw) for each in guesses.values()}
-    data_set.write_guesses(record, labels_of)
-    written = [each for each in record.picked if each.name in guesses]
+    outcome = run_over_scans(task, picked, options, on_result=lambda each: guesses.update([each]))
+    data_set.write_guesses(record, guesses)
     data_set.write_label_space(space, record.picked)
     data_set.write_missing(data_set.root / TABLE, picked_csv(record.picked))
-    if len(written) == len(record.picked):
-        # Poses and pictures of a part would stay: what is there is not written again.
-        data_set.write_poses(guesses[each.name].file for each in written)
-        labels = [guesses[each.name] for each in written]
-        data_set.write_missing(data_set.root / SHEET, picked_sheet(written, labels, space))
+    if len(guesses) == len(record.picked):
+        # Poses of a part would stay: what is there is not written again.
+        data_set.write_poses(guesses)
     return replace(outcome, failures=(*_failures(record, scans), *outcome.failures))
 
 

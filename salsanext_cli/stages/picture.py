@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `picture`: scans and results to pictures, and these to GIF animations."""
+"""Stage `picture`: scans and results to pictures."""
 
 import logging
 from collections.abc import Collection, Sequence
@@ -11,7 +11,6 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, NoInputError, UsageError
 from salsanext_cli.fitting.scan_fit import fitted_view
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.report.animation import animate, animation_path
 from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
 from salsanext_cli.results.layout import (
@@ -22,7 +21,6 @@ from salsanext_cli.results.layout import (
     find_outputs,
 )
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import FOLDERS, ChosenResults, ResultFolder, scalar_columns
 from salsanext_cli.results.selection import MissingResults, choose, scans_of, space_of_labels
@@ -64,18 +62,19 @@ def picture(
     *,
     colours: Collection[str] = (),
     scale: tuple[float, float] | None = None,
-    gif: bool = False,
-    frames_per_second: float = 5.0,
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Write `OUT/sequences/<seq>/pictures/*.png`, and with `gif` `pictures.gif` beside that.
+    """Write `OUT/sequences/<seq>/pictures/*.png`.
 
-    Pictures of results that have been made anew since are replaced, and animations always. Without
-    any results, pictures are of the scans of `dataset` alone.
+    Pictures of results that have been made anew since are replaced. Without any results, pictures
+    are of the scans of `dataset` alone.
     """
     results = ResultFolder(out, query.dataset)
-    _require_usable(colours, scale, gif, frames_per_second, options)
+    require_colouring(colours, scale)
+    if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
+        found = ", ".join(colours) or "none"
+        raise UsageError("--scale", f"--colour is {found}", "one that shows values")
     has_results = any(find_outputs(out, folder) for folder in FOLDERS)
     chosen = results.chosen(query) if has_results else _scans_alone(out, query)
     scans, space = chosen.scans, chosen.space
@@ -99,8 +98,6 @@ def picture(
     settings = StageSettings(
         colours=tuple(colours), scales=scales, sensor=seen, label_space=space, origins=made_of
     )
-    if gif:
-        OwnedFolder(out).require_own({animation_path(out, scan.sequence) for scan in scans})
     with output_run(
         *(out, STAGE, settings, (FOLDER,), scans), overwrite=overwrite, record_scans=not has_results
     ) as output:
@@ -108,31 +105,7 @@ def picture(
         task = partial(task, output=output, classes=query.classes, labels=chosen.labels)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
         log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
-        failed = {failure.scan for failure in outcome.failures}
-        drawn = [scan for scan in scans if scan not in failed]
-        if gif:
-            animate(frames_per_second, drawn, space, output)
     return replace(outcome, missing=chosen.missing)
-
-
-def _require_usable(
-    colours: Collection[str],
-    scale: tuple[float, float] | None,
-    gif: bool,
-    frames_per_second: float,
-    options: RunOptions,
-) -> None:
-    """Refuse settings that mean nothing."""
-    require_colouring(colours, scale)
-    if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
-        found = ", ".join(colours) or "none"
-        raise UsageError("--scale", f"--colour is {found}", "one that shows values")
-    if not 0.1 <= frames_per_second <= 50:
-        raise UsageError("--fps", f"{frames_per_second:g}", "a number from 0.1 to 50")
-    if gif and options.shard.count > 1:
-        found = f"--shard {options.shard} draws a part of the scans"
-        remedy = "run once more without --shard after all shards"
-        raise UsageError("--gif", found, remedy=remedy)
 
 
 def _scans_alone(out: Path, query: ResultQuery) -> ChosenResults:

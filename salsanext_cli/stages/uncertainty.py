@@ -32,6 +32,8 @@ from salsanext_cli.uncertainty.error_features import error_probability, knows_er
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
+METHOD = "sampling"  # Recorded: earlier versions had another method too
+
 log = logging.getLogger(__name__)
 
 
@@ -112,10 +114,10 @@ def uncertainty(
     recorded = replace(
         settings_of_network(network),
         knn=knn,
-        method=method.method,
+        method=METHOD,
         aleatoric=method.aleatoric,
-        samples=method.samples if method.is_sampled else None,
-        seed=method.seed if method.is_random else None,
+        samples=method.samples,
+        seed=method.seed,
         noise=noise_of(network.sensor) if method.is_noisy else None,
     )
     kinds = tuple(f"uncertainty/{kind}" for kind in method.kinds)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -236,22 +236,18 @@ class Gaussian:
         """Return the number of dimensions."""
         return self.mean.dim()
 
-    def like(self, mean: Tensor, variance: Tensor) -> Self:
-        """Return other moments, of the same kind as these."""
-        return type(self)(mean, variance)
+    def __getitem__(self, index: Any) -> Gaussian:
+        return Gaussian(self.mean[index], self.variance[index])
 
-    def __getitem__(self, index: Any) -> Self:
-        return self.like(self.mean[index], self.variance[index])
-
-    def __add__(self, other: Gaussian) -> Self:
+    def __add__(self, other: Gaussian) -> Gaussian:
         """Add independent Gaussians: Var = v₁ + v₂."""
         if not isinstance(other, Gaussian):
             return NotImplemented
-        return self.like(self.mean + other.mean, self.variance + other.variance)
+        return Gaussian(self.mean + other.mean, self.variance + other.variance)
 
-    def softmax(self, dim: int, groups: Groups | None = None) -> Self:
+    def softmax(self, dim: int, groups: Groups | None = None) -> Gaussian:
         """Return the moments of the softmax over a dimension, of classes merged into groups."""
-        return self.like(*softmax_moments(self.mean, self.variance, dim, groups))
+        return Gaussian(*softmax_moments(self.mean, self.variance, dim, groups))
 
 
 def _linear(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
@@ -263,7 +259,7 @@ def _linear(function: Callable[..., Tensor]) -> Callable[..., Gaussian]:
         mean = function(x.mean, weight, bias, *geometry, **more)
         variance = function(x.variance, weight.square(), None, *geometry, **more)
         # Convolving by way of a transform can round a certain 0 to less.
-        return x.like(mean, variance.clamp(min=0))
+        return Gaussian(mean, variance.clamp(min=0))
 
     return rule
 
@@ -283,11 +279,11 @@ def _batch_norm(
         raise NotImplementedError("no rule for the moments of batch_norm in training")
     mean = F.batch_norm(x.mean, running_mean, running_var, weight, bias, False, momentum, eps)
     factor = weight.square() / (running_var + eps)
-    return x.like(mean, x.variance * factor.view(1, -1, 1, 1))
+    return Gaussian(mean, x.variance * factor.view(1, -1, 1, 1))
 
 
 def _leaky_relu(x: Gaussian, negative_slope: float = 0.01, inplace: bool = False) -> Gaussian:
-    return x.like(*leaky_relu_moments(x.mean, x.variance, negative_slope))
+    return Gaussian(*leaky_relu_moments(x.mean, x.variance, negative_slope))
 
 
 def _avg_pool2d(x: Gaussian, kernel: int, stride: int, padding: int, *count: Any) -> Gaussian:
@@ -295,7 +291,7 @@ def _avg_pool2d(x: Gaussian, kernel: int, stride: int, padding: int, *count: Any
     if count not in ((), (False, True, None)):
         raise NotImplementedError(f"average pooling with {count}")
     variance = F.avg_pool2d(x.variance, kernel, stride, padding) / kernel**2
-    return x.like(F.avg_pool2d(x.mean, kernel, stride, padding), variance)
+    return Gaussian(F.avg_pool2d(x.mean, kernel, stride, padding), variance)
 
 
 def _dropout2d(x: Gaussian, p: float, training: bool, inplace: bool = False) -> Gaussian:
@@ -307,16 +303,16 @@ def _dropout2d(x: Gaussian, p: float, training: bool, inplace: bool = False) -> 
 
 def _concatenate(parts: Sequence[Gaussian], dim: int = 0) -> Gaussian:
     means, variances = zip(*((part.mean, part.variance) for part in parts), strict=True)
-    return parts[0].like(torch.cat(means, dim), torch.cat(variances, dim))
+    return Gaussian(torch.cat(means, dim), torch.cat(variances, dim))
 
 
 def _pad(x: Gaussian, pad: Sequence[int], mode: str = "constant", value: Any = None) -> Gaussian:
     """Put certain values around, or move some there."""
-    return x.like(F.pad(x.mean, pad, mode, value), F.pad(x.variance, pad, mode))
+    return Gaussian(F.pad(x.mean, pad, mode, value), F.pad(x.variance, pad, mode))
 
 
 def _pixel_shuffle(x: Gaussian, factor: int) -> Gaussian:
-    return x.like(F.pixel_shuffle(x.mean, factor), F.pixel_shuffle(x.variance, factor))
+    return Gaussian(F.pixel_shuffle(x.mean, factor), F.pixel_shuffle(x.variance, factor))
 
 
 Gaussian.RULES = {

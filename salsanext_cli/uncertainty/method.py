@@ -10,13 +10,11 @@ from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.records import RangeImage
 from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
-from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import require_samples, sample, scan_seed
 
 EPISTEMIC_KINDS = ("epistemic", "entropy", "mutual_information")
 ALEATORIC_KINDS = ("aleatoric", "total")  # These need the sensor's noise
-METHODS = ("sampling", "analytic")
 ALEATORIC_METHODS = ("copies", "paper", "none")
 
 
@@ -24,18 +22,13 @@ ALEATORIC_METHODS = ("copies", "paper", "none")
 class UncertaintyMethod:
     """Way of estimating uncertainty, and its numbers."""
 
-    # {"sampling", "analytic"}: Monte-Carlo dropout, or its variance carried through the network in
-    # one pass
-    method: str = "sampling"
-    samples: int = 30  # Passes per scan, at least 2, if sampling; 30 is the paper's number
+    samples: int = 30  # Passes of Monte-Carlo dropout per scan, at least 2; the paper's number
     seed: int = 0  # A scan's masks and noise depend on this, its sequence and its name only
     # {"copies", "paper", "none"}: the sensor's noise: by passes over noisy copies of the scan, or
     # carried through the network by assumed density filtering; or no aleatoric uncertainty
     aleatoric: str = "copies"
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise UsageError("--method", self.method, " or ".join(METHODS))
         if self.aleatoric not in ALEATORIC_METHODS:
             raise UsageError("--aleatoric", str(self.aleatoric), ", ".join(ALEATORIC_METHODS))
         require_samples(self.samples)
@@ -46,19 +39,9 @@ class UncertaintyMethod:
         return (*EPISTEMIC_KINDS, *ALEATORIC_KINDS) if self.is_noisy else EPISTEMIC_KINDS
 
     @property
-    def is_sampled(self) -> bool:
-        """True if the network is passed with random dropout."""
-        return self.method == "sampling"
-
-    @property
     def is_noisy(self) -> bool:
         """True if the noise of the sensor counts."""
         return self.aleatoric != "none"
-
-    @property
-    def is_random(self) -> bool:
-        """True if the seed counts."""
-        return self.is_sampled or self.aleatoric == "copies"
 
     def require(self, network: Network) -> None:
         """Raise what `estimate` raises, before any scan is read."""
@@ -69,10 +52,7 @@ class UncertaintyMethod:
     def estimate(self, network: Network, image: RangeImage, scan: ScanFile) -> Estimate:
         """Return the prediction for a scan and the uncertainty of its pixels."""
         seed = scan_seed(self.seed, scan.sequence, scan.stem)
-        if self.is_sampled:
-            estimate = sample(network, image, samples=self.samples, seed=seed)
-        else:
-            estimate = propagate_dropout(network, image)
+        estimate = sample(network, image, samples=self.samples, seed=seed)
         if not self.is_noisy:
             return estimate
         of_copies = self.aleatoric == "copies"

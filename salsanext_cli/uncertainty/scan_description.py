@@ -25,8 +25,7 @@ class ScanDescription:
     file: ScanFile
     # (D,) float64: of the layer before the logits, without dropout; 32 in SalsaNext
     features: Double
-    uncertainty: float  # Mutual information of label and weights, nats; NaN without passes
-    points: int
+    uncertainty: float  # Mutual information of label and weights, nats
     check: ScanCheck  # Reasons to doubt the scan
 
 
@@ -35,7 +34,7 @@ class DescribeJob:
     """Job that describes scans by what a network makes of them."""
 
     network: Network
-    samples: int  # Passes of dropout; 0 for none
+    samples: int  # Passes of dropout
     seed: int
 
     def prepare(self, file: ScanFile) -> PreparedScan:
@@ -45,32 +44,27 @@ class DescribeJob:
             raise FormatError(file.path, "no point is in view of the sensor", "a scan with points")
         return scan
 
-    def compute(self, scans: Sequence[PreparedScan]) -> list[tuple[Float, Float | None]]:
-        """Return features (D, H, W) and, if sampled, mutual information (H, W) of each scan."""
+    def compute(self, scans: Sequence[PreparedScan]) -> list[tuple[Float, Float]]:
+        """Return features (D, H, W) and mutual information (H, W) of each scan."""
         return [self._compute(*scan) for scan in scans]
 
     def _compute(
         self, projected: ProjectedScan, network: Network, given: Float
-    ) -> tuple[Float, Float | None]:
+    ) -> tuple[Float, Float]:
         features = pixel_features(network, given)
-        if not self.samples:
-            return features, None
         # The masks of dropout are the same for every scan: between masks the mutual information
         # varies more than between scans of one drive.
         estimate = checked_sample(projected, network, self.samples, self.seed)
         return features, estimate.uncertainty.mutual_information
 
-    def finish(self, scan: PreparedScan, computed: tuple[Float, Float | None]) -> ScanDescription:
+    def finish(self, scan: PreparedScan, computed: tuple[Float, Float]) -> ScanDescription:
         """Return the means over the pixels with a point."""
         (projected, network, _), (of_pixels, information) = scan, computed
         filled = projected.image.point_of_pixel >= 0
         features = of_pixels[:, filled].mean(axis=1, dtype=np.float64)
         network.backend.require_finite(features, projected.file.path)
-        mean = np.nan
-        if information is not None:
-            mean = float(information[filled].mean(dtype=np.float64))
-        points = len(projected.scan)
-        return ScanDescription(projected.file, features, mean, points, projected.check)
+        mean = float(information[filled].mean(dtype=np.float64))
+        return ScanDescription(projected.file, features, mean, projected.check)
 
 
 def checked_sample(projected: ProjectedScan, network: Network, samples: int, seed: int) -> Estimate:

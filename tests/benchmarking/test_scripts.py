@@ -62,7 +62,7 @@ RUNS = {
 SLOW_RUNS = {
     f"uncertainty_cost.py {SCAN} tiny.toml 2 2 w.safetensors": (
         *("one deterministic pass", "2 passes of dropout", "assumed density filtering"),
-        *("eight noisy copies", "analytic, one pass", "dropout and noisy copies"),
+        *("eight noisy copies", "dropout and noisy copies"),
     ),
     f"engines.py {SCAN} --rounds 1 --weights w.safetensors --sensors tiny.toml": (
         *("eager float32", "channels last float32", "OpenVINO float32"),

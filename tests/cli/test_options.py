@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
+import pytest
 import typer
 from command_line import only_json, parsed
 from scans import SMALL, labels_below, write_weights
@@ -105,3 +106,25 @@ def test_values_are_completed():
         (parameter,) = (p for p in group.commands[command].params if p.name == option)
         found = [item.value for item in parameter.shell_complete(context, begun)]
         assert found == completed
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        ("uncertainty", "--method", "analytic"),
+        ("uncertainty", "--method=sampling"),
+        ("predict", "--backend", "ray"),
+        ("eval", "--backend=ray"),
+        ("picture", "--gif"),
+        ("picture", "--fps=2"),
+        ("pick", "--strategy", "both"),
+        ("pick", "--disagreement", "out"),
+    ],
+    ids=" ".join,
+)
+def test_a_removed_option_is_one_line_that_names_what_to_use(run, line):
+    result = run(*line, "--json")
+    assert (result.exit_code, only_json(result)["code"]) == (2, "usage")
+    assert result.stderr.startswith(f"error: {line[1].partition('=')[0]}")
+    assert " · this option was removed · use " in result.stderr
+    assert result.stderr.count("\n") == 1

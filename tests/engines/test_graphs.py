@@ -41,7 +41,6 @@ from salsanext_cli.errors import MissingDependency, UsageError, warn_once
 from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.uncertainty.aleatoric import aleatoric
-from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 from salsanext_cli.uncertainty.scan_description import pixel_features
 
 
@@ -318,7 +317,6 @@ OPERATIONS = {
     "trunk": "f780ffe62f983d6a",
     "rest": "f2ebf5249d0e2682",
     "moments": "a2dbf455fd256f20",
-    "dropout moments at 0.2": "732244093e9f0a6e",
     "features": "735b08ec6adff7bb",
 }
 """Digests of the operations of each graph of a small network, by these libraries."""
@@ -358,7 +356,6 @@ def test_the_version_of_graphs_changes_with_them():
     network.logits(image)
     sample(network, image, samples=2, seed=0)
     aleatoric(network, image)
-    propagate_dropout(network, image)
     pixel_features(network, network.input(image.channels))
     versions = (openvino.__version__.partition("-")[0], torch.__version__.partition("+")[0])
     if versions != OPERATIONS_BY:

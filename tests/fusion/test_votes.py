@@ -6,9 +6,9 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
+from fused import fuse
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_poses import SEEN, WAY
 
 from salsanext_cli import LabelSpace, Scan, label_space
 from salsanext_cli.errors import UsageError, warn_once
@@ -19,8 +19,8 @@ from salsanext_cli.fusion.votes import MAX_CELLS, SCALE, VOXEL_SIZES_M, keys_of
 from salsanext_cli.fusion.window import (
     FusionWindow,
     disagreement,
-    fuse,
     fused_labels,
+    movable_classes,
 )
 from salsanext_cli.options import FusionReach
 
@@ -146,12 +146,10 @@ def test_a_label_space_without_movable_classes_is_a_warning(caplog):
     labels = {0: "none", **{i: f"class {i}" for i in range(1, CLASSES)}}
     same = {i: i for i in labels}
     data = {"name": "silent", "labels": labels, "learning_map": same, "learning_map_inv": same}
-    scan = Scan(np.zeros((1, 3), np.float32), np.zeros(1, np.float32))
-    softmax = np.eye(CLASSES, dtype=np.float32)[[ROAD]]
     warn_once.cache_clear()
     for stated in ({"movable": []}, {"movable": [1]}, {}):
         assert not caplog.records
-        fuse([scan], [softmax], np.eye(4)[None], space=LabelSpace.from_dict(data | stated))
+        movable_classes(LabelSpace.from_dict(data | stated))
     assert [record.levelname for record in caplog.records] == ["WARNING"]
     assert "silent" in caplog.text
 
@@ -216,49 +214,6 @@ def test_parts_may_be_any_distance_apart_but_not_the_scans_of_one():
     assert window.tally(0).views.max() <= 3
     with pytest.raises(UsageError, match=r"scan 4 .* 100000.0 km .* at most 314.1 km"):
         window.tally(4)
-
-
-@pytest.mark.parametrize(
-    ("place", "value"),
-    [((0, 1), 0.5), ((2, 2), -1), ((2, 3), np.inf), ((0, 0), np.nan), ((3, 3), 2)],
-)
-def test_poses_that_shear_mirror_or_are_not_finite_are_refused(place, value):
-    scans, softmax, poses = drive(0)
-    poses[1][place] = value
-    with pytest.raises(UsageError, match="pose of scan 1 "):
-        fuse(scans, softmax, poses)
-
-
-def test_what_is_no_softmax_of_the_scan_is_refused():
-    for softmax, found in (
-        (np.ones((60, CLASSES - 1)), "an array \\(60, 19\\) .* semantic-kitti"),
-        (np.full((60, CLASSES), np.nan), "NaN"),
-        (np.full((60, CLASSES), -0.1), ".*below 0"),
-        (np.full((60, CLASSES), 5.0), ".*above 1"),
-        (np.ones((60, CLASSES)), "rows that do not add up to 1"),
-    ):
-        scans, of_scans, poses = drive(0)
-        of_scans[2] = softmax
-        with pytest.raises(UsageError, match=f"probabilities of scan 2 · {found}"):
-            fuse(scans, of_scans, poses)
-
-
-def test_poses_that_do_not_fit_the_scans_are_refused():
-    softmax = np.eye(CLASSES, dtype=np.float32)[np.full(len(SEEN(0)), ROAD)]
-    scans = [Scan(SEEN(i).astype(np.float32), np.zeros(len(softmax), np.float32)) for i in range(6)]
-    assert max(tally.views.max() for tally in fuse(scans, [softmax] * 6, WAY[:6])) == 6
-    with pytest.raises(UsageError, match="do not fit"):
-        fuse(scans, [softmax] * 6, np.linalg.inv(WAY[:6]))
-
-
-def test_as_many_of_each_as_scans_are_expected():
-    scans, softmax, poses = drive(0)
-    for wrong in ((scans, softmax[1:], poses), (scans, softmax, poses[1:])):
-        with pytest.raises(UsageError, match="for 5 scans"):
-            fuse(*wrong)
-    with pytest.raises(UsageError, match="poses · an array"):
-        fuse(scans, softmax, poses[:, :3])
-    assert fuse([], [], np.zeros((0, 4, 4))) == []
 
 
 @given(st.integers(0, 10_000), st.integers(2, CLASSES))

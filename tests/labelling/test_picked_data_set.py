@@ -32,7 +32,7 @@ def test_poses_whose_names_may_count_from_0_or_1_are_left_out(
 
 def test_the_settings_are_one_table_with_those_of_the_network():
     network = StageSettings(weights="abc", precision="float32")
-    settings = PickSettings(network, "both", 10, 0, "3, abc", None, None, samples=8)
+    settings = PickSettings(network, 10, 0, "3, abc", None, samples=8)
     assert settings_json(settings) == {
         **{"weights": "abc", "precision": "float32"},
         **{"strategy": "both", "count": 10, "seed": 0, "scans": "3, abc", "samples": 8},

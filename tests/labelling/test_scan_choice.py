@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from salsanext_cli.labelling.scan_choice import STRATEGIES, choose_scans, standardised
-
-GREEDY = [name for name in STRATEGIES if name != "random"]
+from salsanext_cli.labelling.scan_choice import choose_scans, standardised
 
 
 def pool(scans: int, seed: int, features: int = 5) -> tuple[np.ndarray, np.ndarray]:
@@ -43,7 +41,7 @@ def distance_table(features: np.ndarray) -> list[list[float]]:
     ]
 
 
-def slow(features: np.ndarray, weights: np.ndarray, count: int, strategy: str) -> list[int]:
+def slow(features: np.ndarray, weights: np.ndarray, count: int) -> list[int]:
     """Choose by plain loops over all pairs."""
     table = distance_table(features)
     scans = range(len(features))
@@ -53,27 +51,23 @@ def slow(features: np.ndarray, weights: np.ndarray, count: int, strategy: str) -
     while len(diverse) < count:
         least, farthest = max((min(table[a][b] for b in diverse), a) for a in scans)
         diverse.append(farthest)
-    if strategy == "diverse":
-        return diverse
     chosen = [max(scans, key=lambda a: weights[a])]
     while len(chosen) < count:
         apart = {a: min(table[a][b] for b in chosen) for a in scans if a not in chosen}
         enough = [a for a in apart if apart[a] >= least / 2]
-        by_product = strategy == "both"
-        chosen.append(max(enough, key=lambda a: weights[a] * (apart[a] if by_product else 1)))
+        chosen.append(max(enough, key=lambda a: weights[a] * apart[a]))
     return chosen
 
 
-@pytest.mark.parametrize("strategy", GREEDY)
 @pytest.mark.parametrize(("scans", "count"), [(2, 2), (9, 4), (30, 10), (30, 30)])
-def test_the_choice_is_that_of_a_slow_clear_loop(strategy, scans, count):
+def test_the_choice_is_that_of_a_slow_clear_loop(scans, count):
     features, weights = pool(scans, seed=scans + count)
-    assert order(features, weights, count, strategy) == slow(features, weights, count, strategy)
+    assert order(features, weights, count) == slow(features, weights, count)
 
 
 def test_what_is_told_of_a_choice():
     features, weights = np.array([[0.0], [1], [4]]), [0.1, 0.3, 0.2]
-    first, second, third = choose_scans(features, weights, 3, "both")
+    first, second, third = choose_scans(features, weights, 3)
     assert (first.scan, first.uncertainty, first.uncertainty_rank) == (1, 0.3, 1)
     assert math.isnan(first.distance)
     assert first.nearest is None
@@ -85,12 +79,11 @@ def test_what_is_told_of_a_choice():
 @given(
     st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2)), min_size=1, max_size=12),
     st.integers(1, 15),
-    st.sampled_from(GREEDY),
     st.data(),
 )
-def test_every_scan_once_and_equal_ones_last(points, count, strategy, data):
+def test_every_scan_once_and_equal_ones_last(points, count, data):
     doubt = st.lists(st.integers(0, 3), min_size=len(points), max_size=len(points))
-    found = choose_scans(np.array(points, float), data.draw(doubt), count, strategy)
+    found = choose_scans(np.array(points, float), data.draw(doubt), count)
     chosen = [choice.scan for choice in found]
     assert len(set(chosen)) == len(chosen) == min(count, len(points))
     distinct = len({points[scan] for scan in chosen})
@@ -99,37 +92,22 @@ def test_every_scan_once_and_equal_ones_last(points, count, strategy, data):
     assert [choice.distance != 0 for choice in found] == [i < distinct for i in range(len(found))]
 
 
-@pytest.mark.parametrize("strategy", STRATEGIES)
-def test_more_than_there_are_and_all_equal(strategy):
+def test_more_than_there_are_and_all_equal():
     features, weights = pool(6, seed=3)
-    assert sorted(order(features, weights, 6, strategy)) == list(range(6))
-    assert order(features, weights, 99, strategy) == order(features, weights, 6, strategy)
-    found = order(np.ones((5, 4)), [1, 3, 2, 3, 0], 5, strategy)
-    assert sorted(found) == list(range(5))
-    if strategy in ("both", "uncertainty"):
-        assert found == [1, 3, 2, 0, 4]
+    assert sorted(order(features, weights, 6)) == list(range(6))
+    assert order(features, weights, 99) == order(features, weights, 6)
+    found = order(np.ones((5, 4)), [1, 3, 2, 3, 0], 5)
+    assert found == [1, 3, 2, 0, 4]
 
 
-@pytest.mark.parametrize("strategy", STRATEGIES)
-def test_labelled_scans_count_as_chosen_and_are_not_chosen_again(strategy):
+def test_labelled_scans_count_as_chosen_and_are_not_chosen_again():
     features = np.random.default_rng(3).normal(size=(12, 4))
     uncertainty = np.random.default_rng(4).uniform(1, 2, 12)
-    first = [each.scan for each in choose_scans(features, uncertainty, 4, strategy)]
-    more = choose_scans(features, uncertainty, 4, strategy, labelled=first)
+    first = [each.scan for each in choose_scans(features, uncertainty, 4)]
+    more = choose_scans(features, uncertainty, 4, labelled=first)
     assert len({each.scan for each in more} - {*first}) == 4
-    if strategy != "random":
-        # The next of a larger choice, but for the distance that it keeps.
-        apart = np.linalg.norm(
-            standardised(features)[more[0].scan] - standardised(features), axis=1
-        )
-        assert more[0].distance == pytest.approx(apart[first].min())
-        assert more[0].nearest in first
-    assert len(choose_scans(features, uncertainty, 20, strategy, labelled=first)) == 8
-
-
-def test_random_draws_by_the_seed():
-    features, weights = pool(30, seed=2)
-    drawn = {tuple(order(features, weights, 5, "random", seed)) for seed in range(20)}
-    assert len(drawn) == 20
-    again = order(features * 7, weights[::-1], 5, "random", 4)
-    assert again == order(features, weights, 5, "random", 4)
+    # The next of a larger choice, but for the distance that it keeps.
+    apart = np.linalg.norm(standardised(features)[more[0].scan] - standardised(features), axis=1)
+    assert more[0].distance == pytest.approx(apart[first].min())
+    assert more[0].nearest in first
+    assert len(choose_scans(features, uncertainty, 20, labelled=first)) == 8

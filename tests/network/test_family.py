@@ -13,7 +13,6 @@ from architectures import EACH
 from scans import SMALL, lively, make_scan
 
 from salsanext_cli import label_space, project, sample
-from salsanext_cli.engines.loading import with_dropout
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.torch_backend import TorchBackend
 from salsanext_cli.network.blocks import ReplicatingConvTranspose2d, transposed_unit
@@ -24,7 +23,6 @@ from salsanext_cli.network.registry import ARCHITECTURES, build
 from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.uncertainty.dropout_propagation import propagate_dropout
 
 TWINS = {"salsanet-shuffle": "salsanext", "salsanext-v1-pooling": "salsanext-v1"}
 """Rungs of the same network as another's, which only the loss tells apart."""
@@ -106,15 +104,12 @@ def test_a_step_of_training_reaches_every_parameter(name):
 
 
 @pytest.mark.parametrize("name", DIFFERENT)
-def test_dropout_sampled_and_in_one_pass(name, image):
+def test_sampled_dropout(name, image):
     first, other = (sample(network(name), image, samples=2, seed=seed) for seed in (0, 1))
     assert not np.array_equal(first.variance, other.variance)
-    for found in (first, propagate_dropout(network(name), image)):
-        assert np.isfinite(found.variance).all()
-        assert found.uncertainty.epistemic.min() >= 0
-        assert found.uncertainty.epistemic.max() > 0
-    hardly = propagate_dropout(with_dropout(network(name), 1e-12), image)
-    np.testing.assert_allclose(hardly.probabilities, network(name).probabilities(image), atol=1e-4)
+    assert np.isfinite(first.variance).all()
+    assert first.uncertainty.epistemic.min() >= 0
+    assert first.uncertainty.epistemic.max() > 0
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Every backend with real workers: the bytes do not depend on it, and deaths are survived."""
 
-import os
 import signal
 import socket
 import sys
-import threading
-from contextlib import ExitStack
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from scans import files_below, write_sequence
@@ -23,7 +19,6 @@ from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
-TESTS = Path(__file__).parents[1]
 HERE = "127.0.0.1"
 
 
@@ -47,28 +42,7 @@ def dask():
         yield {"backend": "dask", "scheduler": cluster.scheduler_address}
 
 
-@pytest.fixture(scope="module")
-def ray():
-    """Return the options for a real Ray of two CPUs."""
-    pytest.importorskip("ray")
-    from ray.cluster_utils import Cluster
-
-    with pytest.MonkeyPatch.context() as patch:
-        # Workers of Ray are started anew and know nothing of the path of this process.
-        package = TESTS.parent
-        old = os.environ.get("PYTHONPATH", "")
-        patch.setenv("PYTHONPATH", os.pathsep.join([str(package), str(TESTS), old]))
-        cluster = Cluster(
-            initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False}
-        )
-        yield {"backend": "ray", "scheduler": cluster.address}
-        cluster.shutdown()
-
-
-CLUSTERS = [pytest.param(name, marks=pytest.mark.slow) for name in ("dask", "ray")]
-
-
-@pytest.fixture(params=["loky", "threading", *CLUSTERS])
+@pytest.fixture(params=["loky", "threading", pytest.param("dask", marks=pytest.mark.slow)])
 def workers(request):
     """Return the options for two workers of each kind."""
     if request.param in ("loky", "threading"):
@@ -95,22 +69,12 @@ def alone(tmp_path_factory, weights):
         return folder, everything(folder, folder / "out", weights)
 
 
-@pytest.fixture
-def connected(workers):
-    """Stay connected with Ray from stage to stage: it starts workers anew for each connection."""
-    with ExitStack() as stack:
-        if workers["backend"] == "ray":
-            ray = pytest.importorskip("ray")
-            stack.enter_context(pool._connected_to_ray(ray, workers["scheduler"]))
-        yield workers
-
-
-def test_the_bytes_do_not_depend_on_who_works(tmp_path, alone, weights, connected, monkeypatch):
+def test_the_bytes_do_not_depend_on_who_works(tmp_path, alone, weights, workers, monkeypatch):
     # One thread for each of two workers, whatever the machine.
     monkeypatch.setattr("joblib.cpu_count", lambda: 2)
     data, expected = alone
     assert len(expected) == 4 * (3 + 3) + 3
-    assert everything(data, tmp_path / "out", weights, **connected) == expected
+    assert everything(data, tmp_path / "out", weights, **workers) == expected
 
 
 def test_failures_are_named_and_the_rest_is_done(tmp_path, workers, monkeypatch):
@@ -134,8 +98,6 @@ def test_a_scan_that_kills_its_workers_is_one_error_and_the_next_run_goes_on(tmp
     scans = scans_of(*(f"{n:02d}" for n in range(8)), "killed", *(f"{n:02d}" for n in range(8, 15)))
     with pytest.raises(WorkersLost) as caught:
         run(Write(tmp_path), scans, **workers)
-    # One of Ray's that still asked for a result would connect again by itself.
-    assert "ResultThread" not in {type(thread).__name__ for thread in threading.enumerate()}
     missing = [scan for scan in scans if not (tmp_path / "s" / scan.stem).exists()]
     assert "killed" in {scan.stem for scan in missing}
     named = ", ".join(f"s/{scan.stem}" for scan in missing[:3])
@@ -146,15 +108,9 @@ def test_a_scan_that_kills_its_workers_is_one_error_and_the_next_run_goes_on(tmp
     assert {path.name for path in (tmp_path / "s").iterdir()} == {scan.stem for scan in scans}
 
 
-@pytest.mark.parametrize("backend", ["dask", "ray"])
-def test_a_cluster_needs_an_address(backend):
-    with pytest.raises(UsageError, match=f"^--backend {backend} · no --scheduler · "):
-        RunOptions(backend=backend)
-
-
-def test_a_program_that_has_initialised_ray_needs_no_address(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: True))
-    assert RunOptions(backend="ray").scheduler is None
+def test_a_cluster_needs_an_address():
+    with pytest.raises(UsageError, match=r"^--backend dask · no --scheduler · "):
+        RunOptions(backend="dask")
 
 
 def free_port():
@@ -163,18 +119,16 @@ def free_port():
         return unused.getsockname()[1]
 
 
-@pytest.mark.parametrize("backend", ["dask", "ray"])
 @pytest.mark.parametrize("address", ["{here}:{port}", "nonsense"])
-def test_where_no_cluster_answers(tmp_path, backend, address, monkeypatch):
-    pytest.importorskip({"dask": "distributed"}.get(backend, backend))
+def test_where_no_cluster_answers(tmp_path, address, monkeypatch):
+    pytest.importorskip("distributed")
     monkeypatch.setattr(pool, "CONNECT_TIMEOUT_S", 1)
     address = address.format(here=HERE, port=free_port())
     with pytest.raises(UsageError, match=f"^--scheduler {address} · "):
-        run(Write(tmp_path), scans_of("a"), backend=backend, scheduler=address)
+        run(Write(tmp_path), scans_of("a"), backend="dask", scheduler=address)
 
 
-@pytest.mark.parametrize(("backend", "package"), [("dask", "distributed"), ("ray", "ray")])
-def test_a_missing_package_is_named(tmp_path, backend, package, monkeypatch):
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingDependency, match=rf"pip install 'salsanext\[{backend}\]'"):
-        run(Write(tmp_path), scans_of("a", "b"), backend=backend, scheduler="host:1", jobs=2)
+def test_a_missing_package_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingDependency, match=r"pip install 'salsanext\[dask\]'"):
+        run(Write(tmp_path), scans_of("a", "b"), backend="dask", scheduler="host:1", jobs=2)

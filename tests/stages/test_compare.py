@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: MIT
+import io
 import json
 import shutil
 
 import numpy as np
 import pytest
 from evaluated import CAR, ROAD, SPACE, World
+from rich.console import Console
 from scans import files_below
 
 from salsanext_cli import label_space, read_scan, sensor
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.network.card import scan_digest
+from salsanext_cli.report.comparison import comparison_tables
 from salsanext_cli.results.layout import find_scans, output_path
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.compare import compare
@@ -31,13 +34,6 @@ def runs(tmp_path):
     for world in worlds:
         world.add("9", None, [CAR] * 3)
     return worlds
-
-
-@pytest.fixture(autouse=True)
-def shown(request, monkeypatch):
-    """Draw one scan, and only where that is looked at: each takes a second."""
-    drawn = any(word in request.node.name for word in ("page", "shown"))
-    monkeypatch.setattr("salsanext_cli.stages.compare.SHOWN", int(drawn))
 
 
 def compared(runs, classes=None, **options):
@@ -70,16 +66,13 @@ def test_scores_are_those_of_eval(runs):
     assert data["changed_most"][0]["scan"] == "08/5"
 
 
-def test_the_page_holds_tables_and_pictures_and_replaces_own_ones_only(runs):
+def test_an_own_record_is_replaced_and_a_changed_one_is_not(runs):
     compared(runs)
     first = files_below(runs[1].out)
-    page = first["compare.html"].decode()
-    assert page.count("data:image/png;base64,") == 1
-    assert "mean IoU, 3 classes" in page
     compared(runs)
     assert files_below(runs[1].out) == first
-    (runs[1].out / "compare.html").write_text("mine")
-    with pytest.raises(OutputError, match=r"compare.html · .*and is kept"):
+    (runs[1].out / "compare.json").write_text("{}")
+    with pytest.raises(OutputError, match=r"compare.json · .*and is kept"):
         compared(runs)
 
 
@@ -97,11 +90,12 @@ def test_scans_of_either_training_are_marked_and_have_no_part_in_the_scores(runs
 def test_equal_runs_have_no_empty_tables(runs):
     shutil.rmtree(runs[1].out)
     shutil.copytree(runs[0].out, runs[1].out)
-    compared(runs)
-    page = (runs[1].out / "compare.html").read_text()
-    assert "scans: all are the same" in page
-    assert "Scans that changed most" not in page
-    assert "share %" not in page
+    console = Console(record=True, file=io.StringIO())
+    console.print(comparison_tables(compared(runs)[0]))
+    text = console.export_text()
+    assert "scans: all are the same" in text
+    assert "Scans that changed most" not in text
+    assert "share %" not in text
 
 
 def test_what_cannot_be_compared_is_said(runs, tmp_path, caplog):
@@ -126,14 +120,6 @@ def test_runs_in_other_classes_are_merged_if_that_is_said(runs):
         compared(runs)
     found, _, _ = compared(runs, classes=label_space("coarse"))
     assert found.scores["vehicle"].after == 1
-
-
-def test_a_scan_that_cannot_be_shown_does_not_end_it(runs, caplog):
-    (runs[0].dataset / "sequences/08/velodyne/5.bin").write_bytes(b"")
-    _, failures, data = compared(runs)
-    assert failures == ()
-    assert data["scans"] == 7
-    assert "not shown: " in caplog.text
 
 
 def test_other_scans_of_the_same_names_are_refused(runs, tmp_path):

@@ -9,6 +9,7 @@ import numpy as np
 import plyfile
 import pytest
 from command_line import only_json
+from fused import fuse
 from scans import files_below, write_bin
 from typer.testing import CliRunner
 
@@ -24,7 +25,7 @@ from salsanext_cli.errors import (
     UsageError,
 )
 from salsanext_cli.fusion.poses import encode_poses, read_fused_poses
-from salsanext_cli.fusion.window import FusionWindow, disagreement, fuse, fused_labels
+from salsanext_cli.fusion.window import FusionWindow, disagreement, fused_labels
 from salsanext_cli.options import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.owned_folder import OwnedFolder

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from scans import SMALL, files_below, make_scan, write_array, write_sequence, write_weights
+from scans import SMALL, files_below, make_scan, write_sequence, write_weights
 from world import Kept
 
 from salsanext_cli import (
@@ -38,8 +38,6 @@ PASSES = {"samples": 2, "seed": 0}
 def few_samples():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("salsanext_cli.stages.pick.SAMPLES", PASSES["samples"])
-        # Drawing takes most of the time, and has own tests.
-        patch.setattr("salsanext_cli.stages.pick.picked_sheet", lambda *_: b"\x89PNG")
         yield
 
 
@@ -90,35 +88,11 @@ def test_what_is_chosen_is_what_the_descriptions_say(drive):
     described = [*Pipeline(DescribeJob(network, **PASSES)).results(scans)]
     features = [each.features for each in described]
     doubt = [each.uncertainty for each in described]
-    found = run(drive, strategy="diverse")
-    expected = [each.scan for each in choose_scans(features, doubt, 3, "diverse")]
+    found = run(drive)
+    expected = [each.scan for each in choose_scans(features, doubt, 3)]
     assert names(found) == [scans[number].name for number in expected]
     assert [each.uncertainty for each in found.picked] == [doubt[number] for number in expected]
     assert found.scans == 6
-
-
-def test_disagreement_of_views_may_count_as_uncertainty(drive, tmp_path):
-    results, expected = tmp_path / "fused", {}
-    for number, scan in enumerate(find_scans(drive.data)):
-        values = np.full(1500, [0.1, 0.5, 0.3, 0.9, 0.2, 0.4][number], np.float32)
-        values[:700] = np.nan
-        path = results / f"sequences/08/uncertainty/disagreement/{scan.stem}.npy"
-        write_array(path, values)
-        expected[scan.name] = float(values[-1])
-    found = run(drive, count=6, strategy="uncertainty", disagreement=results)
-    of_scans = {each.name: each.uncertainty for each in found.picked}
-    assert of_scans == pytest.approx(expected)
-    assert found.picked[0].name == max(expected, key=expected.get)
-    stems = [scan.stem for scan in find_scans(drive.data)]
-    path.unlink()
-    write_array(path.with_name(f"{stems[0]}.npy"), values[:-1])
-    write_array(path.with_name(f"{stems[1]}.npy"), np.full_like(values, np.nan))
-    found = run(drive, out=drive.out / "some", count=6, disagreement=results)
-    failed = {failure.scan.stem: failure.code for failure in found.outcome.failures}
-    assert failed == dict.fromkeys([stems[0], stems[1], stems[-1]], "format")
-    with pytest.raises(NoInputError, match="salsanext fuse"):
-        run(drive, out=drive.out / "none", disagreement=tmp_path)
-    assert not (drive.out / "none").exists()
 
 
 def test_the_data_set_is_ready_to_label(picked):
@@ -144,7 +118,6 @@ def test_the_data_set_is_ready_to_label(picked):
     written = label_space(picked.out / "labels.yaml")
     assert written.fits(space)
     assert written.splits == {"train": ("08",), "valid": (), "test": ()}
-    assert (picked.out / "picked.png").read_bytes().startswith(b"\x89PNG")
     lines = (picked.out / "picked.csv").read_text().splitlines()
     assert [line.split(",")[2] for line in lines[1:]] == [each.scan for each in found.picked]
 
@@ -194,7 +167,7 @@ def test_what_is_missing_is_written_and_what_is_there_stays(picked):
     assert (again.outcome.skipped, again.outcome.done) == (3, 0)
     assert files_below(picked.out) == kept
     lost.unlink()
-    (picked.out / "picked.png").unlink()
+    (picked.out / "picked.csv").unlink()
     assert run(picked).outcome.done == 3
     assert files_below(picked.out) == kept
     assert kept.keys() == before.keys()
@@ -209,7 +182,7 @@ def test_other_settings_need_another_folder_or_overwrite(picked):
         with pytest.raises(OutputError, match=difference):
             run(picked, **how)
     assert files_below(picked.out) == before
-    found = run(picked, strategy="random", count=2, overwrite=True)
+    found = run(picked, count=2, overwrite=True)
     stems = sorted(each.scan for each in found.picked)
     for folder in ("velodyne", "labels", "ply"):
         assert [name.partition(".")[0] for name in of_folder(picked, folder)] == stems
@@ -318,7 +291,7 @@ def test_the_classes_are_described_as_the_data_set_does_where_it_may(drive):
 
 
 def test_what_is_wrong_is_said_before_a_scan_is_read(drive, tmp_path):
-    for how in ({"count": 0}, {"strategy": "best"}, {"seed": -1}):
+    for how in ({"count": 0}, {"seed": -1}):
         with pytest.raises(UsageError):
             run(drive, **how)
     certain = write_weights(tmp_path / "certain.safetensors", dropout=0.0)

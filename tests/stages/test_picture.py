@@ -166,25 +166,3 @@ def test_range_images_alone(world):
     assert settings["sensor"]["name"] == seen.name
     colours = screen_colours(label_space("coarse"))
     assert has(drawn(world), colours[1])
-
-
-@pytest.mark.usefixtures("plain")
-def test_an_animation_of_each_sequence(labelled):
-    draw(labelled, gif=True, frames_per_second=2.0)
-    for sequence, count in (("00", 1), ("08", 2)):
-        path = labelled.out / "sequences" / sequence / "pictures.gif"
-        with Image.open(path) as gif:
-            assert gif.n_frames == count
-    draw(labelled, gif=True, frames_per_second=4.0)
-    with Image.open(path) as gif:
-        assert gif.info["duration"] == 250
-    # A broken scan is left out.
-    labelled.scan("08", "000001").write_bytes(b"1")
-    outcome = draw(labelled, gif=True, options=OVERWRITE)
-    assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
-    with Image.open(path) as gif:
-        assert gif.n_frames == 1
-    path.write_bytes(b"mine")
-    with pytest.raises(OutputError, match=r"pictures\.gif · .*and is kept"):
-        draw(labelled, gif=True)
-    assert path.read_bytes() == b"mine"

@@ -165,8 +165,7 @@ def test_labels_of_other_raw_ids_count_where_the_names_of_the_classes_are_the_sa
 
 
 def test_uncertainty_is_that_of_the_merged_classes(coarse):
-    method = UncertaintyMethod("analytic")
-    assert uncertainty(coarse.data, coarse.out, settings=coarse.network, method=method).done
+    assert uncertainty(coarse.data, coarse.out, settings=coarse.network, method=FEW).done
     values = np.load(coarse.result("uncertainty/entropy"))
     assert 0 <= np.nanmin(values) <= np.nanmax(values) <= np.log(8) + 1e-5
     assert {*np.unique(coarse.labels())} <= {0, *COARSE.learning_map_inv.values()}

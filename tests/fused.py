@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: MIT
+"""Fusion of arrays, as the stage `fuse` does it with files."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from salsanext_cli import Scan, label_space
+from salsanext_cli.fusion.drive import Drive
+from salsanext_cli.fusion.pose_checks import fitting_parts
+from salsanext_cli.fusion.poses import Poses
+from salsanext_cli.fusion.votes import Tally
+from salsanext_cli.fusion.window import FusionWindow, voting
+from salsanext_cli.options import FusionReach
+from salsanext_cli.records import Float
+
+
+def fuse(
+    scans: Sequence[Scan],
+    probabilities: Sequence[Float],
+    poses: Poses,
+    reach: FusionReach = FusionReach(),
+) -> list[Tally]:
+    """Return the votes on the points of each scan, by softmax (N, C) and poses (S, 4, 4)."""
+    softmax = [np.asarray(each, np.float32) for each in probabilities]
+    parts, _ = fitting_parts(poses, lambda index: scans[index].points)
+    window = FusionWindow(
+        Drive(poses, parts),
+        lambda index: (scans[index].points, softmax[index], voting(softmax[index])),
+        reach,
+        label_space().movable,
+    )
+    return [window.tally(index) for index in range(len(scans))]
