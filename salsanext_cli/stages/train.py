@@ -12,7 +12,7 @@ from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.parallel.options import worker_count
+from salsanext_cli.parallel.options import cores, worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.selection import evenly_spaced
@@ -29,7 +29,7 @@ from salsanext_cli.training.data.sources import (
     scans_to_train_on,
     training_sources,
 )
-from salsanext_cli.training.distributed import default_jobs, group_of_environment, process_group
+from salsanext_cli.training.distributed import group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.log import Row
@@ -48,6 +48,7 @@ from salsanext_cli.training.run_folder import (
 )
 from salsanext_cli.training.setup import Setup, inheriting, initial_network
 
+MAX_LOADERS = 8  # Processes that prepare samples for a GPU, unless the user says how many
 SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0  # Of a simulated street
 
 log = logging.getLogger(__name__)
@@ -94,7 +95,8 @@ def train(
         raise UsageError("recipe key batch", f"{recipe.batch}", expected, remedy)
     start = default_weights() if weights is None and recipe.initial == "default" else weights
     with process_group(device) as (group, own_device), ExitStack() as held:
-        workers = worker_count(default_jobs(own_device) if jobs is None else jobs)
+        usual = 1 if own_device.type == "cpu" else min(MAX_LOADERS, cores())
+        workers = usual if jobs is None else worker_count(jobs)
         classes, training, validation = group.on_main(
             lambda: scans_to_train_on(dataset, space, divisible=recipe.folds > 0)
         )
