@@ -55,7 +55,7 @@ SHARE_BEFORE = 0.3  # Largest share of the time in which scenes are made and not
 COUNTED_SCANS = 32  # Scans of each kind whose points of each class are counted
 SAVE_INTERVAL_S = 60.0
 LOGGED_LOSSES = 200  # Steps of which the log has the mean loss
-MAX_SKIPPED = 20  # Steps in a row whose loss or gradient is not finite
+CHECKED_STEPS = 20  # Steps between two looks at the losses
 POLL_INTERVAL_S = 0.2
 SPACES = {"pandaset": "pandaset.yaml", "pandargt": "pandaset.yaml", "aachen": "aachen.yaml"}
 """Label spaces of packed data sets; no others are trained on."""
@@ -74,34 +74,43 @@ class Run:
     held_out: dict[str, Source]  # By name
     rows: list[Row] = field(default_factory=list)
     losses: list[float] = field(default_factory=list)
+    unchecked: list[torch.Tensor] = field(default_factory=list)  # Losses of the last steps
     steps: int = 0
     waited_s: float = 0.0  # For batches
 
     def fit(self, stream: Iterator[Batch], end: float) -> None:
         """Train until a time, by `time.monotonic`, with a learning rate that is zero then."""
         start = now = saved = time.monotonic()
-        step, skipped = -1, 0
+        step = -1
         while now < end:
-            images, truth, _ = next(stream)
+            images, truth = next(stream)
             self.waited_s += time.monotonic() - now
             # The number of the step is the share of the time that has passed.
             share = (time.monotonic() - start) / (end - start)
             step = max(step + 1, min(int(share * STEPS), STEPS - 1))
-            loss = self.learner.step(images, truth, step, STEPS)
+            self.unchecked.append(self.learner.step(images, truth, step, STEPS))
             self.steps += 1
-            skipped = 0 if math.isfinite(loss) else skipped + 1
-            if skipped > MAX_SKIPPED:
-                raise TrainingError("training", f"{skipped} steps in a row without a finite loss")
-            if not skipped:
-                self.losses.append(loss)
+            if len(self.unchecked) == CHECKED_STEPS:
+                self.check()
             now = time.monotonic()
             if now - saved > SAVE_INTERVAL_S and end - now > SAVE_INTERVAL_S / 2:
                 self.save(step)
                 now = saved = time.monotonic()
         self.save(max(step, 0))
 
+    def check(self) -> None:
+        """Read the losses since the last check, which waits for the GPU; some must be finite."""
+        values = torch.stack(self.unchecked).tolist() if self.unchecked else []
+        finite = [value for value in values if math.isfinite(value)]
+        if len(values) == CHECKED_STEPS and not finite:
+            found = f"{CHECKED_STEPS} steps in a row without a finite loss"
+            raise TrainingError("training", found)
+        self.losses += finite
+        self.unchecked.clear()
+
     def save(self, step: int) -> None:
         """Score and write the weights, and write the log."""
+        self.check()
         module, recipe = self.learner.average.eval(), self.learner.recipe
         network = network_of_module(module, self.card, self.figures.device)
         scores = {name: validate(network, source)[0] for name, source in self.held_out.items()}

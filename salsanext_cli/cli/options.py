@@ -93,7 +93,8 @@ Device = Annotated[str, _shared("device", NetworkSettings)]
 SensorWithoutWeights = Annotated[str | None, network_option(help=SENSOR_HELP, show_default="hdl64")]
 Columns = Annotated[str | None, network_option(help=COLUMNS_HELP, show_default=COLUMNS_DEFAULT)]
 
-Jobs = Annotated[int, running_option("--jobs", "-j", help="Number of processes; -1: one per core.")]
+jobs_option = partial(running_option, "--jobs", "-j", help="Number of processes; -1: one per core.")
+Jobs = Annotated[int, jobs_option()]
 Overwrite = Annotated[bool, running_option("--overwrite", help="Replace existing results.")]
 Strict = Annotated[
     bool, running_option("--strict", help="End with status 1 if a scan or its labels are doubtful.")

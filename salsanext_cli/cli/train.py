@@ -78,13 +78,7 @@ def train(
     label_space: options.LabelSpaceName = None,
     device: options.Device = "auto",
     jobs: Annotated[
-        int | None,
-        options.running_option(
-            "--jobs",
-            "-j",
-            help="Number of processes that prepare samples; -1: one per core.",
-            show_default="up to 8 on a GPU, 1 on a CPU",
-        ),
+        int | None, options.jobs_option(show_default="1; on a GPU one per core, up to 8")
     ] = None,
     overwrite: options.Overwrite = False,
     strict: Annotated[

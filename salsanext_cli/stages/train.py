@@ -11,7 +11,7 @@ from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
 from salsanext_cli.measures.scan_summary import ScanWarning
 from salsanext_cli.network.card import WeightsCard, default_weights, read_card
-from salsanext_cli.parallel.options import worker_count
+from salsanext_cli.parallel.options import cores, worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -28,7 +28,7 @@ from salsanext_cli.training.data.sources import (
     scans_to_train_on,
     training_sources,
 )
-from salsanext_cli.training.distributed import default_jobs, group_of_environment, process_group
+from salsanext_cli.training.distributed import group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.log import Row
@@ -48,6 +48,7 @@ from salsanext_cli.training.run_folder import (
 )
 from salsanext_cli.training.setup import Setup, inheriting, initial_network
 
+MAX_LOADERS = 8  # Processes that prepare samples for a GPU, unless the user says how many
 SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0  # Of a simulated street
 
 log = logging.getLogger(__name__)
@@ -148,7 +149,7 @@ def train(
     _require_batch(recipe.batch, group_of_environment().size)
     start = default_weights() if weights is None and recipe.initial == "default" else weights
     with process_group(device) as (group, own_device), ExitStack() as held:
-        workers = worker_count(default_jobs(own_device) if jobs is None else jobs)
+        workers = _workers(jobs, own_device.type)
         classes, training, validation = group.on_main(
             lambda: scans_to_train_on(dataset, space, divisible=recipe.folds > 0)
         )
@@ -186,6 +187,12 @@ def train(
         state = setup.training(training, scored).fit()
     best = state.best if validation else None
     return TrainResult(run / BEST, run / LAST, best, state.rows, counts.warnings, outlook)
+
+
+def _workers(jobs: int | None, kind: str) -> int:
+    """Return the number of processes that prepare samples; by default one on a CPU."""
+    usual = 1 if kind == "cpu" else min(MAX_LOADERS, cores())
+    return usual if jobs is None else worker_count(jobs)
 
 
 def _require_batch(samples: int, workers: int) -> None:

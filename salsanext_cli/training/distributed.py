@@ -8,9 +8,8 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import timedelta
-from itertools import count
 from typing import Any, TypeVar
 
 import torch
@@ -21,9 +20,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from salsanext_cli.engines.device import choose_device
 from salsanext_cli.errors import SalsanextError, UsageError, error_text
-from salsanext_cli.parallel.options import cores
 
-MAX_LOADERS = 8  # Processes that prepare samples for a GPU, unless the user says how many
 TIMEOUT = timedelta(minutes=15)  # Longest time that a collective takes
 POLL_S = 0.1  # Time between two looks at the store
 LEAVING_S = 0.5  # Time that a worker stays after its last word
@@ -41,7 +38,6 @@ class ProcessGroup:
     rank: int = 0
     size: int = 1
     store: Any = None  # `Store` of torch, which all workers share; None in a group of one
-    calls: Iterator[int] = field(default_factory=count, repr=False, compare=False)
 
     @property
     def is_main(self) -> bool:
@@ -78,7 +74,7 @@ class ProcessGroup:
         if self.store is None:
             return work()
         answer: list[Any] = [None]
-        done = f"call {next(self.calls)} done"
+        done = f"call {self.store.add(f'calls of {self.rank}', 1)} done"
         if self.is_main:
             try:
                 answer = [work()]
@@ -105,12 +101,6 @@ def group_of_environment() -> ProcessGroup:
     return ProcessGroup(int(os.environ["RANK"]), int(os.environ["WORLD_SIZE"]))
 
 
-def default_jobs(device: torch.device) -> int:
-    """Return how many processes prepare samples for a device, unless the user says how many."""
-    on_machine = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # Workers of torchrun
-    return 1 if device.type == "cpu" else max(1, min(MAX_LOADERS, cores() // on_machine))
-
-
 @contextmanager
 def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
     """Join the group of this process, and choose its device, a GPU of its own if there is one."""
@@ -135,13 +125,13 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
         # A worker that leaves early closes connections that others still read from.
         dist.barrier()
         left.set()
+        # After a failure NCCL would wait for the other workers for ever.
         dist.destroy_process_group()
     except BaseException as error:
         if other_failed.is_set():
             os._exit(1)  # noqa: TID251 - what fails after it says nothing new
         left.set()
-        who = f"worker {rank} of {size}, on {platform.node()}"
-        store.set(FAILED, f"{who}, failed: {error_text(error)}")
+        store.set(FAILED, f"worker {rank} of {size} on {platform.node()}: {error_text(error)}")
         raise
     finally:
         # The others learn of a failure. Threads of gloo that still free tensors abort a process
@@ -160,7 +150,7 @@ def _watch(store: Any, left: threading.Event, other_failed: threading.Event) -> 
             other_failed.set()
             log.error("%s", failure)
             # No exception reaches a thread in a collective. The worker that failed ends first.
-            time.sleep(3 * LEAVING_S)
+            time.sleep(10 * LEAVING_S)
             os._exit(1)  # noqa: TID251
 
 

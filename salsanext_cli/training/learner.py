@@ -3,13 +3,12 @@
 
 import copy
 import math
-from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from contextlib import nullcontext
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn.parallel import DistributedDataParallel
+from torch.optim import SGD, AdamW, Optimizer
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from salsanext_cli.engines.device import PRECISIONS, bfloat16_instructions
@@ -102,10 +101,8 @@ class Learner:
             for part, (some, labels) in enumerate(pairs, 1):
                 some = some.to(self.device, memory_format=self.layout, non_blocking=True)
                 # With the other workers gradients are exchanged after the last part only.
-                exchange: AbstractContextManager[None] = nullcontext()
-                if part < parts and isinstance(self.forward, DistributedDataParallel):
-                    exchange = self.forward.no_sync()
-                with exchange:
+                alone = getattr(self.forward, "no_sync", nullcontext)
+                with alone() if part < parts else nullcontext():
                     with self.autocast:
                         loss = self.loss(self.forward(some), labels, total, parts, self.group)
                     # The workers' gradients are averaged, and their sum is wanted.
@@ -134,17 +131,15 @@ class Learner:
         return finite
 
 
-def build_optimiser(
-    module: nn.Module, recipe: Recipe, *, fused: bool = False
-) -> torch.optim.Optimizer:
-    """Return the recipe's optimiser of all parameters; `fused` takes a step in one kernel."""
-    parameters, rate = list(module.parameters()), recipe.learning_rate
-    common: dict[str, Any] = {"weight_decay": recipe.weight_decay, "fused": fused}
+def build_optimiser(module: nn.Module, recipe: Recipe, *, fused: bool = False) -> Optimizer:
+    """Return the recipe's optimiser of all parameters; a fused one takes a step in one kernel."""
+    parameters, rate, decay = list(module.parameters()), recipe.learning_rate, recipe.weight_decay
     if recipe.optimiser == "adamw":
-        return torch.optim.AdamW(parameters, rate, (recipe.momentum, 0.999), **common)
-    optimiser = torch.optim.SGD(parameters, rate, recipe.momentum, **common)
-    if fused and recipe.momentum:
-        # A first step that is skipped would leave the buffers uninitialised.
+        betas = recipe.momentum, 0.999
+        return AdamW(parameters, rate, betas, weight_decay=decay, fused=fused)
+    optimiser = SGD(parameters, rate, recipe.momentum, weight_decay=decay, fused=fused)
+    if fused:
+        # A first step that is skipped would leave them uninitialised.
         for parameter in parameters:
             optimiser.state[parameter]["momentum_buffer"] = torch.zeros_like(parameter)
     return optimiser
@@ -173,9 +168,8 @@ def update_average(average: nn.Module, module: nn.Module, decay: float, step: in
     # The first steps move it farther, so that the random weights of the start are soon forgotten.
     decay = min(decay, (1 + step) / (10 + step))
     pairs = [*zip(average.state_dict().values(), module.state_dict().values(), strict=True)]
-    real = [(old, new) for old, new in pairs if old.is_floating_point()]
-    move = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
-    move(*map(list, zip(*real, strict=True)), None)
+    olds, news = zip(*(pair for pair in pairs if pair[0].is_floating_point()), strict=True)
+    get_ema_multi_avg_fn(decay)(olds, news, None)  # type: ignore[no-untyped-call]
     for old, new in pairs:
         if not old.is_floating_point():
             old.copy_(new)

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: MIT
 import json
 import math
+import sys
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,9 +32,11 @@ from salsanext_cli.stages.train import train
 from salsanext_cli.training import fit, learner
 from salsanext_cli.training.data.class_counts import class_weights
 from salsanext_cli.training.data.dataset import Samples
+from salsanext_cli.training.distributed import SINGLE_PROCESS
 from salsanext_cli.training.fit import Training
 from salsanext_cli.training.learner import Learner
 from salsanext_cli.training.recipe import Recipe, recipe
+from salsanext_cli.training.setup import Setup
 
 TINY = Recipe(
     epochs=3,
@@ -384,6 +389,32 @@ def test_losses_that_are_checked_late_name_the_scans_of_their_step(
     assert caught.value.found.endswith(names)
     assert steps == list(range(taken))
     assert not (tmp_path / "run/checkpoint.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("jobs", "device", "cores", "expected"),
+    [(None, "cpu", 16, 0), (None, "meta", 16, 8), (None, "meta", 6, 6), (1, "meta", 16, 0)],
+)
+def test_a_gpu_gets_several_processes_that_prepare_samples(
+    jobs, device, cores, expected, dataset, tmp_path, monkeypatch
+):
+    """The GPU is one without memory, so the training ends before its first step."""
+
+    @contextmanager
+    def group(name):
+        yield SINGLE_PROCESS, torch.device(device)
+
+    def end(self, files, validation):
+        assert self.workers == expected
+        raise Stopped
+
+    stage = sys.modules["salsanext_cli.stages.train"]
+    monkeypatch.setattr(stage, "cores", lambda: cores)
+    monkeypatch.setattr(stage, "process_group", group)
+    monkeypatch.setattr(stage, "class_counts", lambda *_: SimpleNamespace(warnings=[]))
+    monkeypatch.setattr(Setup, "training", end)
+    with pytest.raises(Stopped):
+        go(dataset, tmp_path / "run", jobs=jobs)
 
 
 def test_what_fails_before_the_first_step_costs_no_earlier_training(dataset, tmp_path):
