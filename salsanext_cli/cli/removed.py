@@ -10,8 +10,8 @@ from salsanext_cli.errors import UsageError
 REMOVED = {
     ("picture", "--gif"): "use ffmpeg on the pictures, as docs/picture.md shows",
     ("picture", "--fps"): "use ffmpeg on the pictures, as docs/picture.md shows",
-    ("pick", "--strategy"): "use `pick` without it: scans are uncertain and unlike each other",
-    ("pick", "--disagreement"): "use `pick` without it: uncertainty is that of the network",
+    ("pick", "--strategy"): "use no option: picked scans are uncertain and unlike each other",
+    ("pick", "--disagreement"): "use no option: the uncertainty is that of the network",
     ("", "--backend ray"): "use `--backend dask`, or `--shard I/N` for each machine",
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
 }
