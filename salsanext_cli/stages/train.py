@@ -5,6 +5,7 @@ import logging
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
@@ -142,9 +143,8 @@ def train(
 ) -> TrainResult:
     """Train a network, or resume a training that was interrupted in the same folder.
 
-    With a recipe of some folds, scans without a validation split are cross-validated, and then all
-    trained on. Started by torchrun, each worker learns from its share of every batch.
-    Without `jobs`, a GPU gets up to eight processes that prepare samples.
+    A recipe with folds cross-validates scans without a validation split, then trains on all of
+    them. Workers of torchrun share every batch. Without `jobs`, a GPU gets up to eight loaders.
     """
     _require_batch(recipe.batch, group_of_environment().size)
     start = default_weights() if weights is None and recipe.initial == "default" else weights
@@ -161,9 +161,8 @@ def train(
         given = [Source(files, classes, card.sensor) for files in (training, validation)] + further
         settings = training_settings(recipe, given, start)
         new = NewTraining((dataset, *also), run, recipe, given, settings, workers)
-        (scored, *sources), counts = group.on_main(
-            lambda: new.prepare(held, start, overwrite=overwrite, strict=strict)
-        )
+        prepare = partial(new.prepare, held, start, overwrite=overwrite, strict=strict)
+        (scored, *sources), counts = group.on_main(prepare)
         setup = Setup(
             run=run,
             recipe=recipe,
