@@ -230,7 +230,7 @@ def main(*words: str) -> None:
     parser.add_argument("--near", type=float, default=15.0, help="metres")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(words or None)
-    wanted = NetworkSettings(device="cpu").load().card.sensor.intensity_quantiles
+    wanted = NetworkSettings().trained_sensor().intensity_quantiles
     tables = {}
     for each in given.datasets:
         name, _, place = each.rpartition("=")

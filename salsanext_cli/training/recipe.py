@@ -14,6 +14,7 @@ from salsanext_cli.errors import UsageError, shortened
 from salsanext_cli.files.yaml_toml import read_toml, refuse_unknown
 
 BUILT_IN = resources.files("salsanext_cli").joinpath("presets/recipes")
+REMOVED = ("label_smoothing", "whole_epochs")  # Keys of older versions, which 0 switched off
 MAX_INTEGER = 2**53  # Beyond it, floats are no longer exact
 KINDS = {int: "a whole number", float: "a number", str: "a word"}  # Names of the types of keys
 
@@ -112,8 +113,9 @@ class Recipe:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "recipe") -> Self:
         """Build a recipe from plain data; keys that are left out keep the paper's value."""
-        refuse_unknown(data, cls, source)
-        return cls(**data)
+        known = {key: value for key, value in data.items() if value or key not in REMOVED}
+        refuse_unknown(known, cls, source)
+        return cls(**known)
 
 
 def presets() -> tuple[str, ...]:

@@ -98,7 +98,7 @@ def test_a_step_of_training_reaches_every_parameter(name):
     # Below 17 rows the coarsest level is one, which a dilated 2×2 window steps over.
     truth = torch.from_numpy(np.random.default_rng(0).integers(0, 20, (2, 20, 40), np.uint8))
     loss = learner.step(noise(2, 5, 20, 40), truth, 0, 1)
-    assert np.isfinite(loss)
+    assert np.isfinite(loss.item())
     lost = [key for key, p in module.named_parameters() if p.grad is None or not p.grad.any()]
     assert lost == []
 
