@@ -260,6 +260,12 @@ MISTAKES: dict[str, tuple[str, dict[str, dict[str, str]], str]] = {
         {"formats": {"odd": "odd_plug_in:FORMAT"}},
         ".scan.bin",
     ),
+    "a suffix of labels": (
+        GOOD.replace(".odd", ".label"),
+        {"formats": {"odd": "odd_plug_in:FORMAT"}},
+        ".label",
+    ),
+    "an exit": ("import sys; sys.exit(3)", {"formats": {"odd": "odd_plug_in:F"}}, "SystemExit"),
     "no suffix": (GOOD.replace(".odd", "odd"), {"formats": {"odd": "odd_plug_in:FORMAT"}}, "dot"),
     "no format": ("FORMAT = 1", {"formats": {"odd": "odd_plug_in:FORMAT"}}, "int"),
     "no network": ("Net = 1", {"networks": {"odd": "odd_plug_in:Net"}}, "int"),
@@ -293,6 +299,17 @@ def test_a_plug_in_with_a_mistake_is_one_warning(plugged, tmp_path, caplog, mist
     assert [[*lookup()] for lookup in LOOKUPS] == [["radian"], ["radian-net"], ["radian-two"]]
     assert label_space("coarse").class_count == 8
     assert build({"name": "salsanet"}).stride == (16, 16)
+
+
+@pytest.mark.usefixtures("clean")
+def test_a_reader_that_returns_no_scan_fails_the_scan(tmp_path, monkeypatch):
+    points = {"salsanext.formats": {"odd": "odd_plug_in:FORMAT"}}
+    install(tmp_path / "site", {"odd_plug_in.py": GOOD}, points, "zz-odd")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    (tmp_path / "scan.odd").write_bytes(b"1")
+    with pytest.raises(FormatError) as caught:
+        read_scan(tmp_path / "scan.odd")
+    assert caught.value.subject == str(tmp_path / "scan.odd")
 
 
 @pytest.mark.usefixtures("clean")

@@ -7,7 +7,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 INTACT = "everything finished so far is intact"
@@ -34,7 +34,8 @@ def handle_signals() -> None:
             ARRIVED.append(number)
             since = now
             if not BUSY:
-                os.write(2, f"{end_line()[0]}\n".encode())
+                with suppress(OSError):
+                    os.write(2, f"{end_line()[0]}\n".encode())
                 os._exit(128 + number)  # noqa: TID251
             raise KeyboardInterrupt
 

@@ -35,7 +35,7 @@ class BatchSize:
                     raise
                 if len(batch) == 1:
                     raise MemoryError(f"no room for one of the {self.name}") from error
-                self.most = len(batch) // 2
+                self.most = min(self.most, len(batch) // 2)
                 text = "not enough memory for %d %s at once: %d now"
                 log.warning(text, len(batch), self.name, self.most)
             else:

@@ -139,7 +139,8 @@ def append_line(path: Path, line: bytes, *, durable: bool = False) -> None:
         # Unbuffered, it is one write, and those of other processes do not mix with it. The line
         # end comes first too: the line before may have been cut off.
         with path.open("ab", buffering=0) as file:
-            file.write(b"\n" + line + b"\n")
+            if file.write(content := b"\n" + line + b"\n") != len(content):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             if durable:
                 os.fsync(file.fileno())
     except OSError as error:

@@ -21,7 +21,7 @@ from salsanext_cli.files.reading import present, reading
 Json = dict[str, Any]
 """JSON object, as `json.loads` returns it."""
 Kind = TypeVar("Kind")
-MALFORMED = (TypeError, KeyError, ValueError, AttributeError, SalsanextError)
+MALFORMED = (TypeError, LookupError, ValueError, AttributeError, RecursionError, SalsanextError)
 """What `decoded` raises for data of another type."""
 
 

@@ -87,7 +87,9 @@ def load_plug_ins(
                 is_one, kind_of = isinstance(target, expected), type(target).__name__
                 found = f"it is a {kind_of}, not a {expected.__name__}"
                 problem = fault(target, accepted.values()) if is_one else found
-        except Exception as error:  # noqa: BLE001 - a module may raise anything
+        except (KeyboardInterrupt, MemoryError):
+            raise
+        except BaseException as error:  # noqa: BLE001 - a module may raise anything, or exit
             problem = f"{type(error).__name__}: {error_text(error)}"
         if problem and current_process().name == "MainProcess":  # Once a run, not in each worker
             warn_once(log, f"plug-in {point.name} ({distribution}) is not used: {problem}")

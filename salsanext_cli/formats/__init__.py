@@ -106,6 +106,8 @@ SCAN_SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suf
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 RECORDING_SUFFIXES = (*BAG_SUFFIXES, ".pcap", ".osf")
 """Suffixes of recordings that are files."""
+OTHER_SUFFIXES = (".label", ".json", ".jsonl", ".toml", ".yaml", ".yml", ".md", ".safetensors")
+"""Suffixes of files beside scans that are no scans."""
 MAX_MAGIC_BYTES = 64
 
 
@@ -119,7 +121,8 @@ def plugged_formats() -> Mapping[str, PlugIn]:
 
 def _fault(target: Format, others: Collection[PlugIn]) -> str:
     """Return why a format cannot be added to others, empty if it can."""
-    taken = (*SCAN_SUFFIXES, *RECORDING_SUFFIXES, *(s for o in others for s in o.target.suffixes))
+    taken = (*SCAN_SUFFIXES, *RECORDING_SUFFIXES, *OTHER_SUFFIXES)
+    taken += tuple(suffix for other in others for suffix in other.target.suffixes)
     wrong = [s for s in target.suffixes if s[:1] != "." or s != s.lower() or s.endswith(taken)]
     return f"its suffix {wrong[0]} is taken, or not in lower case with a dot" if wrong else ""
 
@@ -212,7 +215,10 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
         return _read_columns("recordings:recorded_columns", path, names, scale)
     try:
         with errors_of_plug_ins(path):
-            return form.read(path, names, scale)
+            scan = form.read(path, names, scale)
+            if not isinstance(scan, import_module("salsanext_cli.records").Scan):
+                raise TypeError(f"its reader returned a {type(scan).__name__}, not a Scan")
+            return scan
     except FormatError as error:
         other = _plugged_kind(path)
         if other and other.target is not form:

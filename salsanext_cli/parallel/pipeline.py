@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import chain, islice
 from typing import Any, Generic, TypeVar
 
@@ -108,7 +109,8 @@ class Pipeline(Generic[Prepared, Computed, Result]):
         """Compute scans in one batch; where one of them is an error, each alone."""
         if len(scans) == 1:
             alone = scans[0]
-            return [self._attempt(alone.file, lambda: self.job.compute([alone.get()])[0])]
+            one = partial(self._attempt, alone.file, lambda: self.job.compute([alone.get()])[0])
+            return [one(device=self.device)]
         try:
             computed = self.job.compute([scan.get() for scan in scans])
         except SalsanextError:
@@ -121,17 +123,17 @@ class Pipeline(Generic[Prepared, Computed, Result]):
         return self._attempt(scan.file, self.job.finish, scan.get(), computed.get())
 
     def _attempt(
-        self, file: ScanFile, function: Callable[..., Value], *given: Any
+        self, file: ScanFile, function: Callable[..., Value], *given: Any, device: str = "cpu"
     ) -> Attempt[Value]:
-        """Call a function of a scan; memory that runs out is an error of the scan too."""
+        """Call a function of a scan; memory of a device that runs out is an error of the scan."""
         try:
             return attempt(file, function, *given)
         except (MemoryError, RuntimeError) as error:
             if not out_of_memory(error):
                 raise
-            on_cpu = self.device == "cpu"
+            on_cpu = device == "cpu"
             remedy = "free some memory, or use fewer --jobs" if on_cpu else "use --device cpu"
-            found = f"is too large for the memory of {self.device}"
+            found = f"is too large for the memory of {device}"
             return Attempt(file, error=FormatError(file.path, found, remedy=remedy))
 
 

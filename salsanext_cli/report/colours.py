@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from salsanext_cli.classes.label_space import LabelSpace
+from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import SalsanextError, UsageError
 from salsanext_cli.results.layout import COLOURS, ScanFile
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
@@ -120,7 +120,9 @@ def screen_colours(space: LabelSpace) -> Colours:
     They are those of the label space, dark ones lightened. A class with the colour of an earlier
     class gets one of `PALETTE`, and after these one of evenly spread hues.
     """
-    own = on_dark([ON_SCREEN.get((*rgb,), rgb) for rgb in space.colours.tolist()])
+    known = {*label_space().names, *label_space("coarse").names}
+    changed = ON_SCREEN if known.issuperset(space.names) else {}
+    own = on_dark([changed.get((*rgb,), rgb) for rgb in space.colours.tolist()])
     unused = _unused_colours({*map(tuple, own.tolist())})
     colours: dict[tuple[int, ...], None] = {}
     for rgb in map(tuple, own.tolist()):

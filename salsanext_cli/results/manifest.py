@@ -113,7 +113,7 @@ def _read(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord | None:
     if content.get("stage") != stage:
         remedy = "delete it or use another folder"
         raise OutputError(path, f"not what `{stage}` writes", remedy=remedy)
-    if "settings" not in content:
+    if "settings" not in content and stage not in RESULT_STAGES:
         # Some stages of older versions wrote their settings without a table.
         settings = {key: each for key, each in content.items() if key not in ("stage", "version")}
         content = {"stage": stage, "settings": settings}

@@ -35,6 +35,7 @@ from salsanext_cli.results.selection import space_of_labels
 from salsanext_cli.sensors.sensor import Sensor
 
 RECORD = "compare.json"
+OLD_PAGE = "compare.html"  # Of older versions, about other results
 
 log = logging.getLogger(__name__)
 
@@ -101,6 +102,7 @@ def compare(
     content = {"stage": "compare", "before": str(before), "after": str(after), "alone": alone}
     content |= {"weights": [run.weights("predictions") for run in runs], **result.to_dict()}
     OwnedFolder(after).replace({after / RECORD: encode_json(escaped(content))})
+    OwnedFolder(after).remove_own([after / OLD_PAGE])
     return result, failures
 
 

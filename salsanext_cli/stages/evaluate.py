@@ -145,7 +145,9 @@ def evaluate(
     )
     counts, failures = _counted(comparison, scans, options)
     panoptic = None
-    if counts.segments[:, -1].any():
+    if counts.segments[:, -1].any() and not space.movable.any():
+        log.warning("no panoptic quality: %s states no movable classes", space.name)
+    elif counts.segments[:, -1].any():
         panoptic = panoptic_quality(counts.segments, space, space.movable)
     bands = zip(BAND_NAMES, counts.bands, strict=by_distance)
     compared_in = {"by_distance": by_distance, "label_space": space}

@@ -167,6 +167,7 @@ class FusibleResults:
             of_single,
             weights=network.weights,
             weights_version=network.weights_version,
+            inherited=network.inherited,
             trained_on=network.trained_on,
             temperature=network.temperature,
             label_space=self.space,

@@ -2,6 +2,7 @@
 """Stage `train`: a labelled data set to a run folder with weights, log and curve."""
 
 import logging
+import os
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -190,7 +191,8 @@ def train(
 
 def _workers(jobs: int | None, kind: str) -> int:
     """Return the number of processes that prepare samples; by default one on a CPU."""
-    usual = 1 if kind == "cpu" else min(MAX_LOADERS, cores())
+    workers_here = int(os.environ.get("LOCAL_WORLD_SIZE", 1))
+    usual = 1 if kind == "cpu" else max(1, min(MAX_LOADERS, cores() // workers_here))
     return usual if jobs is None else worker_count(jobs)
 
 

@@ -7,7 +7,7 @@ import platform
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any, TypeVar
@@ -131,7 +131,11 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
         if other_failed.is_set():
             os._exit(1)  # noqa: TID251 - what fails after it says nothing new
         left.set()
-        store.set(FAILED, f"worker {rank} of {size} on {platform.node()}: {error_text(error)}")
+        # The host of the store may be gone, and an interrupt reaches all workers.
+        if not isinstance(error, KeyboardInterrupt):
+            with suppress(RuntimeError):
+                failure = f"worker {rank} of {size} on {platform.node()}: {error_text(error)}"
+                store.set(FAILED, failure)
         raise
     finally:
         # The others learn of a failure. Threads of gloo that still free tensors abort a process

@@ -12,7 +12,7 @@ from torch.optim import SGD, AdamW, Optimizer
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from salsanext_cli.engines.device import PRECISIONS, bfloat16_instructions
-from salsanext_cli.engines.torch_backend import keep_ends_in_float32
+from salsanext_cli.engines.torch_backend import keep_ends_in_float32, set_up_cuda
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.training.data.targets import ClassSets
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup, data_parallel
@@ -57,6 +57,8 @@ class Learner:
         group: ProcessGroup = SINGLE_PROCESS,
         sets: ClassSets = (),
     ) -> None:
+        if device.type == "cuda":
+            set_up_cuda()  # As for validation, so that a resumed training has the same arithmetic
         dtype: torch.dtype = getattr(torch, recipe.precision)
         # In float32 on CPUs channels last gains nothing, or is slower.
         plain = device.type == "cpu" and dtype is torch.float32

@@ -23,7 +23,7 @@ from salsanext_cli.results.manifest import (
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.data.sources import Source
-from salsanext_cli.training.recipe import Recipe
+from salsanext_cli.training.recipe import REMOVED, Recipe
 
 STAGE = "train"
 CHECKPOINT = "checkpoint.safetensors"
@@ -108,8 +108,13 @@ def fold_folder(run: Path, number: int) -> Path:
 def recorded_settings(run: Path) -> TrainingSettings | None:
     """Return the settings of the training that a folder holds, None if it holds none."""
     manifest = Manifest(run)
-    record = manifest.record(STAGE)
-    return record_of(TrainingSettings, record.settings, manifest.path(STAGE)) if record else None
+    if (record := manifest.record(STAGE)) is None:
+        return None
+    path, recipe = manifest.path(STAGE), record.settings.get("recipe")
+    if isinstance(recipe, dict) and (gone := [key for key in REMOVED if recipe.get(key)]):
+        found = f"a training of an older version with {gone[0]} {recipe[gone[0]]}"
+        raise OutputError(path, found, remedy="use another folder, or --overwrite to start again")
+    return record_of(TrainingSettings, record.settings, path)
 
 
 def recorded_precision(run: Path) -> str | None:
@@ -122,7 +127,7 @@ def recorded_precision(run: Path) -> str | None:
 def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
     """Refuse, before anything is done, a folder that a training may not have."""
     require_writable(run)
-    recorded, owned = recorded_settings(run), OwnedFolder(run, STAGE)
+    recorded, owned = None if overwrite else recorded_settings(run), OwnedFolder(run, STAGE)
     replaced = [run / name for name in (*RESULTS, CLASS_COUNTS)]
     replaced += [sample_path(run, epoch) for epoch in range(1, settings.recipe.epochs + 1)]
     if not _holds_recipe(run, settings):
@@ -141,7 +146,7 @@ def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> N
 
 def begin(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
     """Record a training in a free folder; remove results of other settings, or all to overwrite."""
-    recorded, owned = recorded_settings(run), OwnedFolder(run, STAGE)
+    recorded, owned = None if overwrite else recorded_settings(run), OwnedFolder(run, STAGE)
     known = recorded and _extended(recorded, settings).decisive
     if overwrite or known != settings.decisive:
         for folder in _folders(run):

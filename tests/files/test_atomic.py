@@ -16,7 +16,7 @@ import filelock
 import pytest
 
 from salsanext_cli.errors import OutputError, warn_once
-from salsanext_cli.files.atomic import write_bytes, writing
+from salsanext_cli.files.atomic import append_line, write_bytes, writing
 from salsanext_cli.files.locks import locked
 
 
@@ -104,6 +104,12 @@ def test_full_disk(tmp_path: Path) -> None:
     assert isinstance(caught.value.__cause__, OSError)
     assert caught.value.__cause__.errno == errno.EFBIG
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_line_that_does_not_fit_whole_is_an_error(tmp_path: Path) -> None:
+    append_line(tmp_path / "x", b"1" * 600)
+    with pytest.raises(OutputError), full_disk(1000):
+        append_line(tmp_path / "x", b"2" * 600)
 
 
 HOLD = "import sys; from pathlib import Path; from salsanext_cli.files.locks import locked\n"

@@ -246,3 +246,16 @@ def test_memory_that_runs_out_in_another_step_is_an_error_of_its_scan(failing):
     job = Job(fails=[(failing, "1")], error=MemoryError())
     attempts = [*pipeline(job).run(FILES)]
     assert [attempt.file.stem for attempt in attempts if attempt.error] == ["1"]
+
+
+def test_a_batch_that_another_thread_halved_does_not_grow_again():
+    size = BatchSize(16, "scans")
+
+    def too_large(items):
+        if len(items) > 1:
+            size.most = 1  # As another thread may set it meanwhile
+            raise MemoryError
+        return items
+
+    assert [*size.in_batches(too_large, range(16))] == [range(i, i + 1) for i in range(16)]
+    assert size.most == 1

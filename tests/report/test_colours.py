@@ -138,6 +138,14 @@ def test_classes_of_one_colour_get_others_that_can_be_told_apart():
         assert np.linalg.norm(first - second) > 30
 
 
+def test_colours_of_another_label_space_stay():
+    """SemanticKITTI's colours are changed on dark pages there only."""
+    own = SPACE.colours[[SPACE.names.index("person"), CAR]]
+    named = {i: f"own {name}" for i, name in SPACE.labels.items()}
+    of_own = screen_colours(replace(SPACE, labels=named, colours=own))
+    np.testing.assert_array_equal(of_own, on_dark(own))
+
+
 @given(st.integers(1, 255).flatmap(lambda n: arrays(np.uint8, (n, 3))))
 def test_any_classes_have_different_visible_colours(own):
     colours = screen_of(own)

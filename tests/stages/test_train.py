@@ -201,20 +201,23 @@ def test_another_cpu_resumes_in_the_precision_of_the_first(dataset, tmp_path, mo
 
 def test_a_training_of_before_a_key_goes_on(dataset, tmp_path):
     """A key that is not recorded was the default, and one that is gone was off if it was 0."""
-    first = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
+    go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
     path = tmp_path / "run/train.json"
     manifest = json.loads(path.read_text("utf-8"))
     recorded = manifest["settings"]["recipe"]
     del recorded["mix"], recorded["paste"]
     recorded["label_smoothing"] = 0.1
     path.write_text(json.dumps(manifest), "utf-8")
-    with pytest.raises(OutputError, match=r"unknown key label_smoothing"):
+    with pytest.raises(OutputError, match=r"older version with label_smoothing 0\.1"):
         go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
+    again = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1), overwrite=True)
+    assert len(again.rows) == 1
+    path.write_text(json.dumps(manifest), "utf-8")
     recorded["label_smoothing"] = 0.0
     path.write_text(json.dumps(manifest), "utf-8")
     with pytest.raises(OutputError, match=r"recipe\.mix was 0\.0 and is 0\.5"):
         go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1, mix=0.5))
-    assert go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1)) == first
+    assert go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1)) == again
 
 
 def test_the_recipe_of_a_run_resumes_it_unless_it_was_edited(dataset, tmp_path):
