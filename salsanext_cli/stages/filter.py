@@ -221,7 +221,7 @@ def _begin(owned: OwnedFolder, settings: FilterSettings, overwrite: bool) -> Non
         replaced = [path for path in owned.written() if path != owned.record_path]
         if replaced and not overwrite:
             require_same_settings(owned.record_path, recorded.settings, wanted.settings)
-        if replaced and owned.is_shared():
+        if owned.is_shared():
             raise owned.busy()
         owned.remove_own(replaced)
     owned.manifest.write(wanted)

@@ -16,6 +16,7 @@ from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.manifest import Manifest, StageRecord
+from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.filter import filter_scans, named_classes
 
@@ -161,6 +162,18 @@ def test_other_settings_are_refused_or_replace_own_files_only(apply, world, tmp_
         assert "000000.bin · was changed, or not written by salsanext" in outcome.failures[0].reason
         assert edited.read_bytes() == b"mine"
     assert left(tmp_path, "000001") == [0, 1, 2, 3]
+
+
+def test_a_run_with_other_settings_waits_for_one_that_has_written_nothing_yet(apply, tmp_path):
+    target = tmp_path / "to"
+    target.mkdir()
+    record = StageRecord("filter", {"classes": ["car"]})
+    with OwnedFolder(target, "filter").open(shared=True):
+        Manifest(target).write(record)
+        with pytest.raises(OutputError) as caught:
+            apply(drop=["truck"])
+        assert caught.value.subject == str(target)
+    assert Manifest(target).record("filter") == record
 
 
 def test_no_scans_or_results_are_written_over(world, tmp_path):
