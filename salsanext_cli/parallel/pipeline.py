@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import chain, islice
 from typing import Any, Generic, TypeVar
 
@@ -109,8 +108,11 @@ class Pipeline(Generic[Prepared, Computed, Result]):
         """Compute scans in one batch; where one of them is an error, each alone."""
         if len(scans) == 1:
             alone = scans[0]
-            one = partial(self._attempt, alone.file, lambda: self.job.compute([alone.get()])[0])
-            return [one(device=self.device)]
+
+            def compute() -> Computed:
+                return self.job.compute([alone.get()])[0]
+
+            return [self._attempt(alone.file, compute, device=self.device)]
         try:
             computed = self.job.compute([scan.get() for scan in scans])
         except SalsanextError:
