@@ -25,7 +25,7 @@ import numpy.typing as npt
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
-from salsanext_cli.fitting import label_scan, scan_fit
+from salsanext_cli.fitting import label_scan, sensor_fit
 from salsanext_cli.fitting.scan_checks import UNCHECKED
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.stages import predict
@@ -39,7 +39,7 @@ def times_of(scans: Path, network: NetworkSettings, *, checked: bool) -> tuple[T
     """Predict into a new folder; return the times of each scan but the first, and of the fit."""
     fitting: list[float] = []
     marks: list[tuple[float, float]] = []
-    fit_scans = scan_fit.fit_scans
+    fit_scans = sensor_fit.fit_scans
 
     def timed(*given: Any) -> Network:
         start = time.perf_counter()
@@ -53,7 +53,7 @@ def times_of(scans: Path, network: NetworkSettings, *, checked: bool) -> tuple[T
     unchecked = patch.object(label_scan, "check_scan", lambda *_: UNCHECKED)
     with (
         tempfile.TemporaryDirectory() as out,
-        patch.object(scan_fit, "fit_scans", timed),
+        patch.object(sensor_fit, "fit_scans", timed),
         nullcontext() if checked else unchecked,
     ):
         options = RunOptions(progress=mark)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from salsanext_cli import label_space
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.selection import data_set_label_space
 
 

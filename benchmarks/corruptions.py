@@ -33,7 +33,7 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import read_json, write_json
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space
 
 CLEAN = "clean"

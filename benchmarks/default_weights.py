@@ -32,12 +32,12 @@ from corruptions import SEVERITIES, write_data_set
 
 from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
+from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
 from salsanext_cli.formats import read_scan
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space
 from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.cross_validation import folds

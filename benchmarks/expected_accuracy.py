@@ -18,7 +18,7 @@ from commands import salsanext
 from salsanext_cli.files.reading import present
 from salsanext_cli.network.card import AccuracyLine, read_card
 from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.results.layout import find_scans, output_path
+from salsanext_cli.results.paths import find_scans, output_path
 
 
 def measured(dataset: str, out: Path, weights: Path) -> dict[str, tuple[float, float]]:

@@ -33,7 +33,7 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import write_json
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.weights import save_weights
-from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.data.class_counts import class_counts, class_weights, rare_classes
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
@@ -185,7 +185,7 @@ def train(
         with utilisation(figures.device) as used:
             run.fit(stream, figures.deadline - reserve_s)
         if not run.steps:
-            raise TrainingError("training", "no time was left for a step", remedy="more --minutes")
+            raise TrainingError("training", "no time was left for a step", hint="more --minutes")
         seconds = time.monotonic() - begun
         scenes = {kind: pool.count(kind) for kind in KINDS}
     figures.add("steps", run.steps, f"of {recipe.batch} images in {seconds:.0f} s")

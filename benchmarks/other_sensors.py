@@ -23,8 +23,8 @@ import numpy as np
 
 import salsanext_cli as sn
 from salsanext_cli.engines.network import Network
-from salsanext_cli.fitting.scan_fit import with_image_statistics
-from salsanext_cli.fitting.view_fit import fit_view
+from salsanext_cli.fitting.field_of_view import fit_view
+from salsanext_cli.fitting.sensor_fit import with_image_statistics
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.synthesis import drive

@@ -20,7 +20,7 @@ from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_bin, encode_labels, read_labels
 from salsanext_cli.records import Scan
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 
 STEPS_PER_M = 128
 MAX_COORDINATE_M = 255.0

@@ -18,7 +18,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.stages.predict import predict_scans
 
 LEFT_OUT = 3

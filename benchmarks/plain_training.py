@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.recipe import Recipe
 

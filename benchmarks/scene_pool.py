@@ -21,7 +21,7 @@ from salsanext_cli.classes.label_space import label_space
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.formats.kitti import encode_bin, encode_labels
 from salsanext_cli.parallel.worker import end_with_parent
-from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.rig import RIGS

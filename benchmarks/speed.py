@@ -33,7 +33,7 @@ from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.card import WeightsCard, read_card, require_tensors
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.report.tables import ABSENT, table_of
 from salsanext_cli.results.selection import select_scans
 from salsanext_cli.sensors.sensor import Sensor
@@ -125,8 +125,8 @@ def _require(weights: Path, card: WeightsCard, sensor: Sensor, parts: Sequence[s
     if "uncertainty" in parts:
         noise_of(sensor)
         if not card.architecture.get("dropout", 1):
-            remedy = "leave uncertainty out of --parts"
-            raise WeightsError(weights, "a network without dropout", "one with it", remedy)
+            hint = "leave uncertainty out of --parts"
+            raise WeightsError(weights, "a network without dropout", "one with it", hint)
 
 
 def _summary(part: str, turns: Mapping[str, Any], least: float | None) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from speed_hardware import describe
 import salsanext_cli as sn
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scores import confusion_matrix
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
 

@@ -49,8 +49,8 @@ def take_turn(side: str, part: str, task: Mapping[str, Any], scan: Path) -> dict
     elapsed, cpu = time.perf_counter() - start, used.ru_utime + used.ru_stime
     if process.returncode:
         found = f"its process ended with status {process.returncode}"
-        remedy = "see what it wrote, and whether there was memory for it"
-        raise SalsanextError(f"benchmark, {side} {part}", found, remedy=remedy)
+        hint = "see what it wrote, and whether there was memory for it"
+        raise SalsanextError(f"benchmark, {side} {part}", found, hint=hint)
     own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     peak = used.ru_maxrss * MAXRSS_UNIT_BYTES if used.ru_maxrss > own else None
     measured = {} if part in ("cold", "help") else json.loads(printed)

@@ -16,9 +16,9 @@ from itertools import pairwise
 from pathlib import Path
 
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.parallel.options import threads_of_workers
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.parallel.run_options import threads_of_workers
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.export_ply import export_ply

@@ -18,12 +18,12 @@ from shrink import shrink
 import salsanext_cli as sn
 from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
-from salsanext_cli.fitting.view_fit import view_text
+from salsanext_cli.fitting.field_of_view import view_text
+from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
 from salsanext_cli.geometry.projection import in_sensor_frame
 from salsanext_cli.report.colours import Colours, legend_of, screen_colours
 from salsanext_cli.report.scan_pictures import scan_picture
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 
 WIDTH_PX = 1000
 """Width of a picture, so that twenty of them stay small."""

@@ -18,7 +18,7 @@ import salsanext_cli as sn
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.network.complexity import multiply_accumulates, paper_figures, parameter_count
 from salsanext_cli.network.registry import build
-from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate

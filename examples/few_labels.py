@@ -17,7 +17,7 @@ import numpy as np
 import salsanext_cli as sn
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.measures.scores import confusion_matrix, scores
-from salsanext_cli.results.layout import find_scans, output_path
+from salsanext_cli.results.paths import find_scans, output_path
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.pick import pick
 from salsanext_cli.stages.predict import predict_scans

@@ -13,8 +13,8 @@ from pathlib import Path
 import joblib
 
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.stages.predict import predict_scans
 
 

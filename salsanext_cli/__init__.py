@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from salsanext_cli.engines.loading import load_network
     from salsanext_cli.engines.network import Network
     from salsanext_cli.errors import SalsanextError
-    from salsanext_cli.fitting.scan_fit import fit_network
+    from salsanext_cli.fitting.sensor_fit import fit_network
     from salsanext_cli.formats import read_scan
     from salsanext_cli.formats.kitti import read_labels, write_labels
     from salsanext_cli.formats.ply import write_ply
     from salsanext_cli.geometry.knn import knn_refine
     from salsanext_cli.geometry.projection import project
     from salsanext_cli.in_memory import label, label_drive
-    from salsanext_cli.options import KnnParameters
+    from salsanext_cli.option_fields import KnnParameters
     from salsanext_cli.records import RangeImage, Scan
     from salsanext_cli.sensors.sensor import Sensor, sensor
     from salsanext_cli.uncertainty.monte_carlo import sample
@@ -63,9 +63,9 @@ _HOMES = {
     "geometry.projection": ("project",),
     "engines.loading": ("load_network",),
     "engines.network": ("Network",),
-    "fitting.scan_fit": ("fit_network",),
+    "fitting.sensor_fit": ("fit_network",),
     "in_memory": ("label", "label_drive"),
-    "options": ("KnnParameters",),
+    "option_fields": ("KnnParameters",),
     "records": ("RangeImage", "Scan"),
     "sensors.sensor": ("Sensor", "sensor"),
     "uncertainty.monte_carlo": ("sample",),

@@ -18,7 +18,7 @@ def main() -> None:
 
         if not out_of_memory(error):
             raise
-        raise SystemExit(f"error: memory ran out · {error_text(error)} · {ADVICE}") from None
+        raise SystemExit(f"error: memory ran out: {error_text(error)}\nhint: {ADVICE}") from None
 
 
 if __name__ == "__main__":

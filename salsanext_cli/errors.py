@@ -78,19 +78,24 @@ def quoted(value: object) -> str:
     return shortened(repr(value) if isinstance(value, str) else value)
 
 
+def with_hint(headline: str, hint: str) -> str:
+    """Return a message with a line for its hint, if there is one."""
+    return f"{headline}\nhint: {hint}" if hint else headline
+
+
 class SalsanextError(Exception):
-    """A mistake explained in one line: subject · found · expected · what to do.
+    """A mistake explained as ``SUBJECT: problem (expected X)``, and a line ``hint: what to do``.
 
     Parameters
     ----------
     subject : object
         File, folder, option or setting that is wrong.
-    found : str, optional
-        Content or state that was found.
+    problem : str, optional
+        What is wrong with it.
     expected : str, optional
         Content or state that is required.
-    remedy : str, optional
-        Advice to the user.
+    hint : str, optional
+        What the user can do.
 
     Attributes
     ----------
@@ -104,18 +109,22 @@ class SalsanextError(Exception):
     reported_elsewhere: bool = False
 
     def __init__(
-        self, subject: object, found: str = "", expected: str = "", remedy: str = ""
+        self, subject: object, problem: str = "", expected: str = "", hint: str = ""
     ) -> None:
-        super().__init__(str(subject), found, expected, remedy)
+        super().__init__(str(subject), problem, expected, hint)
         self.subject = str(subject)
-        self.found = found
+        self.problem = problem
         self.expected = expected
-        self.remedy = remedy
+        self.hint = hint
+
+    @property
+    def headline(self) -> str:
+        """The message without the hint, on one line."""
+        text = ": ".join(part for part in (self.subject, self.problem) if part)
+        return printable(f"{text} (expected {self.expected})" if self.expected else text)
 
     def __str__(self) -> str:
-        expected = f"expected {self.expected}" if self.expected else ""
-        parts = (self.subject, self.found, expected, self.remedy)
-        return printable(" · ".join(part for part in parts if part))
+        return with_hint(self.headline, printable(self.hint))
 
 
 class UsageError(SalsanextError):

@@ -16,13 +16,13 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, UsageError
 from salsanext_cli.files.locks import temporary_folder
 from salsanext_cli.fitting.label_scan import labelled, prepared_for
-from salsanext_cli.fitting.scan_fit import fit_network
+from salsanext_cli.fitting.sensor_fit import fit_network
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.options import KnnParameters, ScanSelection
-from salsanext_cli.parallel.options import RunOptions
+from salsanext_cli.option_fields import KnnParameters, ScanSelection
+from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.results.layout import ScanFile, drive_order
+from salsanext_cli.results.paths import ScanFile, drive_order
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.fuse import FUSED, fuse_results, require_fusable
 from salsanext_cli.stages.predict import predict_scans
@@ -99,8 +99,8 @@ def _scan(points: npt.ArrayLike, intensity: npt.ArrayLike | None) -> Scan:
         coordinates = np.array("lists of several lengths")
     if coordinates.ndim != 2 or coordinates.shape[1] != 3 or coordinates.dtype.kind not in "fiu":
         found = f"an array {coordinates.shape} of {coordinates.dtype}"
-        remedy = "of x, y, z, intensity: label(array[:, :3], array[:, 3])"
-        raise UsageError("points", found, "numbers (N, 3), in metres", remedy)
+        hint = "of x, y, z, intensity: label(array[:, :3], array[:, 3])"
+        raise UsageError("points", found, "numbers (N, 3), in metres", hint)
     values = np.zeros(len(coordinates)) if intensity is None else np.asarray(intensity)
     if values.shape != coordinates.shape[:1] or values.dtype.kind not in "fiu":
         found = f"an array {values.shape} of {values.dtype}"
@@ -145,11 +145,11 @@ def label_drive(folder: Path | str, weights: Path | str | None = None) -> Iterat
         require_fusable(source, out, RunOptions())
         outcome = predict_scans(source, out, settings=settings, extras=("votes",))
         for failure in outcome.failures:
-            log.error("%s", failure.reason)
+            log.error("%s", failure.text)
         if not outcome.done:
             raise NoInputError(source, "no scan that can be labelled", "see the errors of each")
-        for reason in dict.fromkeys(failure.reason for failure in fuse_results(out).failures):
-            log.error("%s", reason)
+        for text in dict.fromkeys(failure.text for failure in fuse_results(out).failures):
+            log.error("%s", text)
         files, space = fused.predicted(ScanSelection())
         for file in sorted(fused.with_column("label", files), key=drive_order):
             found = fused.read(file, fused.sensor())

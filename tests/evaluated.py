@@ -20,7 +20,7 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     evaluate_uncertainty,
 )
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.layout import find_scans, output_path
+from salsanext_cli.results.paths import find_scans, output_path
 from salsanext_cli.stages.evaluate import evaluate
 
 SPACE = label_space()

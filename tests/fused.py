@@ -11,7 +11,7 @@ from salsanext_cli.fusion.pose_checks import fitting_parts
 from salsanext_cli.fusion.poses import Poses
 from salsanext_cli.fusion.votes import Tally
 from salsanext_cli.fusion.window import FusionWindow, voting
-from salsanext_cli.options import FusionReach
+from salsanext_cli.option_fields import FusionReach
 from salsanext_cli.records import Float
 
 

@@ -16,7 +16,7 @@ PACKAGE = Path(salsanext_cli.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 LEVELS = (
     ("version", "errors"),
-    ("options",),
+    ("option_fields",),
     ("files",),
     ("classes", "sensors", "compiled"),
     ("records",),

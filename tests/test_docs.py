@@ -26,7 +26,7 @@ from salsanext_cli import LabelSpace, Sensor, label_space, load_network, project
 from salsanext_cli.cli.app import COMMANDS
 from salsanext_cli.formats import SCAN_SUFFIXES
 from salsanext_cli.formats.las import asprs_class
-from salsanext_cli.results.layout import SUFFIX_OF_FOLDER
+from salsanext_cli.results.paths import SUFFIX_OF_FOLDER
 from salsanext_cli.sensors import sensor as sensors
 from salsanext_cli.stages import predict as stage
 from salsanext_cli.stages.export_onnx import export_onnx

@@ -21,7 +21,7 @@ from salsanext_cli import read_labels
 from salsanext_cli.network.card import read_card
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.salsanext import SALSANET, SalsaNext
-from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.paths import output_path
 from salsanext_cli.training.log import write_log
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

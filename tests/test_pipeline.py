@@ -25,8 +25,8 @@ from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.network.card import default_weights
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.stages.import_weights import import_weights
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans

@@ -168,8 +168,8 @@ def test_a_wrong_suffix_is_told_by_the_first_bytes(tmp_path):
     write_rad(tmp_path / "0.rad", make_scan(), 0)
     with pytest.raises(FormatError) as caught:
         read_scan((tmp_path / "0.rad").rename(tmp_path / "0.bin"))
-    assert ORIGIN in caught.value.found
-    assert caught.value.remedy == "rename it to .rad"
+    assert ORIGIN in caught.value.problem
+    assert caught.value.hint == "rename it to .rad"
 
 
 @pytest.mark.usefixtures("plugged")
@@ -227,8 +227,8 @@ def test_weights_name_the_distribution_of_their_network(weights, site, engine):
     plugged_networks.cache_clear()
     with pytest.raises(WeightsError) as caught:
         load_network(weights, "cpu", engine=engine)
-    assert ORIGIN in caught.value.found
-    assert ORIGIN in caught.value.remedy
+    assert ORIGIN in caught.value.problem
+    assert ORIGIN in caught.value.hint
     assert "salsanext" in caught.value.expected
 
 

@@ -132,17 +132,17 @@ def test_label_labels_as_the_command_line_does(other_sensor, tmp_path, caplog):
 
 
 def test_warnings_are_on_stderr_without_any_logging_set_up():
-    words = "from salsanext_cli.fitting import scan_fit as s; s.log.warning('so')"
+    words = "from salsanext_cli.fitting import sensor_fit as s; s.log.warning('so')"
     process = subprocess.run([sys.executable, "-c", words], capture_output=True, check=True)
     assert process.stderr.decode().strip() == "so"
 
 
 def test_label_refuses_what_are_no_points(weights):
     for points, intensity, message in (
-        (np.zeros((9, 4)), None, r"an array \(9, 4\) of float64 · expected numbers \(N, 3\)"),
-        (np.zeros((9, 3)), np.zeros(8), r"intensity · an array \(8,\) .* expected numbers \(9,\)"),
-        ([["a", "b", "c"]], None, "points · an array"),
-        ([[1, 2, 3], [4, 5]], None, "points · an array"),
+        (np.zeros((9, 4)), None, r"an array \(9, 4\) of float64 \(expected numbers \(N, 3\)"),
+        (np.zeros((9, 3)), np.zeros(8), r"intensity: an array \(8,\) .* expected numbers \(9,\)"),
+        ([["a", "b", "c"]], None, "points: an array"),
+        ([[1, 2, 3], [4, 5]], None, "points: an array"),
         (np.zeros((200, 3)), None, "none of its 200 points is a measurement"),
         (np.full((200, 3), 1e300), None, "none of its 200 points is a measurement"),
         (np.full((200, 3), 5e3), None, "a median range of 8.66e.03 m"),
@@ -167,14 +167,14 @@ def test_a_fit_may_leave_view_or_intensity(other_sensor):
     assert kept.sensor.view() == plain.sensor.view() | own
     raw = sn.fit_network(plain, other_sensor, intensity="raw")
     assert raw.sensor == replace(fitted.sensor, intensity_quantiles=())
-    with pytest.raises(sn.SalsanextError, match="nowhere · no such file"):
+    with pytest.raises(sn.SalsanextError, match="nowhere: no such file"):
         sn.fit_network(plain, "nowhere")
 
 
 def test_errors_are_their_parts_and_survive_the_way_from_a_worker_process():
-    assert str(SalsanextError("a", "b", "c", "d")) == "a · b · expected c · d"
-    assert str(SalsanextError("a", "b", remedy="d")) == "a · b · d"
-    error = OutputError("out", "disk full", remedy="free some space")
+    assert str(SalsanextError("a", "b", "c", "d")) == "a: b (expected c)\nhint: d"
+    assert str(SalsanextError("a", "b", hint="d")) == "a: b\nhint: d"
+    error = OutputError("out", "disk full", hint="free some space")
     copy = pickle.loads(pickle.dumps(error))
     assert type(copy) is OutputError
     assert vars(copy) == vars(error)
@@ -190,8 +190,8 @@ def test_every_kind_has_its_own_documented_code():
 
 
 def test_control_characters_in_names_of_files_are_escaped():
-    said = str(FormatError("a\nerror: b\x1b]0;x\x07.bin", "cut\x9b off", remedy="größer"))
-    assert said == "a\\x0aerror: b\\x1b]0;x\\x07.bin · cut\\x9b off · größer"
+    said = str(FormatError("a\nerror: b\x1b]0;x\x07.bin", "cut\x9b off", hint="größer"))
+    assert said == "a\\x0aerror: b\\x1b]0;x\\x07.bin: cut\\x9b off\nhint: größer"
     assert printable("ä\t\x7f") == "ä\\x09\\x7f"
     assert printable("a\u202enib.bin\u2028\u2066") == "a\\u202enib.bin\\u2028\\u2066"
 

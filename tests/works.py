@@ -10,7 +10,7 @@ from pathlib import Path
 from salsanext_cli.errors import FormatError
 from salsanext_cli.files.atomic import MARK, sweep, writing
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 
 
 class Write:

@@ -120,9 +120,9 @@ class LabelSpace:
     def require_movable(self, subject: str) -> None:
         """Raise `UsageError` for an option that needs movable classes if there are none."""
         if not self.movable.any():
-            remedy = "state their train ids in its yaml file, as `movable: [1, 2]`, and predict"
+            hint = "state their train ids in its yaml file, as `movable: [1, 2]`, and predict"
             found = f"label space {self.name} has no movable classes"
-            raise UsageError(subject, found, "at least one", f"{remedy} with --classes FILE")
+            raise UsageError(subject, found, "at least one", f"{hint} with --classes FILE")
 
     def unknown_ids(self, raw: RawIds) -> dict[int, int]:
         """Return the number of points of each raw id (without instance) that is unknown here."""
@@ -152,11 +152,11 @@ class LabelSpace:
         ids = first_few([f"{i} ({counts[i]}×)" for i in sorted(counts, key=lambda i: -counts[i])])
         of_labelled = sum(counts.values()) / np.count_nonzero(self._train_of_raw[raw & 0xFFFF])
         found = f"unknown label ids {ids}: {100 * of_labelled:.0f} % of the labelled points"
-        remedy = "give the label space of this data with --label-space"
+        hint = "give the label space of this data with --label-space"
         if (raw & 0xFFFF).max() < self.class_count:
             found += f", and no id above {self.class_count - 1}: train ids?"
-            remedy = f"write raw ids in place of train ids, or {remedy}"
-        return LabelError(source, found, f"raw ids of {self.name}", remedy)
+            hint = f"write raw ids in place of train ids, or {hint}"
+        return LabelError(source, found, f"raw ids of {self.name}", hint)
 
     def to_raw(self, train: npt.NDArray[Any]) -> RawIds:
         """Map train ids to the raw ids that stand for them, uint32."""

@@ -12,7 +12,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from salsanext_cli.cli import look, models, own_data, pipeline, results
 from salsanext_cli.cli.console import WRONG_USE, guarded, usage_errors
-from salsanext_cli.cli.option_groups import expanded
+from salsanext_cli.cli.expansion import expanded
 from salsanext_cli.cli.removed import refuse_removed
 from salsanext_cli.cli.train import train
 from salsanext_cli.cli.tune import tune

@@ -16,18 +16,18 @@ import typer
 
 from salsanext_cli.cli.interruption import end_line, interruptible
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, escaped, printable
-from salsanext_cli.options import option, option_group
+from salsanext_cli.option_fields import option, option_group
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.progress import Progress as Bar
 
-    from salsanext_cli.parallel.options import Progress, RunOptions
+    from salsanext_cli.parallel.run_options import Progress, RunOptions
 
 DONE, FAILED, WRONG_USE = 0, 1, 2
 """Exit status: all done, something failed, the command line was wrong; 128 + n after signal n."""
 
-SCHEMA = 1  # Version of what `--json` prints; it grows when a key changes or goes
+SCHEMA = 2  # Version of what `--json` prints; it grows when a key changes or goes
 USAGE_ERROR = cast("type[Exception]", typer.BadParameter.__base__)
 """Errors of the command line, of which typer names only one kind."""
 FILE_WIDTH_COLUMNS = 120
@@ -97,7 +97,8 @@ def guarded(command: Callable[Parameters, None]) -> Callable[Parameters, None]:
             if not error.reported_elsewhere:
                 tell(f"error: {error}")
                 if kwargs.get("json"):
-                    _print_json({"error": str(error), "code": error.code})
+                    found = {"error": error.headline, "hint": error.hint, "code": error.code}
+                    _print_json(found)
             raise typer.Exit(WRONG_USE if isinstance(error, UsageError) else FAILED) from None
         except KeyboardInterrupt:
             line, status = end_line()

@@ -9,13 +9,13 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans, progress, tell
+from salsanext_cli.cli.expansion import Without
 from salsanext_cli.cli.interruption import ARRIVED
-from salsanext_cli.cli.option_groups import Without
 from salsanext_cli.errors import counted
-from salsanext_cli.options import names_in, option_group, own_option
-from salsanext_cli.parallel.options import RunOptions
+from salsanext_cli.option_fields import names_in, option_group, own_option
+from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import ResultQuery, named_label_space
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
 
@@ -37,7 +37,7 @@ class PictureOptions:
 
 def picture(
     *,
-    results: options.Results,
+    results: arguments.Results,
     pictures: PictureOptions,
     query: ResultQuery,
     running: RunOptions,
@@ -58,12 +58,12 @@ def picture(
             query=query,
             options=run,
         )
-    run_end.finish("picture", outcome, out, output)
+    summary.finish("picture", outcome, out, output)
 
 
 def export_rrd(
     *,
-    results: options.Results,
+    results: arguments.Results,
     query: ResultQuery,
     running: Annotated[RunOptions, Without({"jobs", "backend", "scheduler", "shard", "overwrite"})],
     output: console.Output,
@@ -77,7 +77,7 @@ def export_rrd(
     out = results.folder()
     with over_scans("export-rrd", running, output.quiet) as run:
         outcome = stage(out, query=query, options=run)
-    run_end.finish("export-rrd", outcome, out, output)
+    summary.finish("export-rrd", outcome, out, output)
 
 
 def demo(
@@ -87,10 +87,10 @@ def demo(
     *,
     scans: Annotated[int, typer.Option(help="Number of scans of the synthetic drive.")] = 4,
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
-    classes: options.MergedInto = None,
-    settings: Annotated[options.Network, Without({"sensor", "columns", "min_range", "ego"})],
-    jobs: options.Jobs = 1,
-    overwrite: options.Overwrite = False,
+    classes: arguments.MergedInto = None,
+    settings: Annotated[arguments.Network, Without({"sensor", "columns", "min_range", "ego"})],
+    jobs: arguments.Jobs = 1,
+    overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Run the whole pipeline on a synthetic drive and list what to look at.
@@ -113,16 +113,16 @@ def demo(
     result["page"] = str(made.page)
     output.result(result, score_table(made.evaluation.scores))
     failures = (*made.failures, *made.evaluation.failures)
-    run_end.name_failures(failures)
+    summary.name_failures(failures)
     output.say(f"scans: {folder / 'data'}; results of every stage: {out}/sequences/00")
     output.say(f"clouds, for CloudCompare, MeshLab or open3d: {out}/sequences/00/ply/*.ply")
     output.say(f"everything on one page, for any browser: {made.page}")
-    run_end.leave(failures, made.evaluation.missing)
+    summary.leave(failures, made.evaluation.missing)
 
 
 def report(
     *,
-    results: options.Results,
+    results: arguments.Results,
     scans: Annotated[
         str | None,
         typer.Option(
@@ -131,9 +131,9 @@ def report(
             show_default="up to four that are worth looking at",
         ),
     ] = None,
-    by_distance: options.ByDistance = False,
+    by_distance: arguments.ByDistance = False,
     query: ResultQuery,
-    running: options.Reading,
+    running: arguments.Reading,
     output: console.Output,
 ) -> None:
     """Write one page of a run that opens in any browser: numbers, plots, and scans in 3-D.
@@ -152,25 +152,25 @@ def report(
         )
     missing = made.run.missing
     output.result(made.to_dict())
-    run_end.name_failures(made.failures)
+    summary.name_failures(made.failures)
     for reason in made.unmapped:
         tell(f"error: {reason}")
     for name, reason in made.shown.items():
         output.say(f"  {name}: {reason}")
-    scans = f"{counted(len(made.run.rows), 'scan')}{run_end.left_out(missing)}"
+    scans = f"{counted(len(made.run.rows), 'scan')}{summary.left_out(missing)}"
     output.say(f"report: {scans} → {made.page} ({made.page.stat().st_size / 1e6:.1f} MB)")
-    run_end.leave(made.failures, missing, failed=bool(made.unmapped))
+    summary.leave(made.failures, missing, failed=bool(made.unmapped))
 
 
 def view(
     *,
-    results: options.Results,
+    results: arguments.Results,
     port: Annotated[
         int, typer.Option(help="Port on this machine; 0: any free one.", min=0, max=65535)
     ] = 8765,
-    by_distance: options.ByDistance = False,
+    by_distance: arguments.ByDistance = False,
     query: ResultQuery,
-    running: options.Reading,
+    running: arguments.Reading,
     output: console.Output,
 ) -> None:
     """Show all scans of a run in the browser, until Ctrl-C.
@@ -183,8 +183,8 @@ def view(
         server = stage(
             results.folder(), port=port, query=query, by_distance=by_distance, options=run
         )
-    run_end.name_failures(server.failures)
-    scans, left_out = counted(server.scans, "scan"), run_end.left_out(server.missing)
+    summary.name_failures(server.failures)
+    scans, left_out = counted(server.scans, "scan"), summary.left_out(server.missing)
     output.say(f"view: {scans}{left_out}, until Ctrl-C at")
     if forwarding := _forwarding(server.server_port, os.environ.get("SSH_CONNECTION", "")):
         output.say(f"from the machine that you sit at, first: {forwarding}")
@@ -195,7 +195,7 @@ def view(
     except KeyboardInterrupt:
         ARRIVED.clear()
         output.say("view: ended")
-    run_end.leave(server.failures, server.missing)
+    summary.leave(server.failures, server.missing)
 
 
 def _forwarding(port: int, connection: str) -> str:

@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import arguments, console
 from salsanext_cli.engines.settings import DEFAULT_WEIGHTS, weights_file
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.results.query import named_label_space
 
 
@@ -57,7 +57,7 @@ def import_weights(
             show_default="semantic-kitti",
         ),
     ] = None,
-    sensor: options.SensorWithoutWeights = None,
+    sensor: arguments.SensorWithoutWeights = None,
     dropout: Annotated[
         float | None,
         typer.Option(help="Dropout rate that a checkpoint was trained with.", show_default="0.2"),
@@ -68,7 +68,7 @@ def import_weights(
     half: Annotated[
         bool, typer.Option("--half", help="Store in float16, at half the size.")
     ] = False,
-    overwrite: options.Overwrite = False,
+    overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Convert a published checkpoint to a weights file, without running anything inside it.
@@ -82,7 +82,7 @@ def import_weights(
         source,
         target,
         space=named_label_space(label_space),
-        view=options.sensor(sensor),
+        view=arguments.sensor(sensor),
         dropout=dropout,
         description=description,
         half=half,
@@ -100,7 +100,8 @@ def export_onnx(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="ONNX model to write (.onnx).")],
     *,
     sensor: Annotated[
-        str | None, typer.Option(help=options.SENSOR_HELP, show_default="the sensor of the weights")
+        str | None,
+        typer.Option(help=arguments.SENSOR_HELP, show_default="the sensor of the weights"),
     ] = None,
     dynamic_width: Annotated[
         bool,
@@ -116,7 +117,7 @@ def export_onnx(
     limit: Annotated[
         int, typer.Option(help="At most this number of scans to calibrate, evenly spaced.")
     ] = 40,
-    overwrite: options.Overwrite = False,
+    overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Write weights as an ONNX model for OpenVINO, ONNX Runtime and TensorRT.
@@ -131,7 +132,7 @@ def export_onnx(
     done = stage(
         weights_file(weights),
         target,
-        view=options.sensor(sensor),
+        view=arguments.sensor(sensor),
         dynamic_width=dynamic_width,
         calibrate=calibrate,
         selection=ScanSelection(limit=limit),

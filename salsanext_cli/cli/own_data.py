@@ -8,17 +8,17 @@ from typing import Annotated, Literal
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans, progress, tell
-from salsanext_cli.cli.option_groups import Shown
+from salsanext_cli.cli.expansion import Shown
 from salsanext_cli.engines.settings import with_columns
-from salsanext_cli.errors import counted, printable
-from salsanext_cli.options import ScanSelection, option_group, own_option
+from salsanext_cli.errors import counted, printable, with_hint
+from salsanext_cli.option_fields import ScanSelection, option_group, own_option
 from salsanext_cli.results.query import named_label_space
 
 
 def inspect(
-    scans: options.Scans = None,
+    scans: arguments.Scans = None,
     *,
     fit: Annotated[
         Path | None,
@@ -26,21 +26,21 @@ def inspect(
     ] = None,
     height: Annotated[int | None, typer.Option(help="Rows of its range image.")] = None,
     width: Annotated[int | None, typer.Option(help="Columns of its range image.")] = None,
-    dataset: options.DataSet = None,
+    dataset: arguments.DataSet = None,
     selection: ScanSelection,
-    topic: options.Topic = None,
-    label_space: options.LabelSpaceName = None,
-    sensor: options.SensorWithoutWeights = None,
-    columns: options.Columns = None,
-    running: options.Unsharded,
-    strict: options.Strict = False,
+    topic: arguments.Topic = None,
+    label_space: arguments.LabelSpaceName = None,
+    sensor: arguments.SensorWithoutWeights = None,
+    columns: arguments.Columns = None,
+    running: arguments.Unsharded,
+    strict: arguments.Strict = False,
     output: console.Output,
 ) -> None:
     """Summarise a set of scans; fit a sensor to them.
 
     Example: salsanext inspect my/scans --fit my-sensor.toml
     """
-    from salsanext_cli.fitting.view_fit import view_text
+    from salsanext_cli.fitting.field_of_view import view_text
     from salsanext_cli.report.tables import survey_tables
     from salsanext_cli.sensors.sensor import sensor as find_sensor
     from salsanext_cli.stages.inspect import inspect as stage
@@ -51,7 +51,7 @@ def inspect(
     images = height is not None or width is not None
     with over_scans("inspect", running, output.quiet) as run:
         found = stage(
-            options.source(scans, dataset, topic),
+            arguments.source(scans, dataset, topic),
             sensor=view,
             space=named_label_space(label_space),
             selection=selection,
@@ -65,8 +65,8 @@ def inspect(
         output.say(f"inspect: sensor, {view_text(fitted)} → {fit}")
     tables = survey_tables(found.sequences, found.total, found.space, found.sensor)
     output.result(found.to_dict(), tables)
-    run_end.name_failures(found.failures)
-    run_end.leave(found.failures, failed=strict and bool(found.warnings))
+    summary.name_failures(found.failures)
+    summary.leave(found.failures, failed=strict and bool(found.warnings))
 
 
 def convert(
@@ -81,10 +81,10 @@ def convert(
         Path, typer.Argument(metavar="FOLDER", help="Root of the data set to write.")
     ],
     *,
-    topic: options.TopicOfRecording = None,
+    topic: arguments.TopicOfRecording = None,
     every: Annotated[int, typer.Option(help="Take every so many scans only.")] = 1,
     limit: Annotated[int | None, typer.Option(help="At most this number of scans.")] = None,
-    running: options.Unsharded,
+    running: arguments.Unsharded,
     output: console.Output,
 ) -> None:
     """Write the scans of a recording as `.bin` files, in SemanticKITTI's layout.
@@ -93,10 +93,10 @@ def convert(
     """
     from salsanext_cli.stages.convert import convert as stage
 
-    source = options.in_topic(recording, topic)
+    source = arguments.in_topic(recording, topic)
     with over_scans("convert", running, output.quiet) as run:
         outcome = stage(source, folder, every=every, limit=limit, options=run)
-    run_end.finish("convert", outcome, folder, output)
+    summary.finish("convert", outcome, folder, output)
 
 
 @option_group
@@ -113,17 +113,17 @@ class PickOptions:
 
 
 def pick(
-    scans: options.RequiredScans,
+    scans: arguments.RequiredScans,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Root of the data set to write.")],
     *,
     choice: PickOptions,
     selection: Annotated[
         ScanSelection, Shown(limit={"help": "Look at this number of scans only, evenly spaced."})
     ],
-    topic: options.Topic = None,
-    settings: options.Network,
-    running: options.Unsharded,
-    strict: options.Strict = False,
+    topic: arguments.Topic = None,
+    settings: arguments.Network,
+    running: arguments.Unsharded,
+    strict: arguments.Strict = False,
     output: console.Output,
 ) -> None:
     """Pick the scans most worth labelling; write them as a data set with labels to correct.
@@ -135,7 +135,7 @@ def pick(
 
     with over_scans("pick", running, output.quiet) as run:
         found = stage(
-            options.in_topic(scans, topic),
+            arguments.in_topic(scans, topic),
             out,
             **asdict(choice) | {"labelled": choice.labelled or ()},
             settings=settings,
@@ -145,7 +145,7 @@ def pick(
     table = picked_table(found.picked) if found.picked else None
     output.result(found.to_dict() | {"out": str(out)}, table)
     outcome, doubted = found.outcome, found.warnings
-    run_end.name_failures(outcome.failures)
+    summary.name_failures(outcome.failures)
     already = f", {outcome.skipped} there already" if outcome.skipped else ""
     failed = f", {len(outcome.failures)} failed" if outcome.failures else ""
     chosen = f"{len(found.picked):,} of {counted(found.scans, 'scan')}"
@@ -156,7 +156,7 @@ def pick(
         following = shlex.join(["salsanext", *training])
         edited = shlex.join(["salsanext", "import-labels", "EDITED", str(out)])
         output.say(f"next: correct the labels, take them back with `{edited}`, then `{following}`")
-    run_end.leave(outcome.failures, failed=strict and bool(doubted))
+    summary.leave(outcome.failures, failed=strict and bool(doubted))
 
 
 def import_labels(
@@ -184,9 +184,9 @@ def import_labels(
             show_default="raw ids of the label space",
         ),
     ] = None,
-    label_space: options.LabelSpaceName = None,
-    columns: options.Columns = None,
-    overwrite: options.Overwrite = False,
+    label_space: arguments.LabelSpaceName = None,
+    columns: arguments.Columns = None,
+    overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Take back the labels that a labelling tool wrote, as the label files of a data set.
@@ -209,7 +209,7 @@ def import_labels(
         )
     output.result(made.to_dict(), imported_table(made.scans) if made.scans else None)
     for failure in made.failures:
-        tell(f"error: {failure.reason}")
+        tell(f"error: {with_hint(failure.reason, failure.hint)}")
     for line in imported_lines(made, dataset):
         output.say(printable(line))
     if merged := sum(len(scan.files) > 1 for scan in made.scans):
@@ -236,8 +236,8 @@ def synth(
     out: Annotated[Path, typer.Argument(metavar="DATASET", help="Root of the new data set.")],
     *,
     streets: Streets,
-    jobs: options.Jobs = 1,
-    overwrite: options.Overwrite = False,
+    jobs: arguments.Jobs = 1,
+    overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Generate labelled scans of synthetic streets, in SemanticKITTI's layout.
@@ -264,9 +264,9 @@ def submit(
     description: Annotated[
         Path | None, typer.Option(help="Text file about the method, packed as description.txt.")
     ] = None,
-    dataset: options.DataSetOfResults = None,
-    label_space: options.LabelSpaceName = None,
-    overwrite: options.Overwrite = False,
+    dataset: arguments.DataSetOfResults = None,
+    label_space: arguments.LabelSpaceName = None,
+    overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Check the predictions of the test split and pack them for SemanticKITTI's benchmark.

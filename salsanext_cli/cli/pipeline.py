@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans
-from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.cli.expansion import Without
 from salsanext_cli.engines.settings import AUTO, COLUMNS_HELP, with_columns
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.options import KnnParameters, ScanSelection, option_group, own_option
-from salsanext_cli.parallel.options import RunOptions
+from salsanext_cli.option_fields import KnnParameters, ScanSelection, option_group, own_option
+from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import ResultQuery, named_label_space
 
 if TYPE_CHECKING:
@@ -26,15 +26,15 @@ WAIT_S = 1.0  # Time between two looks at whether another run has ended
 
 def project(
     context: typer.Context,
-    scans: options.SeveralScans = None,
-    out: options.Out = Path("out"),
+    scans: arguments.SeveralScans = None,
+    out: arguments.Out = Path("out"),
     *,
-    dataset: options.DataSet = None,
+    dataset: arguments.DataSet = None,
     selection: ScanSelection,
-    topic: options.Topic = None,
-    settings: Annotated[options.Network, Without({"device", "precision", "engine", "intensity"})],
+    topic: arguments.Topic = None,
+    settings: Annotated[arguments.Network, Without({"device", "precision", "engine", "intensity"})],
     running: RunOptions,
-    strict: options.Strict = False,
+    strict: arguments.Strict = False,
     output: console.Output,
 ) -> None:
     """Project scans onto range images and write these, for `predict` or your own programs.
@@ -43,7 +43,7 @@ def project(
     """
     from salsanext_cli.stages.project import project_scans
 
-    source, out = options.sources(context, scans, out, dataset, topic)
+    source, out = arguments.sources(context, scans, out, dataset, topic)
     with over_scans("project", running, output.quiet) as run:
         outcome = project_scans(
             source,
@@ -56,7 +56,7 @@ def project(
     sensor = None if settings.sensor == AUTO else settings.sensor
     named = {"--weights": settings.weights, "--sensor": sensor}
     more = [word for name, value in named.items() if value for word in (name, str(value))]
-    run_end.finish("project", outcome, out, output, *more, strict=strict)
+    summary.finish("project", outcome, out, output, *more, strict=strict)
 
 
 @option_group
@@ -100,36 +100,36 @@ class Extras:
     @property
     def threshold(self) -> float | Literal["risk"] | None:
         """Error above which points are unlabelled, as `predict_scans` takes it."""
-        return "risk" if self.reject == "risk" else options.share("--reject", self.reject)
+        return "risk" if self.reject == "risk" else arguments.share("--reject", self.reject)
 
     def require_fusable(self) -> None:
         """Refuse what fused labels do not have."""
         if self.objects or self.reject is not None:
-            found, remedy = "with --objects or --reject", "those are of the labels of single scans"
-            raise UsageError("--fuse", found, "one of them", remedy)
+            found, hint = "with --objects or --reject", "those are of the labels of single scans"
+            raise UsageError("--fuse", found, "one of them", hint)
 
 
 def predict(
     context: typer.Context,
-    scans: options.SeveralScans = None,
-    out: options.Out = Path("out"),
+    scans: arguments.SeveralScans = None,
+    out: arguments.Out = Path("out"),
     *,
     extras: Extras,
-    dataset: options.DataSet = None,
+    dataset: arguments.DataSet = None,
     selection: ScanSelection,
-    topic: options.Topic = None,
-    classes: options.MergedInto = None,
-    settings: options.Network,
+    topic: arguments.Topic = None,
+    classes: arguments.MergedInto = None,
+    settings: arguments.Network,
     knn: KnnParameters,
     batch: Annotated[
         str,
-        options.running_option(
+        arguments.running_option(
             help="Scans computed together, halved when memory runs out; auto: 1 on a CPU, on a "
             "GPU as many as keep it busy."
         ),
     ] = AUTO,
     running: RunOptions,
-    strict: options.Strict = False,
+    strict: arguments.Strict = False,
     output: console.Output,
 ) -> None:
     """Predict the class of every point of every scan.
@@ -139,7 +139,7 @@ def predict(
     from salsanext_cli.fitting.label_scan import projected_sensor
     from salsanext_cli.stages.predict import predict_range_images, predict_scans
 
-    source, out = options.sources(context, scans, out, dataset, topic)
+    source, out = arguments.sources(context, scans, out, dataset, topic)
     if extras.fuse:
         from salsanext_cli.stages.fuse import require_fusable
 
@@ -167,7 +167,7 @@ def predict(
     results, split = out, selection.split
     if extras.fuse and outcome.done + outcome.skipped:
         outcome, results = _then_fused(outcome, out, selection, running, output)
-    run_end.finish("predict", outcome, out, output, split=split, strict=strict, results=results)
+    summary.finish("predict", outcome, out, output, split=split, strict=strict, results=results)
 
 
 def _then_fused(
@@ -216,30 +216,31 @@ def _batch_size(text: str) -> int | None:
 
 
 def knn_refine(
-    out: options.Out = Path("out"),
+    out: arguments.Out = Path("out"),
     *,
     labels: Annotated[
         Path | None,
         typer.Option(help="Refine the .label files of this folder instead, of any program."),
     ] = None,
-    dataset: options.DataSetOfResults = None,
+    dataset: arguments.DataSetOfResults = None,
     selection: ScanSelection,
-    label_space: options.LabelSpaceName = None,
+    label_space: arguments.LabelSpaceName = None,
     sensor: Annotated[
         str | None,
-        options.network_option(
-            help=options.SENSOR_HELP, show_default="the sensor of the earlier stages, else hdl64"
+        arguments.network_option(
+            help=arguments.SENSOR_HELP,
+            show_default="the sensor of the earlier stages, else hdl64",
         ),
     ] = None,
     columns: Annotated[
         str | None,
-        options.network_option(
+        arguments.network_option(
             help=COLUMNS_HELP, show_default="those of the earlier stages, else x,y,z,intensity"
         ),
     ] = None,
     knn: KnnParameters,
     running: RunOptions,
-    strict: options.Strict = False,
+    strict: arguments.Strict = False,
     output: console.Output,
 ) -> None:
     """Turn labels of pixels into labels of points, or correct labels of points, by neighbours.
@@ -249,7 +250,7 @@ def knn_refine(
     from salsanext_cli.results.provenance import Provenance
     from salsanext_cli.stages.knn_refine import knn_refine_scans
 
-    seen = options.sensor(sensor)
+    seen = arguments.sensor(sensor)
     if columns is not None:
         seen = with_columns(seen or Provenance(out).sensor(), columns)
     with over_scans("knn-refine", running, output.quiet) as run:
@@ -263,13 +264,13 @@ def knn_refine(
             selection=selection,
             options=run,
         )
-    run_end.finish("knn-refine", outcome, out, output, split=selection.split, strict=strict)
+    summary.finish("knn-refine", outcome, out, output, split=selection.split, strict=strict)
 
 
 def uncertainty(
     context: typer.Context,
-    scans: options.SeveralScans = None,
-    out: options.Out = Path("out"),
+    scans: arguments.SeveralScans = None,
+    out: arguments.Out = Path("out"),
     *,
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 30,
     seed: Annotated[int, typer.Option(help="Seed of the dropout masks and the noise.")] = 0,
@@ -280,14 +281,14 @@ def uncertainty(
             "of each scan, or carried through the network as in the paper."
         ),
     ] = "copies",
-    dataset: options.DataSet = None,
+    dataset: arguments.DataSet = None,
     selection: ScanSelection,
-    topic: options.Topic = None,
-    classes: options.MergedInto = None,
-    settings: options.Network,
+    topic: arguments.Topic = None,
+    classes: arguments.MergedInto = None,
+    settings: arguments.Network,
     knn: KnnParameters,
     running: RunOptions,
-    strict: options.Strict = False,
+    strict: arguments.Strict = False,
     output: console.Output,
 ) -> None:
     """Predict the class of every point and its epistemic, aleatoric and total uncertainty.
@@ -297,7 +298,7 @@ def uncertainty(
     from salsanext_cli.stages.uncertainty import uncertainty as stage
     from salsanext_cli.uncertainty.method import UncertaintyMethod
 
-    source, out = options.sources(context, scans, out, dataset, topic)
+    source, out = arguments.sources(context, scans, out, dataset, topic)
     with over_scans("uncertainty", running, output.quiet) as run:
         outcome = stage(
             source,
@@ -308,4 +309,4 @@ def uncertainty(
             selection=selection,
             options=run,
         )
-    run_end.finish("uncertainty", outcome, out, output, strict=strict)
+    summary.finish("uncertainty", outcome, out, output, strict=strict)

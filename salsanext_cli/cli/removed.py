@@ -23,6 +23,6 @@ def refuse_removed(command: str, words: Sequence[str], *, json: bool) -> None:
     """Refuse an option that a command no longer has; `guarded` reads `json`."""
     parts = [part for word in words for part in word.split("=", 1)]
     given = {*parts, *map(" ".join, pairwise(parts))}
-    for (name, option), remedy in REMOVED.items():
+    for (name, option), hint in REMOVED.items():
         if name in ("", command) and option in given:
-            raise UsageError(option, "this option was removed", remedy=remedy)
+            raise UsageError(option, "this option was removed", hint=hint)

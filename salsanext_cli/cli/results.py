@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salsanext_cli.cli import console, options, run_end
+from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans
-from salsanext_cli.cli.option_groups import Without
+from salsanext_cli.cli.expansion import Without
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.options import FusionReach, names_in, option_group, own_option
-from salsanext_cli.parallel.options import RunOptions
+from salsanext_cli.option_fields import FusionReach, names_in, option_group, own_option
+from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def fuse(
-    out: options.Out = Path("out"),
+    out: arguments.Out = Path("out"),
     target: Annotated[
         Path | None,
         typer.Argument(
@@ -43,7 +43,7 @@ def fuse(
     reach: FusionReach,
     query: Annotated[ResultQuery, Without({"label_space", "classes"})],
     running: RunOptions,
-    strict: options.Strict = False,
+    strict: arguments.Strict = False,
     output: console.Output,
 ) -> None:
     """Correct the labels of each scan of a drive by all scans that see the same places.
@@ -55,7 +55,7 @@ def fuse(
     target = target or out / FUSED
     with over_scans("fuse", running, output.quiet) as run:
         outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=run)
-    run_end.finish("fuse", outcome, target, output, split=query.selection.split, strict=strict)
+    summary.finish("fuse", outcome, target, output, split=query.selection.split, strict=strict)
 
 
 @option_group
@@ -78,7 +78,7 @@ class PointChoice:
 
 
 def filter_command(
-    out: options.Out = Path("out"),
+    out: arguments.Out = Path("out"),
     *,
     to: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder to write.")],
     points: PointChoice,
@@ -94,16 +94,16 @@ def filter_command(
 
     with over_scans("filter", running, output.quiet) as run:
         outcome = filter_scans(out, to, **asdict(points), query=query, options=run)
-    run_end.finish("filter", outcome, to, output)
+    summary.finish("filter", outcome, to, output)
 
 
 def compare(
     before: Annotated[Path, typer.Argument(metavar="OUT_A", help="Results of the first run.")],
     after: Annotated[Path, typer.Argument(metavar="OUT_B", help="Results of the second run.")],
     *,
-    by_distance: options.ByDistance = False,
+    by_distance: arguments.ByDistance = False,
     query: ResultQuery,
-    running: options.Reading,
+    running: arguments.Reading,
     output: console.Output,
 ) -> None:
     """Compare two runs on the same scans: what changed, and whether it is better.
@@ -122,17 +122,17 @@ def compare(
     output.result(
         {"stage": "compare", **found.to_dict(), "failures": failed}, comparison_tables(found)
     )
-    run_end.name_failures(failures)
+    summary.name_failures(failures)
     output.say(f"compare: {counted(len(found.pairs), 'scan')} → {after / RECORD}")
-    run_end.leave(failures)
+    summary.leave(failures)
 
 
 def evaluate(
     *,
-    results: options.Results,
-    by_distance: options.ByDistance = False,
+    results: arguments.Results,
+    by_distance: arguments.ByDistance = False,
     query: ResultQuery,
-    running: options.Reading,
+    running: arguments.Reading,
     output: console.Output,
 ) -> None:
     """Compare predictions with labels, as the official benchmark does.
@@ -162,10 +162,10 @@ def evaluate(
             labels=query.label_space,
         )
     output.result(found.to_dict(), _evaluation_shown(found, rejection.above if rejection else None))
-    run_end.name_failures(found.failures)
-    scans = f"{counted(found.counts.scans, 'scan')}{run_end.left_out(found.missing)}"
+    summary.name_failures(found.failures)
+    scans = f"{counted(found.counts.scans, 'scan')}{summary.left_out(found.missing)}"
     output.say(f"eval: {scans} → {found.folder}/scores.txt, eval.json, eval_*.png")
-    run_end.leave(found.failures, found.missing)
+    summary.leave(found.failures, found.missing)
 
 
 def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
@@ -209,7 +209,7 @@ class CloudOptions:
 
 def export_ply(
     *,
-    results: options.Results,
+    results: arguments.Results,
     clouds: CloudOptions,
     as_map: Annotated[
         bool, typer.Option("--map", help="Write one cloud of each drive with labels of `fuse`.")
@@ -238,4 +238,4 @@ def export_ply(
     with over_scans("export-ply", running, output.quiet) as run:
         map_voxel = (0.1 if voxel is None else voxel) if as_map else None
         outcome = stage(out, **asdict(clouds), voxel=map_voxel, query=query, options=run)
-    run_end.finish("export-ply", outcome, out, output)
+    summary.finish("export-ply", outcome, out, output)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.console import progress
 from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, weights_file, with_columns
 from salsanext_cli.errors import counted
-from salsanext_cli.options import network_option, option_group
+from salsanext_cli.option_fields import network_option, option_group
 from salsanext_cli.results.query import named_label_space
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Start:
         show_default="random; with finetune those of the package",
     )
     sensor: str | None = network_option(
-        options.SENSOR_HELP, show_default="the sensor of --weights, else hdl64"
+        arguments.SENSOR_HELP, show_default="the sensor of --weights, else hdl64"
     )
     also: list[Path] | None = network_option(
         "Further data set of the same classes, for a share of the samples (--set also=0.5); may be "
@@ -53,7 +53,7 @@ class Start:
         from salsanext_cli.network.card import read_card
         from salsanext_cli.sensors.sensor import sensor as find_sensor
 
-        named = options.sensor(self.sensor)
+        named = arguments.sensor(self.sensor)
         if self.columns is None:
             return named
         given = self.weights is not None or self.plan().initial == "default"
@@ -69,20 +69,20 @@ class Start:
 
 
 def train(
-    dataset: options.LabelledDataSet = Path(),
+    dataset: arguments.LabelledDataSet = Path(),
     run: Annotated[
         Path, typer.Argument(metavar="RUN", help="Folder for the weights, the log and the curves.")
     ] = Path("run"),
     *,
     start: Start,
-    label_space: options.LabelSpaceName = None,
-    device: options.Device = "auto",
+    label_space: arguments.LabelSpaceName = None,
+    device: arguments.Device = "auto",
     jobs: Annotated[
-        int | None, options.jobs_option(show_default="1; on a GPU one per core, up to 8")
+        int | None, arguments.jobs_option(show_default="1; on a GPU one per core, up to 8")
     ] = None,
-    overwrite: options.Overwrite = False,
+    overwrite: arguments.Overwrite = False,
     strict: Annotated[
-        bool, options.running_option("--strict", help="Do not train if a scan is doubtful.")
+        bool, arguments.running_option("--strict", help="Do not train if a scan is doubtful.")
     ] = False,
     output: console.Output,
 ) -> None:

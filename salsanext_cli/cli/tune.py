@@ -7,21 +7,21 @@ from typing import Annotated, Any
 
 import typer
 
-from salsanext_cli.cli import console, options
+from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.console import guarded, progress
-from salsanext_cli.cli.option_groups import Default, expanded
+from salsanext_cli.cli.expansion import Default, expanded
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 
 
 def tune_temperature(
-    dataset: options.LabelledDataSet,
-    target: options.WeightsOut,
+    dataset: arguments.LabelledDataSet,
+    target: arguments.WeightsOut,
     *,
-    selection: options.LabelledSelection,
-    settings: options.Network,
-    overwrite: options.Overwrite = False,
+    selection: arguments.LabelledSelection,
+    settings: arguments.Network,
+    overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Fit the temperature that calibrates the probabilities, and write new weights.
@@ -37,12 +37,12 @@ def tune_temperature(
 
 
 def tune_error(
-    dataset: options.LabelledDataSet,
-    target: options.WeightsOut,
+    dataset: arguments.LabelledDataSet,
+    target: arguments.WeightsOut,
     *,
-    selection: options.LabelledSelection,
-    settings: options.Network,
-    overwrite: options.Overwrite = False,
+    selection: arguments.LabelledSelection,
+    settings: arguments.Network,
+    overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Fit the probability that a label is wrong, and write new weights.
@@ -61,8 +61,8 @@ def tune_error(
 
 
 def tune_risk(
-    dataset: options.LabelledDataSet,
-    target: options.WeightsOut,
+    dataset: arguments.LabelledDataSet,
+    target: arguments.WeightsOut,
     *,
     at_most: Annotated[
         str,
@@ -85,9 +85,9 @@ def tune_risk(
             help="Hold it of the points of each label, too, by thresholds of their own.",
         ),
     ] = False,
-    selection: options.LabelledSelection,
-    settings: options.Network,
-    overwrite: options.Overwrite = False,
+    selection: arguments.LabelledSelection,
+    settings: arguments.Network,
+    overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Choose the threshold of `predict --reject risk`, and write new weights.
@@ -99,7 +99,10 @@ def tune_risk(
 
     from salsanext_cli.report.tables import kept_table
 
-    level, sure = options.share("--at-most", at_most), options.share("--confidence", confidence)
+    level, sure = (
+        arguments.share("--at-most", at_most),
+        arguments.share("--confidence", confidence),
+    )
     numbers = {"at_most": level, "confidence": sure, "per_class": per_class}
     tuned = _tuned("risk", dataset, target, settings, selection, overwrite, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
@@ -111,8 +114,8 @@ def tune_risk(
 
 
 def tune_dropout(
-    dataset: options.LabelledDataSet,
-    target: options.WeightsOut,
+    dataset: arguments.LabelledDataSet,
+    target: arguments.WeightsOut,
     *,
     samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan and rate.")] = 30,
     lowest: Annotated[float, typer.Option(help="Lowest rate to try.")] = 0.02,
@@ -121,9 +124,9 @@ def tune_dropout(
         int, typer.Option(help="Number of rates to try, evenly spaced on a log scale.")
     ] = 10,
     seed: Annotated[int, typer.Option(help="Seed of the dropout masks.")] = 0,
-    selection: Annotated[options.LabelledSelection, Default(limit=20)],
-    settings: options.Network,
-    overwrite: options.Overwrite = False,
+    selection: Annotated[arguments.LabelledSelection, Default(limit=20)],
+    settings: arguments.Network,
+    overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
     """Find the dropout rate to sample with, and write new weights.

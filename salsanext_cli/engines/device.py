@@ -65,7 +65,7 @@ def choose_engine(name: str, device: str) -> str:
     if not (failure := _openvino_fails()):
         return "openvino"
     if name == "openvino":
-        raise MissingDependency(name, failure, remedy="install it again, or --engine torch")
+        raise MissingDependency(name, failure, hint="install it again, or --engine torch")
     warn_once(log, f"openvino {failure}; computing with torch, which is slower")
     return "torch"
 
@@ -90,7 +90,7 @@ def _openvino_fails() -> str:
     try:
         openvino_core().get_property("CPU", "FULL_DEVICE_NAME")
     except MissingDependency as error:
-        return error.found
+        return error.problem
     except OPENVINO_ERRORS as error:
         return f"does not start: {error_text(error)}"
     return ""

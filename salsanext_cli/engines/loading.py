@@ -160,8 +160,8 @@ def _load_onnx(
     try:
         choose_engine("openvino", "cpu")
     except MissingDependency as error:
-        remedy = "install it again, or give the .safetensors weights"
-        raise MissingDependency(error.subject, error.found, remedy=remedy) from error
+        hint = "install it again, or give the .safetensors weights"
+        raise MissingDependency(error.subject, error.problem, hint=hint) from error
     sha256 = fingerprint(path)
 
     def no_module() -> "SegmentationNetwork":
@@ -197,13 +197,13 @@ def read_onnx(content: bytes, source: object, card: WeightsCard, size: tuple[int
             count = f"{len(model.inputs)} inputs and {len(model.outputs)} outputs"
             raise WeightsError(source, count, "one of each")
         if not shapes[0].compatible(openvino.PartialShape(shape)):
-            remedy = "export it again with --sensor, or with --dynamic-width"
-            raise WeightsError(source, f"takes images {shapes[0]}", f"{shape}", remedy)
+            hint = "export it again with --sensor, or with --dynamic-width"
+            raise WeightsError(source, f"takes images {shapes[0]}", f"{shape}", hint)
         model.reshape(shape)
     except (RuntimeError, ValueError, TypeError, MemoryError) as error:
         found = f"cannot be read by OpenVINO: {error_text(error)}"
-        remedy = "write it with `salsanext export-onnx`"
-        raise WeightsError(source, found, "an ONNX model", remedy) from error
+        hint = "write it with `salsanext export-onnx`"
+        raise WeightsError(source, found, "an ONNX model", hint) from error
     logits, expected = model.output(0).get_partial_shape(), [1, card.space.class_count, *size]
     if logits != openvino.PartialShape(expected):
         raise WeightsError(source, f"its logits are {logits}", f"{expected}, as its card says")

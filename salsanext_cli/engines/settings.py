@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from salsanext_cli.errors import NOTICE, UsageError
-from salsanext_cli.options import network_option, option_group
+from salsanext_cli.option_fields import network_option, option_group
 
 if TYPE_CHECKING:
     from salsanext_cli.classes.label_space import LabelSpace
@@ -144,8 +144,8 @@ class NetworkSettings:
         )
         log.log(NOTICE, "%s %s%s", name, computing, merged)
         if inherited := network.card.inherited():
-            remedy = ": `salsanext tune error`" if inherited.startswith("error") else ""
-            log.log(NOTICE, "%s; not fitted to these weights%s", inherited, remedy)
+            hint = ": `salsanext tune error`" if inherited.startswith("error") else ""
+            log.log(NOTICE, "%s; not fitted to these weights%s", inherited, hint)
 
     def resolved(self, network: "Network") -> "NetworkSettings":
         """Log what computes, and return the settings for workers: all the same, same weights."""

@@ -92,7 +92,7 @@ def require_target(target: Path, overwrite: bool, suffix: str = WEIGHTS_SUFFIX) 
 def require_absent(path: Path, overwrite: bool) -> None:
     """Raise `OutputError` if a file exists and may not be overwritten, or is a folder."""
     if present(path) and not overwrite:
-        raise OutputError(path, "exists", remedy="use another name, or --overwrite")
+        raise OutputError(path, "exists", hint="use another name, or --overwrite")
     if path.is_dir():
         raise OutputError(path, "is a folder", "the name of a file")
 
@@ -100,9 +100,9 @@ def require_absent(path: Path, overwrite: bool) -> None:
 def refusal(path: Path, error: OSError) -> OutputError:
     """Return the error that says why the system refuses to write a file, and what to do."""
     way = "free some space" if error.errno in FULL else "change its permissions or what is there"
-    remedy = f"{way} or choose another output folder"
+    hint = f"{way} or choose another output folder"
     found = f"cannot be written: {reason(error)}"
-    return OutputError(path, found, "a folder that can be written to", remedy)
+    return OutputError(path, found, "a folder that can be written to", hint)
 
 
 def sweep(folder: Path, mark: str) -> None:

@@ -102,8 +102,8 @@ def read_json(path: Path) -> Json | None:
     try:
         return Json(json.loads(text).items())
     except (ValueError, RecursionError, AttributeError) as error:
-        found, remedy = "damaged", "delete it or use another folder"
-        raise OutputError(path, found, "a JSON object", remedy) from error
+        found, hint = "damaged", "delete it or use another folder"
+        raise OutputError(path, found, "a JSON object", hint) from error
 
 
 def read_record(kind: type[Kind], path: Path) -> Kind | None:
@@ -117,7 +117,7 @@ def record_of(kind: type[Kind], data: Mapping[str, object], path: Path) -> Kind:
     try:
         record: Kind = decoded(kind, data)
     except MALFORMED as error:
-        remedy = "delete it or use another folder"
+        hint = "delete it or use another folder"
         found = f"not what salsanext writes: {error_text(error)}"
-        raise OutputError(path, found, remedy=remedy) from error
+        raise OutputError(path, found, hint=hint) from error
     return record

@@ -40,11 +40,11 @@ def locked(path: Path, timeout_s: float = 0.0, *, stage: str = "") -> Iterator[N
         path.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout as error:
-        subject, found, remedy = path, "held by another process", "wait until it has ended"
+        subject, found, hint = path, "held by another process", "wait until it has ended"
         if stage:
             subject, found = path.parent, f"another run of `{stage}` is at work in it"
-            remedy += ", or use another folder"
-        raise OutputError(subject, found, remedy=remedy) from error
+            hint += ", or use another folder"
+        raise OutputError(subject, found, hint=hint) from error
     except OSError as error:
         if error.errno not in UNSUPPORTED:
             raise refusal(path, error) from error

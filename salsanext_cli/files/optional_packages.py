@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Import of packages when they are first used, with the remedy where that fails."""
+"""Import of packages when they are first used, with the hint where that fails."""
 
 import re
 import sys
@@ -21,7 +21,7 @@ def import_open3d() -> Any:
     try:
         import open3d
     except ModuleNotFoundError as error:
-        raise MissingDependency("open3d", "not installed", remedy="pip install open3d") from error
+        raise MissingDependency("open3d", "not installed", hint="pip install open3d") from error
     except (ImportError, OSError) as error:
         raise MissingDependency(
             "open3d", str(error), "the system library libusb-1.0", "apt-get install libusb-1.0-0"
@@ -41,8 +41,8 @@ def import_package(name: str, installed_with: str = "") -> Any:
     except ImportError as error:
         missing = error.name in (name, name.partition(".")[0])
         found = "not installed" if missing else f"cannot be imported: {error}"
-        remedy = f"pip install {installed_with or name}"
-        raise MissingDependency(name, found, remedy=remedy) from error
+        hint = f"pip install {installed_with or name}"
+        raise MissingDependency(name, found, hint=hint) from error
 
 
 def require_rosbags() -> None:
@@ -51,8 +51,8 @@ def require_rosbags() -> None:
     found = version("rosbags")
     if tuple(map(int, re.findall(r"\d+", found)[:2])) < MIN_ROSBAGS_VERSION:
         expected = f"{'.'.join(map(str, MIN_ROSBAGS_VERSION))} or newer"
-        remedy = "pip install 'salsanext[ros]', in another environment than ouster-sdk"
-        raise MissingDependency("rosbags", f"version {found}", expected, remedy)
+        hint = "pip install 'salsanext[ros]', in another environment than ouster-sdk"
+        raise MissingDependency("rosbags", f"version {found}", expected, hint)
 
 
 def import_openvino() -> Any:
@@ -63,7 +63,7 @@ def import_openvino() -> Any:
         return import_module("openvino")
     except OPENVINO_ERRORS as error:
         found = f"cannot be imported: {error_text(error)}"
-        raise MissingDependency("openvino", found, remedy="install it again") from error
+        raise MissingDependency("openvino", found, hint="install it again") from error
     finally:
         if not known:
             sys.modules.pop(CONVERTER, None)

@@ -33,7 +33,7 @@ def reading(path: Path | str) -> Iterator[BufferedReader]:
 
 
 @contextmanager
-def refusing_damage(path: Path, expected: str, remedy: str = "") -> Iterator[None]:
+def refusing_damage(path: Path, expected: str, hint: str = "") -> Iterator[None]:
     """Turn whatever a library raises at a damaged file into a `FormatError`."""
     try:
         yield
@@ -47,7 +47,7 @@ def refusing_damage(path: Path, expected: str, remedy: str = "") -> Iterator[Non
         found = f"damaged or cut off: {error_text(error)}"
         if isinstance(error, OSError) and error.errno:  # of the system, not of a library
             found = f"cannot be read: {reason(error)}"
-        raise FormatError(path, found, expected, remedy) from error
+        raise FormatError(path, found, expected, hint) from error
 
 
 def read_values(

@@ -74,7 +74,7 @@ def _text(path: Path, largest: int, expected: str) -> str:
     except FormatError as error:
         if isinstance(error.__cause__, FileNotFoundError):
             raise error.__cause__ from None
-        raise UsageError(path, error.found, expected) from error
+        raise UsageError(path, error.problem, expected) from error
     if len(content) > largest:
         raise UsageError(path, f"more than {largest} bytes", expected)
     try:

@@ -10,17 +10,17 @@ from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.engines.network import Network
 from salsanext_cli.errors import UsageError
+from salsanext_cli.fitting.field_of_view import fit_view
 from salsanext_cli.fitting.scan_checks import FIT_CODES, WRONG, ScanCheck, check_scan
-from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.npy import read_array
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.options import KnnParameters
+from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.records import CHANNELS, Float, RangeImage, Scan
-from salsanext_cli.results.layout import ScanFile, output_path
 from salsanext_cli.results.manifest import Manifest, differences
+from salsanext_cli.results.paths import ScanFile, output_path
 from salsanext_cli.sensors.sensor import Sensor
 
 
@@ -64,19 +64,19 @@ def project_scan(
     """Read, check and project a scan; `trained` is the sensor of weights that are to label it."""
     scan = read_scan(file.path, sensor) if scan is None else scan
     sensor = sensor_of(scan, sensor)
-    check = check_with_remedy(file.path, scan, sensor, trained)
+    check = check_with_hint(file.path, scan, sensor, trained)
     return ProjectedScan(file, scan, project(scan, sensor), check, sensor)
 
 
-def check_with_remedy(
+def check_with_hint(
     path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None, fit: str = ""
 ) -> ScanCheck:
-    """Check a scan as `check_scan`; advise a fit only where a fit to the scan is a remedy."""
+    """Check a scan as `check_scan`; advise a fit only where a fit to the scan is a hint."""
     check = check_scan(path, scan, sensor, trained, fit)
     if lasting := FIT_CODES & {finding.code for finding in check.findings}:
         alone = fit_view([scan], trained or sensor)
         lasting &= {finding.code for finding in check_scan(path, scan, alone).findings}
-    changed = (f._replace(remedy=WRONG) if f.code in lasting else f for f in check.findings)
+    changed = (f._replace(hint=WRONG) if f.code in lasting else f for f in check.findings)
     return replace(check, findings=tuple(changed))
 
 
@@ -113,6 +113,6 @@ def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> 
     if changed := next(filter(None, starmap(differences, (counts, *pairs))), ""):
         size = f"{projected.height}×{projected.width}"
         found = f"range images of {projected.name}, {size}: {changed}"
-        remedy = "project again, or give the sensor that was projected with"
-        raise UsageError(folder, found, "those that the weights or --sensor say", remedy)
+        hint = "project again, or give the sensor that was projected with"
+        raise UsageError(folder, found, "those that the weights or --sensor say", hint)
     return replace(fits[0], others=tuple(fits[1:]))

@@ -50,8 +50,8 @@ class Finding(NamedTuple):
     """Reason to doubt the labels of a scan."""
 
     code: str  # Name of the check, which stays; see docs/checks.md
-    found: str  # What is doubtful about this scan, and what to do
-    remedy: str
+    problem: str  # What is doubtful about this scan
+    hint: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +106,8 @@ def training_findings(
     """Compare images and their upper intensity with those of training; `reason`: why it is none."""
     if any(getattr(sensor, key) != getattr(trained, key) for key in OF_IMAGES):
         found = "the sensor file changes the size or normalisation of the images"
-        remedy = "accuracy drops: leave height, width, means and stds out of the file"
-        yield Finding("other-images", found, remedy)
+        hint = "accuracy drops: leave height, width, means and stds out of the file"
+        yield Finding("other-images", found, hint)
     matched = sensor.intensity_quantiles
     can_match = trained.intensity_quantiles and not matched
     if reason:
@@ -118,8 +118,8 @@ def training_findings(
         return
     if bright < 0 and not matched:
         found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}: negative"
-        remedy = "name another column: --columns" + ", or --intensity none" * bool(can_match)
-        yield Finding("intensity-scale", found, remedy)
+        hint = "name another column: --columns" + ", or --intensity none" * bool(can_match)
+        yield Finding("intensity-scale", found, hint)
         return
     quantiles = matched or trained.intensity_quantiles
     if quantiles:
@@ -206,8 +206,8 @@ def _require_metres(path: Path, count: int, ranges: Double) -> None:
     median, (least, most) = float(np.median(ranges)), MEDIAN_RANGES_M
     if not least <= median <= most:
         expected = "coordinates in metres, with the sensor at the origin"
-        remedy = "convert millimetres or centimetres; take the sensor's place off map coordinates"
-        raise FormatError(path, f"a median range of {median:.3g} m", expected, remedy)
+        hint = "convert millimetres or centimetres; take the sensor's place off map coordinates"
+        raise FormatError(path, f"a median range of {median:.3g} m", expected, hint)
 
 
 def _of_units(
@@ -225,8 +225,8 @@ def _of_units(
         yield Finding("wide-view", found, "correct fov_up and fov_down, or --sensor auto")
     if measured < MIN_MEASURED:
         found = f"{1 - measured:.0%} of the points are no measurements"
-        remedy = "they stay unlabelled" if is_named else f"if they should be, {COLUMNS}"
-        yield Finding("not-measured", found, remedy)
+        hint = "they stay unlabelled" if is_named else f"if they should be, {COLUMNS}"
+        yield Finding("not-measured", found, hint)
 
 
 def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:

@@ -222,6 +222,6 @@ def read_scan(path: Path | str, sensor: Sensor | None = None) -> Scan:
     except FormatError as error:
         other = _plugged_kind(path)
         if other and other.target is not form:
-            remedy = f"rename it to {other.target.suffixes[0]}"
-            raise FormatError(path, f"is a file of {other}", remedy=remedy) from error
+            hint = f"rename it to {other.target.suffixes[0]}"
+            raise FormatError(path, f"is a file of {other}", hint=hint) from error
         raise

@@ -67,12 +67,12 @@ def columns_of_width(count: int, names: tuple[str, ...], path: Path) -> tuple[st
     if names:
         return names
     if count < 3:
-        remedy = "give the scan itself, if these are labels or other values of its points"
-        raise FormatError(path, counted(count, "column"), "x, y, z at least", remedy)
+        hint = "give the scan itself, if these are labels or other values of its points"
+        raise FormatError(path, counted(count, "column"), "x, y, z at least", hint)
     if count > MAX_UNNAMED_COLUMNS:
         expected = f"3 to {MAX_UNNAMED_COLUMNS}: x, y, z, intensity and another one"
-        remedy = "name them, with --columns x,y,z,intensity,_,ring for example"
-        raise FormatError(path, f"{counted(count, 'column')} without names", expected, remedy)
+        hint = "name them, with --columns x,y,z,intensity,_,ring for example"
+        raise FormatError(path, f"{counted(count, 'column')} without names", expected, hint)
     return (*USUAL_COLUMNS, UNUSED_COLUMN)[:count]
 
 
@@ -94,5 +94,5 @@ def _require_near_origin(points: Float, path: Path) -> None:
             continue
         if len(finite := values[np.isfinite(values)]):
             found = f"{axis} from {finite.min():.0f} to {finite.max():.0f}, as of a map"
-            remedy = "subtract the position of the sensor from the coordinates"
-            raise FormatError(path, found, "metres from a sensor at the origin", remedy)
+            hint = "subtract the position of the sensor from the coordinates"
+            raise FormatError(path, found, "metres from a sensor at the origin", hint)

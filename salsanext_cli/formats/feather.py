@@ -26,8 +26,8 @@ def read_table(path: Path) -> Any:
     with reading(path) as file, refusing_damage(path, "a whole .feather file"):
         content = file.read()
         if content.startswith(b"FEA1"):
-            remedy = "write it again with pyarrow.feather.write_feather"
-            raise FormatError(path, "Feather version 1", "Feather version 2", remedy)
+            hint = "write it again with pyarrow.feather.write_feather"
+            raise FormatError(path, "Feather version 1", "Feather version 2", hint)
         ipc = import_extra("pyarrow", "argoverse").ipc
         try:
             table = ipc.open_file(content).read_all()

@@ -40,8 +40,8 @@ def read_bin(path: Path, columns: tuple[str, ...] = (), intensity_scale: float =
     if count and are_coordinates(values[:, None]):
         raise _other_count(path, count, width)
     if size % (4 * width):
-        remedy = "it is cut off or of another kind"
-        raise FormatError(path, f"{size} bytes", _expected(width), remedy)
+        hint = "it is cut off or of another kind"
+        raise FormatError(path, f"{size} bytes", _expected(width), hint)
     table = values.reshape(-1, width)
     if columns:
         scan = scan_of(unnamed_columns(table, columns, path), path, intensity_scale)
@@ -74,9 +74,9 @@ def _read_floats(path: Path, width: int) -> tuple[Float, int]:
         if size == 0:
             raise FormatError(path, "is empty", _expected(width), "copy it again, or remove it")
         if kind := other_kind(file.read(TEXT_BYTES)):
-            remedy = f"rename it to {kind} if it holds points" if kind[0] == "." else REWRITE
+            hint = f"rename it to {kind} if it holds points" if kind[0] == "." else REWRITE
             found = "text" if kind == TEXT_SUFFIX else f"a {kind} file" if kind[0] == "." else kind
-            raise FormatError(path, f"is {found}", f"{width} float32 per point", remedy)
+            raise FormatError(path, f"is {found}", f"{width} float32 per point", hint)
         file.seek(0)
         values = read_values(file, path, "<f4", size // 4)
     if are_float64(values):
@@ -101,12 +101,12 @@ def _expected(width: int) -> str:
 def _other_count(path: Path, count: int, expected: int) -> FormatError:
     """Return the error of a file of another number of columns, with names to try."""
     names = ",".join((*USUAL_COLUMNS, *count * [UNUSED_COLUMN])[:count])
-    remedy = f"name its columns, with --columns {names} for example"
+    hint = f"name its columns, with --columns {names} for example"
     if count == usual_width(path):
-        remedy = "leave --columns out"
+        hint = "leave --columns out"
     elif suffix := {COLUMNS: ".bin", COLUMNS_WITH_RING: ".pcd.bin"}.get(count):
-        remedy = f"give it the suffix {suffix}, or {remedy}"
-    return FormatError(path, f"holds {count} columns", f"{expected} float32 per point", remedy)
+        hint = f"give it the suffix {suffix}, or {hint}"
+    return FormatError(path, f"holds {count} columns", f"{expected} float32 per point", hint)
 
 
 def count_points(path: Path) -> int:
@@ -145,8 +145,8 @@ def read_labels(path: Path, count: int | None = None) -> RawIds:
         raw = _labels(read_values(file, path, np.uint8, size), count or 0)
     if count is not None and len(raw) != count:
         expected = f"{count:,}, one per point of the scan"
-        remedy = "use the labels that belong to this scan"
-        raise LabelError(path, counted(len(raw), "label"), expected, remedy)
+        hint = "use the labels that belong to this scan"
+        raise LabelError(path, counted(len(raw), "label"), expected, hint)
     return raw
 
 

@@ -59,8 +59,8 @@ def read_labelled_cloud(path: Path, scalar: str | None = None) -> LabelledCloud:
     largest = int(ids.max(initial=0))
     if scalar is None and _plain(name) == OF_ASPRS and UNASSIGNED < largest <= LAST_STANDARD_CLASS:
         found = f"{name} up to {largest}, which may be classes of the ASPRS"
-        remedy = f"for raw ids, or with --map, give --scalar {name}"
-        raise LabelError(path, found, "raw ids of the label space", remedy)
+        hint = f"for raw ids, or with --map, give --scalar {name}"
+        raise LabelError(path, found, "raw ids of the label space", hint)
     return LabelledCloud(points, ids, name)
 
 
@@ -93,14 +93,14 @@ def _plain(name: str) -> str:
 def whole_numbers(values: npt.NDArray[Any], path: Path, name: str) -> Ids:
     """Return labels (M,) of any real dtype as integers, `NO_VALUE` for NaN."""
     known = ~np.isnan(values)
-    largest, rounding, remedy = MAX_ID, "", ""
+    largest, rounding, hint = MAX_ID, "", ""
     if values.dtype.kind == "f" and (exact := 2 ** (np.finfo(values.dtype).nmant + 1)) < MAX_ID:
-        largest, remedy = exact, "export integers, or classes without instances"
+        largest, hint = exact, "export integers, or classes without instances"
         rounding = f", since {values.dtype.itemsize * 8}-bit floats round larger ones"
     possible = (values >= -largest) & (values <= largest)
     conditions = (
         (values == np.rint(values), "a whole number", ""),
-        (possible, f"a number up to {largest}{rounding}", remedy),
+        (possible, f"a number up to {largest}{rounding}", hint),
     )
     for sound, expected, advice in conditions:
         if (wrong := known & ~sound).any():

@@ -66,8 +66,8 @@ def read_points(path: Path, *, further_records: bool = False) -> tuple[Any, Any]
         # laspy looks for as many records as a header promises, and in memory for what is between.
         signature, major, minor, offset, record_count = PLACES.unpack(file.read(PLACES.size))
         if signature == b"LASF" and (major, minor) > NEWEST:
-            remedy = "convert it to LAS 1.4, with PDAL for example"
-            raise FormatError(path, f"LAS {major}.{minor}", "LAS 1.0 to 1.4", remedy)
+            hint = "convert it to LAS 1.4, with PDAL for example"
+            raise FormatError(path, f"LAS {major}.{minor}", "LAS 1.0 to 1.4", hint)
         if record_count * RECORD_BYTES > offset or offset > size:
             raise ValueError("its header promises more than it holds")
         if IN_DEGREES.search(file.read(offset - PLACES.size)):
@@ -154,7 +154,7 @@ def import_laspy(subject: object, *, compressed: bool) -> Any:
             import_extra("lazrs", "las")
     except MissingDependency as error:
         found = f"LAS needs {error.subject}"
-        raise MissingDependency(subject, found, remedy=error.remedy) from error
+        raise MissingDependency(subject, found, hint=error.hint) from error
     logging.getLogger("laspy").addHandler(logging.NullHandler())
     return laspy
 

@@ -60,8 +60,8 @@ def read_integers(path: Path) -> npt.NDArray[np.integer[Any]]:
         notice_once("labels of shape (N, 1) are taken as (N,)")
         array = array.ravel()
     if array.dtype.kind not in "iu" or array.ndim != 1:
-        remedy = "save array.ravel().astype(np.uint32)"
-        raise FormatError(path, f"{array.dtype.str} {_words(array.shape)}", expected, remedy)
+        hint = "save array.ravel().astype(np.uint32)"
+        raise FormatError(path, f"{array.dtype.str} {_words(array.shape)}", expected, hint)
     return array
 
 
@@ -82,8 +82,8 @@ def read_probabilities(path: Path, count: int, class_count: int) -> npt.NDArray[
     # NaN fails all comparisons.
     sound = (np.abs(sums - 1) < ROUNDING) & ((softmax >= 0) & (softmax <= 1)).all(axis=1)
     expected = "numbers from 0 to 1 that add up to 1"
-    remedy = "predict again with --probabilities"
-    _require_all(sound, path, "NaN or no probabilities", expected, remedy)
+    hint = "predict again with --probabilities"
+    _require_all(sound, path, "NaN or no probabilities", expected, hint)
     return softmax
 
 
@@ -92,12 +92,12 @@ def read_uncertainty(path: Path, count: int | None, highest: float = math.inf) -
     values: Float = read_array(path, np.float32, (count,))
     expected = f"finite numbers from 0 to {highest:g}, or NaN for a point without a pixel"
     unsound = (values < 0) | np.isinf(values) | (values > highest)
-    remedy = "run `salsanext uncertainty` again"
-    _require_all(~unsound, path, "impossible uncertainty", expected, remedy)
+    hint = "run `salsanext uncertainty` again"
+    _require_all(~unsound, path, "impossible uncertainty", expected, hint)
     return values
 
 
-def _require_all(sound: Mask, path: Path, found: str, expected: str, remedy: str) -> None:
+def _require_all(sound: Mask, path: Path, found: str, expected: str, hint: str) -> None:
     if not sound.all():
         count = len(sound) - int(sound.sum())
-        raise FormatError(path, f"{found} at {count} of {len(sound)} points", expected, remedy)
+        raise FormatError(path, f"{found} at {count} of {len(sound)} points", expected, hint)

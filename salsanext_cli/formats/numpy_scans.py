@@ -114,11 +114,11 @@ def _columns(table: npt.NDArray[Any], names: tuple[str, ...], path: Path) -> Col
         return unnamed_columns(table.T, names, path)
     if is_plain and table.ndim == 2:
         return unnamed_columns(table, names, path)
-    remedy = ""
+    hint = ""
     if table.dtype.names:
-        remedy = "save array.ravel()"
+        hint = "save array.ravel()"
     elif is_plain and table.ndim > 2 and table.shape[-1] in USUAL_WIDTHS:
-        remedy = f"save array.reshape(-1, {table.shape[-1]})"
+        hint = f"save array.reshape(-1, {table.shape[-1]})"
     sizes, kind = "×".join(map(str, table.shape)), shortened(str(table.dtype))
     found = f"{sizes} values of {kind}" if sizes else f"a single {kind}"
-    raise FormatError(path, found, EXPECTED, remedy)
+    raise FormatError(path, found, EXPECTED, hint)

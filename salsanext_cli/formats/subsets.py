@@ -46,8 +46,8 @@ def subsets_of(path: Path, names: tuple[str, ...] = ()) -> Subset:
     """
     form = format_of(path.name)
     if form is None or form.subset is None:
-        remedy = "write masks with --indices"
-        raise FormatError(path, "a format that cannot be written", "another format", remedy)
+        hint = "write masks with --indices"
+        raise FormatError(path, "a format that cannot be written", "another format", hint)
     with errors_of_plug_ins(path):
         subset = form.subset(path, names)
     return errors_of_plug_ins(path)(subset)
@@ -191,8 +191,8 @@ def _pcd_parts(content: bytes, path: Path) -> tuple[bytes, bytes, int]:
     for name in header.scalars:
         if name not in columns or columns[name].dtype != header.point[name]:
             found = f"compressed values of {name}, which open3d does not keep as they are"
-            remedy = "write it as binary, by pcl_convert_pcd_ascii_binary for example"
-            raise FormatError(path, found, "binary or ascii", remedy)
+            hint = "write it as binary, by pcl_convert_pcd_ascii_binary for example"
+            raise FormatError(path, found, "binary or ascii", hint)
         points[name] = columns[name]
     return COMPRESSED_PCD.sub(rb"\1", head), points.tobytes(), width
 

@@ -66,8 +66,8 @@ def require_decimal_points(content: bytes, path: Path) -> None:
     """Refuse text with a decimal comma, as the reason why it is no table."""
     if found := DECIMAL_COMMA.search(content):
         number = found[0].strip(b'; \t\r\n"').decode()
-        remedy = "write the file again with decimal points"
-        raise FormatError(path, f"decimal commas: {number}", "decimal points", remedy)
+        hint = "write the file again with decimal points"
+        raise FormatError(path, f"decimal commas: {number}", "decimal points", hint)
 
 
 def layout_of(content: bytes, has_names: bool) -> Layout:

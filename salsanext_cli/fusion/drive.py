@@ -50,8 +50,8 @@ def recorded_drive(folder: Path, wanted: Sequence[str] | None = None) -> Drive |
         drive = Drive(read_fused_poses(path, stems, stems), parts)
     wanted = stems if wanted is None else wanted
     if drive.record(stems) != record:
-        remedy = "fuse the sequence anew with --overwrite"
-        raise OutputError(path, "not the poses that the scans were fused by", remedy=remedy)
+        hint = "fuse the sequence anew with --overwrite"
+        raise OutputError(path, "not the poses that the scans were fused by", hint=hint)
     numbers = {stem: number for number, stem in enumerate(stems)}
     if not numbers.keys() >= {*wanted}:
         return None

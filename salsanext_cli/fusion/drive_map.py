@@ -19,7 +19,7 @@ from salsanext_cli.fusion.votes import keys_of
 from salsanext_cli.fusion.window import DriveWindow, in_drive
 from salsanext_cli.geometry.projection import measured_ranges, project
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.results.layout import ScanFile, output_path
+from salsanext_cli.results.paths import ScanFile, output_path
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -34,11 +34,11 @@ def drive_of_map(results: ResultFolder, files: Sequence[ScanFile]) -> Drive:
     folder = results.root / "sequences" / files[0].sequence
     drive = recorded_drive(folder, [file.stem for file in files])
     if drive is None:
-        remedy = f"run `salsanext fuse {results.root}`, and give the folder of the fused labels"
+        hint = f"run `salsanext fuse {results.root}`, and give the folder of the fused labels"
         if results.owner("predictions") == "fuse":
-            remedy = f"run `salsanext fuse OUT {results.root} --overwrite` on what `predict` wrote"
+            hint = f"run `salsanext fuse OUT {results.root} --overwrite` on what `predict` wrote"
         found = f"no {POSES} and {DRIVE} for these scans"
-        raise NoInputError(folder, found, "those that `fuse` wrote", remedy)
+        raise NoInputError(folder, found, "those that `fuse` wrote", hint)
     return drive
 
 

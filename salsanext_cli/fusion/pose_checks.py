@@ -147,10 +147,10 @@ def require_fitting(path: Path, poses: Poses, read: ReadPoints) -> Parts:
     if misfit <= MAX_MISFIT and better is None:
         return parts
     found = f"poses that {better or f'do not fit {misfit:.0%} of the scans'}"
-    remedy = "leave the poses out to have them computed"
+    hint = "leave the poses out to have them computed"
     if better == "are of the camera":
-        remedy = f"put the {CALIBRATION} of the drive beside them, or {remedy}"
-    raise FormatError(path, found, "poses from each scan to the world, in metres", remedy)
+        hint = f"put the {CALIBRATION} of the drive beside them, or {hint}"
+    raise FormatError(path, found, "poses from each scan to the world, in metres", hint)
 
 
 def _better_reading(poses: Poses, read: ReadPoints) -> str | None:

@@ -11,7 +11,7 @@ from salsanext_cli.errors import FormatError
 from salsanext_cli.files.reading import present
 from salsanext_cli.formats.npy import read_array, read_probabilities
 from salsanext_cli.records import Float
-from salsanext_cli.results.layout import ScanFile, output_path
+from salsanext_cli.results.paths import ScanFile, output_path
 
 KEPT = 3  # Classes that are kept of each point
 LEVELS = 255  # Steps of a kept probability

@@ -23,7 +23,7 @@ from salsanext_cli.fusion.votes import (
     tally,
     votes_of_scan,
 )
-from salsanext_cli.options import FusionReach
+from salsanext_cli.option_fields import FusionReach
 from salsanext_cli.records import Float
 
 MOVABLE_SHARE = 0.2  # Share of votes for movable classes from which others are asked
@@ -49,14 +49,12 @@ def in_drive(points: Float, rotation: Poses, place: Poses) -> npt.NDArray[np.flo
         return points.astype(np.float64) @ rotation.T + place
 
 
-def require_near(
-    places: npt.NDArray[np.float64], size: float, subject: object, remedy: str
-) -> None:
+def require_near(places: npt.NDArray[np.float64], size: float, subject: object, hint: str) -> None:
     """Refuse places (…, 3) of scans, from the first of their part, whose points have no keys."""
     farthest, most = np.abs(places).max(initial=0), size * MAX_CELLS - SCAN_M
     if not farthest <= most:
         found = f"{farthest / 1000:.1f} km from the first scan of its part of the drive"
-        raise UsageError(subject, found, f"at most {most / 1000:.1f} km", remedy)
+        raise UsageError(subject, found, f"at most {most / 1000:.1f} km", hint)
 
 
 class DriveWindow(Generic[Content]):

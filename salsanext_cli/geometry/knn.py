@@ -18,7 +18,7 @@ import numpy.typing as npt
 from salsanext_cli.classes.label_space import TrainIds
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
 from salsanext_cli.errors import LabelError, UsageError
-from salsanext_cli.options import KnnParameters
+from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.records import Float, Int, Mask, RangeImage
 
 Scalar = TypeVar("Scalar", bound=np.generic)

@@ -54,8 +54,8 @@ def noise_of(sensor: Sensor) -> tuple[float, float]:
     """Return the noise of ranges (metres) and of intensities, as standard deviations."""
     if sensor.range_noise is None or sensor.intensity_noise is None:
         found, expected = "its noise is not known", "range_noise in metres and intensity_noise"
-        remedy = "write both into a sensor's .toml and give it with --sensor"
-        raise UsageError(f"sensor {sensor.name}", found, expected, remedy)
+        hint = "write both into a sensor's .toml and give it with --sensor"
+        raise UsageError(f"sensor {sensor.name}", found, expected, hint)
     return sensor.range_noise, sensor.intensity_noise
 
 

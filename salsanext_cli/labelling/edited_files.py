@@ -30,7 +30,7 @@ from salsanext_cli.geometry.label_transfer import (
 )
 from salsanext_cli.labelling.label_records import ImportedScan
 from salsanext_cli.records import Float
-from salsanext_cli.results.layout import ScanFile, counted_by_suffix
+from salsanext_cli.results.paths import ScanFile, counted_by_suffix
 
 LABEL_SUFFIXES = (".label", ".npy")  # Of files of labels alone, one for each point
 MAX_UNMATCHED = 0.01  # Largest share of the points of a cloud that are none of the scan's
@@ -84,12 +84,12 @@ def scan_of_edited(path: Path, source: Path, scans: Sequence[ScanFile]) -> ScanF
     if len(fitting) == 1:
         return fitting[0]
     where = "" if sequence is None else f" in sequence {sequence}"
-    found, remedy = f"belongs to no scan{where}", "rename it"
+    found, hint = f"belongs to no scan{where}", "rename it"
     if fitting:
         found = f"may belong to {first_few([scan.name for scan in fitting])}"
-        remedy = "put it into a folder with the name of its sequence"
+        hint = "put it into a folder with the name of its sequence"
     expected = "the name of one scan, alone or as a word, as in `000010 - Cloud.ply`"
-    raise LabelError(path, found, expected, remedy)
+    raise LabelError(path, found, expected, hint)
 
 
 def _sequence_of(path: Path, source: Path, sequences: set[str]) -> str | None:
@@ -119,8 +119,8 @@ def read_file_labels(
     cloud = read_labelled_cloud(path, scalar) if has_points else _of_all_points(path, points)
     if unknown := meanings.unknown(cloud.ids):
         listed = ", ".join(f"{i} ({counted(n, 'point')})" for i, n in sorted(unknown.items()))
-        remedy = "map a tool's own ids with --map"
-        raise LabelError(path, f"unknown label ids {listed}", meanings.described(), remedy)
+        hint = "map a tool's own ids with --map"
+        raise LabelError(path, f"unknown label ids {listed}", meanings.described(), hint)
     raw, every = meanings.to_raw(cloud.ids), np.ones(len(points), bool)
     if has_points:
         transfer = transfer_labels(points, cloud.points, raw)
@@ -148,8 +148,8 @@ def edited_labels(
     labelled = int(space.scored[space.to_train(raw, strict=False)].sum())
     if not labelled:
         text = f"{scalar}: none of the {counted(len(raw), 'point')} has a class that counts"
-        remedy = "label some, or name the scalar with --scalar"
-        raise LabelError(first_few([*parts]), text, "at least one", remedy)
+        hint = "label some, or name the scalar with --scalar"
+        raise LabelError(first_few([*parts]), text, "at least one", hint)
     return raw, ImportedScan(
         scan=scan.name,
         files=tuple(map(str, parts)),

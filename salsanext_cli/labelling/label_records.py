@@ -27,8 +27,8 @@ from salsanext_cli.files.json_files import MALFORMED, decoded, plain, read_json
 from salsanext_cli.files.reading import present, reading
 from salsanext_cli.measures.scan_summary import largest_classes
 from salsanext_cli.measures.scores import Counts
-from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder, States
+from salsanext_cli.results.paths import SCAN_FOLDER, ScanFile
 from salsanext_cli.results.selection import data_set_of
 from salsanext_cli.version import __version__
 
@@ -59,6 +59,7 @@ class FailedImport:
 
     files: tuple[str, ...]
     reason: str
+    hint: str
     code: str  # Of the error
 
 
@@ -91,7 +92,9 @@ class LabelImport:
 
     def fail(self, files: Iterable[Path], error: SalsanextError) -> None:
         """Note files that are not imported."""
-        self.failures.append(FailedImport(tuple(map(str, files)), str(error), error.code))
+        self.failures.append(
+            FailedImport(tuple(map(str, files)), error.headline, error.hint, error.code)
+        )
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
@@ -180,8 +183,8 @@ def require_truth(scans: Iterable[ScanFile]) -> None:
     if guesses := first_guesses(scans):
         more = f", as of {counted(len(guesses) - 1, 'other scan')}" if len(guesses) > 1 else ""
         found = f"a network's first guess, unchanged{more}"
-        remedy = "label the scan, then `salsanext import-labels`"
-        raise LabelError(guesses[0].label_path, found, "labels by a person", remedy)
+        hint = "label the scan, then `salsanext import-labels`"
+        raise LabelError(guesses[0].label_path, found, "labels by a person", hint)
 
 
 def _origin(entry: object) -> LabelOrigin:

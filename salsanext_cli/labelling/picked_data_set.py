@@ -21,9 +21,9 @@ from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.fusion.poses import CALIBRATION, POSES, line_numbers
 from salsanext_cli.labelling.label_records import IMPORTED
 from salsanext_cli.measures.scan_summary import ScanWarning
-from salsanext_cli.results.layout import SCAN_FOLDER, ScanFile, find_scans, output_path
 from salsanext_cli.results.manifest import require_same_settings, settings_json
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.paths import SCAN_FOLDER, ScanFile, find_scans, output_path
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.version import __version__
@@ -212,7 +212,7 @@ class PickedDataSet(OwnedFolder):
         """Refuse to replace files that are not as `pick` wrote them, and imported labels."""
         if imports := [path for path in map(self.root.joinpath, IMPORTED) if present(path)]:
             found = "says that labels were imported, which are kept"
-            raise OutputError(imports[0], found, remedy="choose another folder")
+            raise OutputError(imports[0], found, hint="choose another folder")
         self.require_own(self._files(record))
         for each in record.picked:
             labels = self.paths(each.sequence, each.scan).labels

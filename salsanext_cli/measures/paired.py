@@ -20,7 +20,7 @@ from salsanext_cli.measures.scores import (
     largest_confusions,
     ratio,
 )
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 
 RESAMPLES, SEED = 1000, 0
 MIN_SCANS = 5  # Fewer scans have no interval: their resamples are too much alike

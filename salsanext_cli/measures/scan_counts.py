@@ -45,7 +45,7 @@ from salsanext_cli.measures.scores import (
 )
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Indices, Scan
-from salsanext_cli.results.layout import ScanFile, output_path
+from salsanext_cli.results.paths import ScanFile, output_path
 from salsanext_cli.results.provenance import Provenance, Rejection
 from salsanext_cli.results.result_folder import read_kind
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY

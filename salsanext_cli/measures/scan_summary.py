@@ -14,7 +14,7 @@ from operator import itemgetter
 import numpy as np
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
-from salsanext_cli.errors import counted, first_few
+from salsanext_cli.errors import counted, first_few, with_hint
 from salsanext_cli.files.reading import present
 from salsanext_cli.fitting.label_scan import LabelledScan
 from salsanext_cli.fitting.scan_checks import UNCHECKED, Finding, ScanCheck
@@ -22,9 +22,9 @@ from salsanext_cli.geometry.scan_traits import MIN_TRAIT_POINTS, ScanTraits, gro
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from salsanext_cli.measures.scores import Counts
 from salsanext_cli.network.card import AccuracyLine
-from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.output_run import OutputRun
 from salsanext_cli.results.owned_folder import Texts
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.sensors.sensor import Sensor
 
 CLASSES_SHOWN = 5  # Classes that a summary names
@@ -99,7 +99,7 @@ class ScanWarning:
 
     code: str
     message: str
-    remedy: str
+    hint: str
     scans: list[str]  # Names of the scans, or of their sequences
 
 
@@ -204,7 +204,7 @@ class RunSummary:
         warnings = []
         for code in sorted(self.findings):
             names, (first, *_) = zip(*sorted(self.findings[code], key=itemgetter(0)), strict=True)
-            warnings.append(ScanWarning(code, first.found, first.remedy, [*names]))
+            warnings.append(ScanWarning(code, first.problem, first.hint, [*names]))
         return warnings
 
     @property
@@ -233,13 +233,14 @@ class RunSummary:
 
 def log_finding(name: str, finding: Finding) -> None:
     """Log a reason to doubt a scan or sequence as a warning."""
-    log.warning("%s: %s; %s (%s)", _text(name), finding.found, finding.remedy, finding.code)
+    headline = f"{_text(name)}: {finding.problem} ({finding.code})"
+    log.warning("%s", with_hint(headline, finding.hint))
 
 
 def log_recorded(warnings: Iterable[ScanWarning]) -> None:
     """Log what an earlier run found."""
     for each in warnings:
-        log_finding(first_few(each.scans), Finding(each.code, each.message, each.remedy))
+        log_finding(first_few(each.scans), Finding(each.code, each.message, each.hint))
 
 
 def _text(names: str) -> str:

@@ -10,7 +10,7 @@ from operator import add
 import numpy as np
 
 from salsanext_cli.classes.label_space import RawIds
-from salsanext_cli.fitting.view_fit import OUTLIERS
+from salsanext_cli.fitting.field_of_view import OUTLIERS
 from salsanext_cli.geometry.projection import measured_ranges
 from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.records import CHANNELS, RangeImage, Scan

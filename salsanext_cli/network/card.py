@@ -185,8 +185,8 @@ class WeightsCard:
                 expected = "a file that `train`, `import-weights` or `export-onnx` wrote"
                 raise WeightsError(source, "lacks what salsanext writes", expected)
             if form != FORMAT:
-                remedy = "use the version that wrote it"
-                raise WeightsError(source, f"format {shortened(form)}", FORMAT, remedy)
+                hint = "use the version that wrote it"
+                raise WeightsError(source, f"format {shortened(form)}", FORMAT, hint)
             fitted = [name for name in FITTED if name in values]
             if bad := [key for key in (*TABLES, *fitted) if not isinstance(values[key], dict)]:
                 raise TypeError(f"{bad[0]} is no table")
@@ -210,7 +210,7 @@ class WeightsCard:
                 version=values.get("weights_version"),
             )
         except UsageError as error:
-            raise WeightsError(source, f"damaged metadata: {error.found}") from error
+            raise WeightsError(source, f"damaged metadata: {error.problem}") from error
         except (KeyError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
             raise WeightsError(source, f"damaged metadata: {error_text(error)}") from error
 
@@ -244,18 +244,18 @@ class DescribedWeights:
 def read_card(path: Path) -> WeightsCard:
     """Read only the metadata of a weights file, or of an ONNX file of `export-onnx`."""
     metadata_of, kind = _of_safetensors, "a .safetensors file"
-    remedy = "convert a published checkpoint with `salsanext import-weights`"
+    hint = "convert a published checkpoint with `salsanext import-weights`"
     if path.suffix == ONNX_SUFFIX:
         metadata_of, kind = _of_onnx, "an ONNX file"
-        remedy = "write it with `salsanext export-onnx`"
+        hint = "write it with `salsanext export-onnx`"
     try:
         with reading(path), refusing_damage(path, kind):
             metadata = metadata_of(path)
     except FormatError as error:
-        found = error.found if present(path) else "no such file"
+        found = error.problem if present(path) else "no such file"
         if is_folder(path):
-            found, remedy = "a folder", "name the file in it"
-        raise WeightsError(path, found, kind, remedy) from error
+            found, hint = "a folder", "name the file in it"
+        raise WeightsError(path, found, kind, hint) from error
     return WeightsCard.from_metadata(metadata, path)
 
 

@@ -42,8 +42,8 @@ def dropouts(module: nn.Module) -> list[ChannelDropout]:
 def require_dropout(module: nn.Module) -> float:
     """Return the dropout rate; `WeightsError` for a network that drops nothing."""
     if not (layers := dropouts(module)):
-        expected, remedy = "a dropout rate above 0", "`salsanext tune dropout` finds one"
-        raise WeightsError("weights", "a network without dropout", expected, remedy)
+        expected, hint = "a dropout rate above 0", "`salsanext tune dropout` finds one"
+        raise WeightsError("weights", "a network without dropout", expected, hint)
     return layers[0].rate
 
 

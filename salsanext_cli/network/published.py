@@ -106,8 +106,8 @@ def _read_torch_file(path: Path) -> Any:
                 # Torch's own text advises to run what the file says.
                 found = f"not readable safely: it names {name}" if name else "of another kind"
                 is_onnx = path.suffix.lower() == ".onnx"
-                remedy = "give it to --weights if `export-onnx` wrote it" if is_onnx else ""
-                raise WeightsError(path, found, "a file of torch.save", remedy) from error
+                hint = "give it to --weights if `export-onnx` wrote it" if is_onnx else ""
+                raise WeightsError(path, found, "a file of torch.save", hint) from error
             ignored += names
 
 

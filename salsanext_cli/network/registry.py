@@ -74,12 +74,12 @@ def build(architecture: Mapping[str, Any], source: object = "architecture") -> S
     name, distribution = numbers.pop("name", None), numbers.pop(DISTRIBUTION, None)
     plug_in = plug_in_of(architecture)
     if not isinstance(name, str) or (name not in ARCHITECTURES and plug_in is None):
-        found, remedy = f"architecture {shortened(name)}", ""
+        found, hint = f"architecture {shortened(name)}", ""
         if distribution:
             found += f" of the plug-in {shortened(distribution)}, which is not installed"
-            remedy = f"install {shortened(distribution)} in this environment"
+            hint = f"install {shortened(distribution)} in this environment"
         known = (*ARCHITECTURES, *map(str, plugged_networks().values()))
-        raise UsageError(source, found, f"one of {', '.join(known)}", remedy)
+        raise UsageError(source, found, f"one of {', '.join(known)}", hint)
     try:
         if unknown := sorted(numbers.keys() - NUMBERS):
             raise TypeError(f"no {', '.join(unknown)}")

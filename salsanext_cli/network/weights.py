@@ -56,7 +56,7 @@ def read_weights(path: Path) -> tuple[SegmentationNetwork, WeightsCard]:
         with torch.device("meta"):
             module = build({**card.architecture, "class_count": count}, path)
     except UsageError as error:
-        raise WeightsError(path, error.found, error.expected, error.remedy) from error
+        raise WeightsError(path, error.problem, error.expected, error.hint) from error
     if (classes := card.architecture.get("class_count")) != count:
         found = f"{shortened(classes)} outputs for the {count} classes of {card.space.name}"
         raise WeightsError(path, found, "one output per class")

@@ -16,7 +16,7 @@ from typing import Any, Generic, TypeVar
 from salsanext_cli.engines.batches import BatchSize
 from salsanext_cli.errors import FormatError, SalsanextError, out_of_memory
 from salsanext_cli.parallel.job import Attempt, Computed, Prepared, ScanJob
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 
 Result = TypeVar("Result")
 Value = TypeVar("Value")
@@ -134,9 +134,9 @@ class Pipeline(Generic[Prepared, Computed, Result]):
             if not out_of_memory(error):
                 raise
             on_cpu = device == "cpu"
-            remedy = "free some memory, or use fewer --jobs" if on_cpu else "use --device cpu"
+            hint = "free some memory, or use fewer --jobs" if on_cpu else "use --device cpu"
             found = f"is too large for the memory of {device}"
-            return Attempt(file, error=FormatError(file.path, found, remedy=remedy))
+            return Attempt(file, error=FormatError(file.path, found, hint=hint))
 
 
 def attempt(file: ScanFile, function: Callable[..., Value], *given: Any) -> Attempt[Value]:

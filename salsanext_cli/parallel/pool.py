@@ -19,7 +19,7 @@ from salsanext_cli.errors import UsageError, WorkersLost
 from salsanext_cli.files.atomic import MARK
 from salsanext_cli.files.optional_packages import import_extra
 from salsanext_cli.parallel.job import Attempt, OpenableTask, Task
-from salsanext_cli.parallel.options import RunOptions, cores, threads_of_workers
+from salsanext_cli.parallel.run_options import RunOptions, cores, threads_of_workers
 from salsanext_cli.parallel.worker import (
     WORKER,
     Chunk,
@@ -27,7 +27,7 @@ from salsanext_cli.parallel.worker import (
     attempt_chunk,
     end_with_parent,
 )
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 
 CHUNKS_IN_FLIGHT = 2  # Chunks sent per worker, so that the next is there when one is done
 CONNECT_TIMEOUT_S = 15  # For a scheduler and a first worker

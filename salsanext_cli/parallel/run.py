@@ -8,12 +8,12 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
-from salsanext_cli.errors import WorkersLost, first_few
+from salsanext_cli.errors import SalsanextError, WorkersLost, first_few, with_hint
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.job import Attempt, Task
-from salsanext_cli.parallel.options import Progress, RunOptions
+from salsanext_cli.parallel.run_options import Progress, RunOptions
 from salsanext_cli.parallel.worker import opened
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.selection import MissingResults
 
 __all__ = ["Failure", "Outcome", "Progress", "RunOptions", "run_over_scans"]
@@ -23,15 +23,27 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Scan that could not be worked on, the reason, and the code of the error."""
+    """Scan that could not be processed, and the error: message, hint and code."""
 
     scan: ScanFile
     reason: str
+    hint: str
     code: str
+
+    @classmethod
+    def of(cls, scan: ScanFile, error: SalsanextError) -> "Failure":
+        """Return the failure of a scan by an error."""
+        return cls(scan, error.headline, error.hint, error.code)
+
+    @property
+    def text(self) -> str:
+        """The message, and a line for the hint."""
+        return with_hint(self.reason, self.hint)
 
     def to_dict(self) -> dict[str, str]:
         """Return plain data for JSON."""
-        return {"scan": str(self.scan.path), "reason": self.reason, "code": self.code}
+        scan = str(self.scan.path)
+        return {"scan": scan, "reason": self.reason, "hint": self.hint, "code": self.code}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,25 +86,25 @@ def run_over_scans(
         with closing(_attempts(task, todo, options)) as attempts:
             for attempt in attempts:
                 scan, error = attempt.file, attempt.error
-                log.info("%s: %s", scan.name, error or "done")
+                log.info("%s: %s", scan.name, error.headline if error else "done")
                 if error is None or options.on_error == "stop":
                     on_result(attempt.get())
                 else:
-                    failures.append(Failure(scan, str(error), error.code))
+                    failures.append(Failure.of(scan, error))
                 tried.add(scan)
                 if options.progress:
                     options.progress(len(tried), len(todo))
         if len(tried) < len(todo):
-            found, remedy = "not every scan was worked on", "use fewer jobs"
-            raise WorkersLost(f"--backend {options.backend}", found, remedy=remedy)
+            found, hint = "not every scan was worked on", "use fewer jobs"
+            raise WorkersLost(f"--backend {options.backend}", found, hint=hint)
     except WorkersLost as lost:
         for failure in failures:
-            log.error("%s", failure.reason)
+            log.error("%s", failure.text)
         left = [scan for scan in todo if scan not in tried and not is_done(scan)]
         names = first_few([scan.name for scan in left])
-        found = f"{lost.found}; {len(left)} of {len(todo)} scans are missing: {names}"
-        remedy = f"{lost.remedy}; run again for the rest"
-        raise WorkersLost(lost.subject, found, lost.expected, remedy) from lost
+        found = f"{lost.problem}; {len(left)} of {len(todo)} scans are missing: {names}"
+        hint = f"{lost.hint}; run again for the rest"
+        raise WorkersLost(lost.subject, found, lost.expected, hint) from lost
     failures.sort(key=lambda failure: failure.scan)
     skipped, done = len(mine) - len(todo), len(todo) - len(failures)
     seconds = time.monotonic() - start

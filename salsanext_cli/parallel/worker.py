@@ -19,9 +19,9 @@ from typing import Any
 from salsanext_cli.errors import OutputError
 from salsanext_cli.files.atomic import MARK
 from salsanext_cli.parallel.job import Attempt, OpenableTask, ScanJob, Task
-from salsanext_cli.parallel.options import use_threads
 from salsanext_cli.parallel.pipeline import Pipeline, one_by_one
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.parallel.run_options import use_threads
+from salsanext_cli.results.paths import ScanFile
 
 POLL_INTERVAL_S = 1.0
 THREAD_TIMEOUT_S = 10.0
@@ -100,8 +100,8 @@ class Worker:
                 os.chdir(context.folder)
             except OSError as error:
                 found = f"no such folder on {socket.gethostname()}"
-                expected, remedy = "folders that all machines share", "start the run in one of them"
-                raise OutputError(context.folder, found, expected, remedy) from error
+                expected, hint = "folders that all machines share", "start the run in one of them"
+                raise OutputError(context.folder, found, expected, hint) from error
             self.run = context.run
             self._attempts = opened(task)
         return self._attempts

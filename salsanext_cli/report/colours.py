@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import SalsanextError, UsageError
-from salsanext_cli.results.layout import COLOURS, ScanFile
+from salsanext_cli.results.paths import COLOURS, ScanFile
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 

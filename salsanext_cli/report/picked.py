@@ -22,7 +22,7 @@ from salsanext_cli.labelling.picked_data_set import PickedScan
 from salsanext_cli.labelling.scan_choice import Choice
 from salsanext_cli.records import Float
 from salsanext_cli.report.tables import ABSENT, table_of
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 
 
 def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) -> bytes:

@@ -32,7 +32,7 @@ from salsanext_cli.report.colours import (
     map_on_dark,
     value_range,
 )
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.result_folder import ScanResults, scalar_columns
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor

@@ -26,7 +26,7 @@ from salsanext_cli.files.json_files import (
     write_json,
 )
 from salsanext_cli.formats import scan_suffix
-from salsanext_cli.results.layout import COLOURINGS, SUFFIX_OF_FOLDER
+from salsanext_cli.results.paths import COLOURINGS, SUFFIX_OF_FOLDER
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.version import __version__
 
@@ -111,8 +111,8 @@ def _read(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord | None:
     if content is None:
         return None
     if content.get("stage") != stage:
-        remedy = "delete it or use another folder"
-        raise OutputError(path, f"not what `{stage}` writes", remedy=remedy)
+        hint = "delete it or use another folder"
+        raise OutputError(path, f"not what `{stage}` writes", hint=hint)
     if "settings" not in content and stage not in RESULT_STAGES:
         # Some stages of older versions wrote their settings without a table.
         settings = {key: each for key, each in content.items() if key not in ("stage", "version")}
@@ -182,8 +182,8 @@ def require_same_settings(
 ) -> None:
     """Refuse to mix or to replace what was made with other settings, and name these."""
     if found := differences(recorded, settings):
-        remedy = "use another output folder, or --overwrite to replace all its results"
-        raise OutputError(path, f"made with other settings: {found}", remedy=remedy)
+        hint = "use another output folder, or --overwrite to replace all its results"
+        raise OutputError(path, f"made with other settings: {found}", hint=hint)
 
 
 def differences(recorded: Mapping[str, object], settings: Mapping[str, object]) -> str:

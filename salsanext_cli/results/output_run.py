@@ -16,7 +16,6 @@ from salsanext_cli.classes.label_space import RawIds
 from salsanext_cli.errors import OutputError, shortened
 from salsanext_cli.files.reading import filled
 from salsanext_cli.formats.kitti import encode_labels
-from salsanext_cli.results.layout import DISAGREEMENT, ERROR, ScanFile, find_outputs, output_path
 from salsanext_cli.results.manifest import (
     MAX_PATH_CHARACTERS,
     Manifest,
@@ -27,6 +26,7 @@ from salsanext_cli.results.manifest import (
     settings_json,
 )
 from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.paths import DISAGREEMENT, ERROR, ScanFile, find_outputs, output_path
 from salsanext_cli.results.settings import StageSettings
 
 
@@ -83,8 +83,8 @@ class OutputRun(OwnedFolder):
             for other in others:
                 folder = next(name for name in wanted.writes if name in other.writes)
                 found = f"{folder}/ holds the results of `{other.stage}`"
-                remedy = "use another output folder, or --overwrite to replace them"
-                raise OutputError(self.manifest.path(other.stage), found, remedy=remedy)
+                hint = "use another output folder, or --overwrite to replace them"
+                raise OutputError(self.manifest.path(other.stage), found, hint=hint)
         # Nothing is removed before it is certain that the run may begin, but locks of killed runs.
         for each in (before, *others):
             of_stage = OwnedFolder(self.root, each.stage)
@@ -121,8 +121,8 @@ class OutputRun(OwnedFolder):
         """Refuse results that no stage recorded, or remove them: their settings are not known."""
         results = self._results_in(folders)
         if results and not self.overwrite:
-            remedy = "use another output folder, or --overwrite to work beside it"
-            raise OutputError(results[0], "is a result that no stage recorded", remedy=remedy)
+            hint = "use another output folder, or --overwrite to work beside it"
+            raise OutputError(results[0], "is a result that no stage recorded", hint=hint)
         return self.remove_own(results)
 
     def _results_in(self, folders: Iterable[str]) -> list[Path]:
@@ -187,4 +187,4 @@ def output_run(
         record = run.manifest.record(stage)
         if record is None or not record.has_settings(wanted.settings):
             found = "was removed or replaced while results were written into it"
-            raise OutputError(out, found, remedy="run again with --overwrite")
+            raise OutputError(out, found, hint="run again with --overwrite")

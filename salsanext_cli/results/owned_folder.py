@@ -38,7 +38,7 @@ RECORDS_LOCK_TIMEOUT_S = 1800.0
 """There may be a hundred others, which hold the lock for seconds each if it is a million scans."""
 LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")
 States = dict[Path, set[tuple[int, int]]]  # Size and time of modification at each writing
-Texts = tuple[str, str, str]  # Code, message and remedy of a finding
+Texts = tuple[str, str, str]  # Code, message and hint of a finding
 
 log = logging.getLogger(__name__)
 
@@ -101,8 +101,8 @@ class OwnedFolder:
 
     def busy(self) -> OutputError:
         """Return the error of a folder that a run of the stage fills now."""
-        remedy = "wait until it has ended, or use another folder"
-        return OutputError(self.root, f"a run of `{self.stage}` is at work in it", remedy=remedy)
+        hint = "wait until it has ended, or use another folder"
+        return OutputError(self.root, f"a run of `{self.stage}` is at work in it", hint=hint)
 
     def locked_records(self) -> AbstractContextManager[None]:
         """Keep other processes from the records of the folder while the body runs."""
@@ -240,4 +240,4 @@ def not_own(path: Path) -> OutputError:
     """Return the error of a file that is kept, since it is not as salsanext wrote it."""
     found = "was changed, or not written by salsanext, and is kept"
     found = "is a link, and is kept" if path.is_symlink() else found
-    return OutputError(path, found, remedy="move it, or use another output folder")
+    return OutputError(path, found, hint="move it, or use another output folder")

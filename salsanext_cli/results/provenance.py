@@ -9,8 +9,8 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.classes.merging import ClassMerging, contradiction
 from salsanext_cli.errors import LabelError, OutputError, first_few
 from salsanext_cli.network.card import RiskThreshold, parted
-from salsanext_cli.results.layout import ERROR, ScanFile
 from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.results.paths import ERROR, ScanFile
 from salsanext_cli.results.selection import space_of
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor, sensor
@@ -60,8 +60,8 @@ class Provenance(Manifest):
         elif not named_alike and contradiction(space, target):
             named = first_few(target.differences(space))
             found = f"predictions in the classes of {target.name} ({named})"
-            remedy = "predict with weights for these classes, or merge both with --classes"
-            raise LabelError(self.root, found, f"those of {space.name}, as the labels", remedy)
+            hint = "predict with weights for these classes, or merge both with --classes"
+            raise LabelError(self.root, found, f"those of {space.name}, as the labels", hint)
         return replace(target, splits=space.splits or (classes or space).splits)
 
     def merging_into(self, space: LabelSpace) -> ClassMerging | None:
@@ -104,17 +104,17 @@ class Provenance(Manifest):
     def require_same_weights(self) -> None:
         """Refuse to show the uncertainty of one network, or in other classes, beside the labels."""
         labels, space = self.weights("predictions"), self.label_space("predictions")
-        remedy = f"run `salsanext uncertainty SCANS {self.root} --overwrite` with the"
+        hint = f"run `salsanext uncertainty SCANS {self.root} --overwrite` with the"
         for folder in ("uncertainty/epistemic", ERROR):
             estimated, other = self.weights(folder), self.label_space(folder)
             if labels and estimated and labels != estimated:
                 found = f"labels by the weights {labels[:12]}…, uncertainty by {estimated[:12]}…"
-                expected, remedy = "the same weights for both", f"{remedy} weights of the labels"
-                raise OutputError(self.root, found, expected, remedy)
+                expected, hint = "the same weights for both", f"{hint} weights of the labels"
+                raise OutputError(self.root, found, expected, hint)
             if labels and space and other and not space.fits(other):
                 classes = f"the classes of {space.name}, uncertainty in those of {other.name}"
-                remedy = f"{remedy} --classes of the labels"
-                raise OutputError(self.root, f"labels in {classes}", "the same for both", remedy)
+                hint = f"{hint} --classes of the labels"
+                raise OutputError(self.root, f"labels in {classes}", "the same for both", hint)
 
     def rejection(self, folder: str = "predictions") -> Rejection | None:
         """Return by what points were left unlabelled; `folder`: of results of the same run."""
@@ -127,6 +127,6 @@ class Provenance(Manifest):
     def _recorded(self, value: Kind | None, name: str) -> Kind:
         """Return a setting that every stage records whose results have it."""
         if value is None:
-            found, remedy = f"a record without {name}", "delete it or use another folder"
-            raise OutputError(self.root, found, "what the stage wrote", remedy)
+            found, hint = f"a record without {name}", "delete it or use another folder"
+            raise OutputError(self.root, found, "what the stage wrote", hint)
         return value

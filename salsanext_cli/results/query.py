@@ -4,7 +4,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from salsanext_cli.options import ScanSelection, option_group, selection_option
+from salsanext_cli.option_fields import ScanSelection, option_group, selection_option
 
 if TYPE_CHECKING:
     from salsanext_cli.classes.label_space import LabelSpace

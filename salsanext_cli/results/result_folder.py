@@ -22,9 +22,10 @@ from salsanext_cli.formats.npy import read_uncertainty
 from salsanext_cli.formats.recordings import recording_of
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.results.layout import (
+from salsanext_cli.results.manifest import MAX_PATH_CHARACTERS, Manifest, ScanSource
+from salsanext_cli.results.paths import (
     PREDICTION_STAGES,
     SCAN_FOLDER,
     SINGLE_SCAN_STAGES,
@@ -37,7 +38,6 @@ from salsanext_cli.results.layout import (
     require_unique_stems,
     with_outputs,
 )
-from salsanext_cli.results.manifest import MAX_PATH_CHARACTERS, Manifest, ScanSource
 from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery
 from salsanext_cli.results.selection import (
@@ -166,8 +166,8 @@ class ResultFolder(Provenance):
             softmax = single.owner("votes", "probabilities")
             words = ["fuse", out, str(self.root)]
             words = words if softmax else ["predict", "SCANS", out, "--fuse"]
-            remedy = f"run `salsanext {shlex.join(words)} --overwrite`"
-            raise OutputError(self.root, found, remedy=remedy)
+            hint = f"run `salsanext {shlex.join(words)} --overwrite`"
+            raise OutputError(self.root, found, hint=hint)
 
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
         folder = Path(source.folder) if source else None
@@ -182,8 +182,8 @@ class ResultFolder(Provenance):
             return find_scans(root if named else own, named, unique=False)
         looked_in = shortened(str(self.dataset or folder or root.absolute()), MAX_PATH_CHARACTERS)
         found, expected = f"its scans are not in {looked_in}", "the folder that they came from"
-        remedy = "give with --dataset the folder that holds sequences/"
-        raise NoInputError(self.root / "sequences" / sequence, found, expected, remedy)
+        hint = "give with --dataset the folder that holds sequences/"
+        raise NoInputError(self.root / "sequences" / sequence, found, expected, hint)
 
     def missing_predictions(self, scans: Iterable[ScanFile]) -> MissingResults:
         """Divide scans without predictions by whether the stage was asked for them."""
@@ -223,8 +223,8 @@ class ResultFolder(Provenance):
         self.require_same_weights()
         scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
         if not scans:
-            found, remedy = "no results of these scans", PREDICT.format(out=self.root)
-            raise NoInputError(self.root, found, remedy=remedy)
+            found, hint = "no results of these scans", PREDICT.format(out=self.root)
+            raise NoInputError(self.root, found, hint=hint)
         if len(scans) == limit:
             # What comes after the last that is wanted is not looked at.
             chosen = chosen[: chosen.index(scans[-1]) + 1]
@@ -302,8 +302,8 @@ class ResultFolder(Provenance):
         if column in ("truth", "wrong") and not present(file.label_path):
             return NoInputError(file.path, "has no labels", str(file.label_path))
         made_by = UNCERTAINTY[column].made_by if column in UNCERTAINTY else PREDICT
-        remedy = made_by.format(out=self.root)
-        return NoInputError(file.path, f"no {column} known", str(self._path(file, column)), remedy)
+        hint = made_by.format(out=self.root)
+        return NoInputError(file.path, f"no {column} known", str(self._path(file, column)), hint)
 
     def _path(self, file: ScanFile, column: str) -> Path:
         return output_path(self.root, file.sequence, FOLDER_OF_COLUMN[column], file.stem)

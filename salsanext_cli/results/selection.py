@@ -15,8 +15,8 @@ from salsanext_cli.classes.merging import ClassMerging, is_merged
 from salsanext_cli.errors import NOTICE, NoInputError, UsageError, counted, first_few, warn_once
 from salsanext_cli.files.reading import is_folder, present
 from salsanext_cli.formats.recordings import recording_of
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.results.layout import (
+from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.results.paths import (
     SCAN_FOLDER,
     ScanFile,
     counted_by_suffix,
@@ -111,15 +111,15 @@ def choose(
         elif any(map(space.split_of, sequences)):
             named = ", ".join(members) or "no sequences"
             found, expected = f"no scans of split {selection.split} ({named})", ", ".join(sequences)
-            remedy = "choose with --split or --sequences"
-            raise NoInputError(source, found, f"some besides {expected}", remedy)
+            hint = "choose with --split or --sequences"
+            raise NoInputError(source, found, f"some besides {expected}", hint)
         else:
             log.warning("no split names %s: taking all", ", ".join(sequences))
     return scans[: selection.limit]
 
 
 def log_unused(
-    scans: Sequence[ScanFile], used: Collection[ScanFile], space: LabelSpace, remedy: str
+    scans: Sequence[ScanFile], used: Collection[ScanFile], space: LabelSpace, hint: str
 ) -> None:
     """Log in one line how many scans are used, which sequences are not, and what changes that."""
     sequences = sorted({scan.sequence for scan in scans} - {scan.sequence for scan in used})
@@ -130,7 +130,7 @@ def log_unused(
     if by_split:
         unused = ", ".join(f"{first_few(names)} ({why})" for why, names in by_split.items())
         every = counted(len(scans), "scan")
-        log.warning("%d of %s used; not used: %s; %s", len(used), every, unused, remedy)
+        log.warning("%d of %s used; not used: %s; %s", len(used), every, unused, hint)
 
 
 def data_set_of(scan: ScanFile) -> Path | None:

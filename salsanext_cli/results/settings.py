@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.network.card import AccuracyLine, RiskThreshold, parted
-from salsanext_cli.options import FusionReach, KnnParameters
+from salsanext_cli.option_fields import FusionReach, KnnParameters
 from salsanext_cli.sensors.sensor import Sensor
 
 

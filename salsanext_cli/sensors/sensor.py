@@ -158,9 +158,9 @@ class Sensor:
         """Build a sensor from plain data; an unknown or missing key raises `UsageError`."""
         refuse_unknown(data, cls, source)
         if missing := [f.name for f in fields(cls) if f.default is MISSING and f.name not in data]:
-            remedy = "`salsanext inspect SCANS --fit FILE.toml` finds the view of scans"
+            hint = "`salsanext inspect SCANS --fit FILE.toml` finds the view of scans"
             expected = "a sensor with fov_up, fov_down, height, width"
-            raise UsageError(source, f"lacks {', '.join(missing)}", expected, remedy)
+            raise UsageError(source, f"lacks {', '.join(missing)}", expected, hint)
         values: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in data.items()
         }

@@ -27,8 +27,8 @@ from salsanext_cli.measures.paired import RunComparison, ScanPair
 from salsanext_cli.measures.scan_counts import ScanComparison, ScanCounts
 from salsanext_cli.measures.scores import class_sums, confusion_matrix, scored_rows
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.results.layout import ScanFile, output_path, with_outputs
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import ScanFile, output_path, with_outputs
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import space_of_labels
@@ -49,8 +49,8 @@ def compare_scan(
     paths = [output_path(c.out, file.sequence, "predictions", file.stem) for c in comparisons]
     before, after = (space.to_train(read_labels(path), strict=False, source=path) for path in paths)
     if len(before) != len(after):
-        found, remedy = counted(len(after), "label"), "compare runs on the same scans"
-        raise LabelError(paths[1], found, f"{len(before):,}, as {paths[0]}", remedy)
+        found, hint = counted(len(after), "label"), "compare runs on the same scans"
+        raise LabelError(paths[1], found, f"{len(before):,}, as {paths[0]}", hint)
     pair = ScanPair(file, confusion_matrix(before, after, space.class_count))
     if not present(file.label_path):
         return pair, []

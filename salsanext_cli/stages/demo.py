@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Failure, Progress, RunOptions
-from salsanext_cli.results.layout import ERROR, find_outputs
+from salsanext_cli.results.paths import ERROR, find_outputs
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import Evaluation, evaluate

@@ -22,11 +22,11 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     UncertaintyEvaluation,
     evaluate_uncertainty,
 )
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
 from salsanext_cli.report.plots import PICTURES, evaluation_pictures
-from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import MissingResults, space_of_labels
 from salsanext_cli.version import __version__
@@ -186,8 +186,8 @@ def _counted(
         if outcome.failures:
             raise NoInputError(out, f"no scan could be compared, as {outcome.failures[0].reason}")
         found = f"no predictions for any of {counted(len(counts.missing), 'scan')}"
-        remedy = "run `salsanext predict` first, or say where they are: salsanext eval OUT"
-        raise NoInputError(out, found, remedy=remedy)
+        hint = "run `salsanext predict` first, or say where they are: salsanext eval OUT"
+        raise NoInputError(out, found, hint=hint)
     return counts, outcome.failures
 
 
@@ -212,5 +212,5 @@ def _require_labels(scans: Sequence[ScanFile]) -> None:
         paths = [scan.label_path for scan in members]
         if not any(present(path) for path in paths):
             found, expected = f"no labels of sequence {sequence}", f"files like {paths[0].name}"
-            remedy = "label them, or leave them out with --split or --sequences"
-            raise LabelError(paths[0].parent, found, expected, remedy)
+            hint = "label them, or leave them out with --split or --sequences"
+            raise LabelError(paths[0].parent, found, expected, hint)

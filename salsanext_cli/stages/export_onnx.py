@@ -17,12 +17,12 @@ from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.files.atomic import require_target, write_bytes
 from salsanext_cli.files.optional_packages import import_extra, import_nncf
 from salsanext_cli.fitting.label_scan import prepared_for
-from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
+from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
 from salsanext_cli.network.card import ONNX_SUFFIX, WeightsCard
 from salsanext_cli.network.weights import read_weights
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.records import Float
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.selection import select_scans
 from salsanext_cli.sensors.sensor import Sensor
 

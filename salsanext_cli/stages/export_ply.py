@@ -24,13 +24,13 @@ from salsanext_cli.fusion.drive_map import (
     one_per_voxel,
 )
 from salsanext_cli.fusion.window import require_near
-from salsanext_cli.options import FusionReach
+from salsanext_cli.option_fields import FusionReach
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
-from salsanext_cli.results.layout import PREDICTION_STAGES, ScanFile, drive_order
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import PREDICTION_STAGES, ScanFile, drive_order
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, scalar_columns
 from salsanext_cli.results.settings import StageSettings

@@ -16,8 +16,8 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
 from salsanext_cli.report.colours import PointColours, common_scales
 from salsanext_cli.report.rerun_recording import Columns, LogScan, import_rerun, recording
-from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
@@ -39,7 +39,7 @@ def export_rrd(
         str(out).encode()
     except UnicodeEncodeError as error:
         found = "its name is no UTF-8, which rerun-sdk cannot open"
-        raise OutputError(out, found, remedy="rename it") from error
+        raise OutputError(out, found, hint="rename it") from error
     chosen = results.chosen(query)
     scans, space, sensor = chosen.scans, chosen.space, results.sensor()
     OwnedFolder(out).require_own(_path(out, scan.sequence) for scan in scans)

@@ -21,7 +21,10 @@ from salsanext_cli.geometry.projection import measured_ranges, without_ego
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Mask
-from salsanext_cli.results.layout import (
+from salsanext_cli.results.manifest import StageRecord, require_same_settings, settings_json
+from salsanext_cli.results.output_run import encode_array
+from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.paths import (
     ERROR,
     PREDICTION_STAGES,
     SCAN_FOLDER,
@@ -29,9 +32,6 @@ from salsanext_cli.results.layout import (
     output_path,
     with_outputs,
 )
-from salsanext_cli.results.manifest import StageRecord, require_same_settings, settings_json
-from salsanext_cli.results.output_run import encode_array
-from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder, read_kind
 from salsanext_cli.results.settings import StageSettings

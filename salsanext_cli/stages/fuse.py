@@ -40,10 +40,12 @@ from salsanext_cli.fusion.window import (
     voting,
 )
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.options import FusionReach
+from salsanext_cli.option_fields import FusionReach
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
-from salsanext_cli.results.layout import (
+from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.paths import (
     DISAGREEMENT,
     SCAN_FOLDER,
     SINGLE_SCAN_STAGES,
@@ -54,8 +56,6 @@ from salsanext_cli.results.layout import (
     output_path,
     with_outputs,
 )
-from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.owned_folder import OwnedFolder, not_own
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import MissingResults, choose, scans_of
@@ -149,7 +149,7 @@ class FusibleResults:
         """Read the poses of each sequence, by default those in its folder; None without any."""
         if poses is not None and len(self.sequences) > 1:
             found = f"one file for {counted(len(self.sequences), 'sequence')}"
-            raise UsageError("--poses", found, remedy="choose one of them with --sequences")
+            raise UsageError("--poses", found, hint="choose one of them with --sequences")
 
         def given_of(name: str) -> Drive | None:
             files = self.members[name]
@@ -182,16 +182,16 @@ def fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
         raise predicted.busy()
     results = ResultFolder(out, query.dataset)
     if results.rejection():
-        found, remedy = "labels of which some were rejected", "predict without --reject"
-        raise OutputError(out, found, "all labels: others vote for what was rejected", remedy)
+        found, hint = "labels of which some were rejected", "predict without --reject"
+        raise OutputError(out, found, "all labels: others vote for what was rejected", hint)
     present_scans = results.scans()
     known = with_outputs(present_scans, out, *SOFTMAX_FOLDERS)
     known = with_outputs(known, out, "predictions")
     space, of_softmax = results.label_space(), results.label_space(*SOFTMAX_FOLDERS)
     if not known or space is None or of_softmax is None:
         words = "--fuse --overwrite" if results.record("fuse") else "--fuse"
-        remedy = f"run `salsanext predict SCANS {out} {words}`, or with --probabilities"
-        raise NoInputError(out, "no softmax of any scan", "votes or probabilities", remedy)
+        hint = f"run `salsanext predict SCANS {out} {words}`, or with --probabilities"
+        raise NoInputError(out, "no softmax of any scan", "votes or probabilities", hint)
     if not space.fits(of_softmax):
         found = f"labels in the classes of {space.name}, softmax in those of {of_softmax.name}"
         raise OutputError(out, found, "the same for both", "predict both again")
@@ -274,8 +274,8 @@ def _of_each(
 def require_fusable(source: Path | Sequence[Path], out: Path, options: RunOptions) -> None:
     """Refuse to predict and fuse a share, or without the package for poses that scans lack."""
     if options.shard.count > 1:
-        remedy = f"run `salsanext fuse {out}` when all shares are predicted"
-        raise UsageError("--fuse", "only a share of the scans", "all of them", remedy)
+        hint = f"run `salsanext fuse {out}` when all shares are predicted"
+        raise UsageError("--fuse", "only a share of the scans", "all of them", hint)
     sequences = {
         name: sorted(group, key=drive_order)
         for name, group in groupby(scans_of(source), lambda file: file.sequence)
@@ -381,8 +381,8 @@ def _other_drive(record: Path, single: OutputRun) -> OutputError:
     target, sequence = record.parents[2], record.parent.name
     found = f"does not have the scans and poses that `fuse` found now for {single.root}"
     words = ["fuse", str(single.root), str(target), "--sequences", sequence, "--overwrite"]
-    remedy = f"run `salsanext {shlex.join(words)}`, with --poses if you gave it"
-    return OutputError(record, found, "the same scans and poses for all of it", remedy)
+    hint = f"run `salsanext {shlex.join(words)}`, with --poses if you gave it"
+    return OutputError(record, found, "the same scans and poses for all of it", hint)
 
 
 def _findings(files: Sequence[ScanFile], drive: Drive) -> list[Finding]:

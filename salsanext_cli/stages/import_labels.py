@@ -37,8 +37,8 @@ from salsanext_cli.labelling.label_records import (
     first_guesses,
     labels_root,
 )
-from salsanext_cli.parallel.options import Progress
-from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.parallel.run_options import Progress
+from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space, space_of
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -62,13 +62,13 @@ def import_labels(
     """
     scans = find_scans(dataset)
     if recording_of(scans[0].path) is not None:
-        remedy = f"run `salsanext convert {dataset} FOLDER` first"
-        raise NoInputError(dataset, "a recording, which holds no labels", "scans", remedy)
+        hint = f"run `salsanext convert {dataset} FOLDER` first"
+        raise NoInputError(dataset, "a recording, which holds no labels", "scans", hint)
     own = space_of(scans)
     if space is not None and data_set_label_space(labels_root(scans[0])) and not space.fits(own):
         found_space = f"{space.name}, but the data set's labels.yaml has other classes or ids"
-        remedy = "map the ids of the tool with --map, or change labels.yaml"
-        raise UsageError("--label-space", found_space, own.name, remedy)
+        hint = "map the ids of the tool with --map, or change labels.yaml"
+        raise UsageError("--label-space", found_space, own.name, hint)
     space = space or own
     meanings = LabelIds.of_space(space, ids)
     imported = LabelImport(space, class_points=np.zeros(space.class_count, np.int64))
@@ -96,8 +96,8 @@ def import_labels(
                 progress(done, len(of_scan))
     if imported.unedited and not imported.scans and not imported.failures:
         text = "holds the first guess of `pick`, which nobody has corrected"
-        remedy = "save the corrected labels; to take the guess as it is, name its file"
-        raise NoInputError(edited, text, "edited labels", remedy)
+        hint = "save the corrected labels; to take the guess as it is, name its file"
+        raise NoInputError(edited, text, "edited labels", hint)
     imported.kept = len(scans) - len(of_scan)
     imported.first_guesses = [scan.name for scan in first_guesses(scans)]
     return imported
@@ -157,8 +157,8 @@ def _import_scan(
     if not (overwrite or in_place or records.is_replaceable(scan, paths, contradicted)):
         text = "kept: changed, not written by salsanext, imported from another file, "
         text += "or the files contradict each other"
-        remedy = "leave out older files, move the labels, or replace them with --overwrite"
-        raise OutputError(scan.label_path, text, remedy=remedy)
+        hint = "leave out older files, move the labels, or replace them with --overwrite"
+        raise OutputError(scan.label_path, text, hint=hint)
     records.write(scan, encode_labels(raw), numbers)
     imported.scans.append(numbers)
     train = space.to_train(raw, strict=False)

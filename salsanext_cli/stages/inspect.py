@@ -10,9 +10,9 @@ from salsanext_cli.errors import NoInputError, counted
 from salsanext_cli.files.atomic import require_absent, write_bytes
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.files.reading import present
-from salsanext_cli.fitting.label_scan import check_with_remedy
+from salsanext_cli.fitting.label_scan import check_with_hint
 from salsanext_cli.fitting.scan_checks import ALONE, FIT
-from salsanext_cli.fitting.scan_fit import ScanSample, fitted_view
+from salsanext_cli.fitting.sensor_fit import ScanSample, fitted_view
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.network_input import NO_INTENSITY
@@ -21,9 +21,9 @@ from salsanext_cli.geometry.scan_traits import kinds_of
 from salsanext_cli.measures.scan_summary import APART, RunSummary, ScanSummary, ScanWarning
 from salsanext_cli.measures.survey import Survey, survey
 from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Failure, RunOptions, run_over_scans
-from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import select_scans, space_of
 from salsanext_cli.sensors.sensor import Sensor
 
@@ -78,7 +78,7 @@ def inspect(
 ) -> Inspection:
     """Survey and check scans; to fit, as `predict` does, or with `images` to all points."""
     scans, files = select_scans(source, selection, space), find_scans(source)
-    remedy = ALONE if fit else FIT
+    hint = ALONE if fit else FIT
     if fit:
         usual = read_card(default_weights()).sensor
         plain = replace(sensor, fov_up=usual.fov_up, fov_down=usual.fov_down)
@@ -89,8 +89,8 @@ def inspect(
         if images and (first := _inspect(scans, sensor, space, options)).total.pixels:
             sensor = _with_field_of_view(sensor, first.total)
     elif len(kinds_of(ScanSample(files, sensor).scans)[1]) > 1:
-        remedy = APART
-    return _inspect(scans, sensor, space, options, remedy)
+        hint = APART
+    return _inspect(scans, sensor, space, options, hint)
 
 
 def _inspect(
@@ -98,9 +98,9 @@ def _inspect(
     sensor: Sensor,
     space: LabelSpace | None,
     options: RunOptions,
-    remedy: str = "",
+    hint: str = "",
 ) -> Inspection:
-    """Read the scans once; check them if there is a remedy of what a fit may remove."""
+    """Read the scans once; check them if there is a hint of what a fit may remove."""
     sequences: dict[str, Survey] = {}
     summary = RunSummary(sensor)
 
@@ -108,10 +108,10 @@ def _inspect(
         of_scan, scan = result
         name = scan.file.sequence
         sequences[name] = sequences.get(name, Survey()) + of_scan
-        if remedy:
+        if hint:
             summary.add(scan)
 
-    task = partial(inspect_scan, sensor=sensor, remedy=remedy)
+    task = partial(inspect_scan, sensor=sensor, hint=hint)
     outcome = run_over_scans(task, scans, options, on_result=add)
     sequences = dict(sorted(sequences.items()))
     total = sum(sequences.values(), start=Survey())
@@ -119,12 +119,12 @@ def _inspect(
     return Inspection(sequences, total, sensor, space, outcome.failures, warnings)
 
 
-def inspect_scan(file: ScanFile, sensor: Sensor, remedy: str) -> tuple[Survey, ScanSummary]:
+def inspect_scan(file: ScanFile, sensor: Sensor, hint: str) -> tuple[Survey, ScanSummary]:
     """Read, check, project and count one scan."""
     scan = read_scan(file.path, sensor)
     # Whatever the scale of the intensity is, `predict` matches it.
     matched = replace(sensor, intensity_quantiles=NO_INTENSITY)
-    check = check_with_remedy(file.path, scan, matched, matched, remedy)
+    check = check_with_hint(file.path, scan, matched, matched, hint)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
     counts = survey(without_ego(scan, sensor), project(scan, sensor), raw)
     return counts, ScanSummary(file, check)
@@ -138,8 +138,8 @@ def _require_fit(name: str, found: Survey) -> None:
         view = f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°"
         seen_points = f"{counted(measured, 'point')} with a measurement, {view}"
         expected = f"{MIN_POINTS_OF_FIT} or more, {MIN_FIELD_OF_VIEW_DEG:g}° or more"
-        remedy = "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor"
-        raise NoInputError(name, seen_points, expected, remedy)
+        hint = "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor"
+        raise NoInputError(name, seen_points, expected, hint)
 
 
 def _with_field_of_view(sensor: Sensor, found: Survey) -> Sensor:

@@ -16,11 +16,11 @@ from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.geometry.projection import pixels_from_points, project
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import RangeImage
-from salsanext_cli.results.layout import ScanFile, find_scans, output_path, with_outputs
 from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.paths import ScanFile, find_scans, output_path, with_outputs
 from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, space_of
@@ -96,9 +96,9 @@ def _require_all_labels(out: Path, labels: Path | None) -> None:
     # Labels may lie in ROOT/sequences/<seq>/predictions, with the records in ROOT.
     roots = (labels, *labels.absolute().parents[2:3]) if labels else (out,)
     if any(Provenance(root).rejection(folder) for root in roots):
-        found, remedy = "labels of which some were rejected", "predict without --reject"
+        found, hint = "labels of which some were rejected", "predict without --reject"
         expected = "all labels: the vote brings back what was rejected"
-        raise OutputError(labels or out, found, expected, remedy)
+        raise OutputError(labels or out, found, expected, hint)
 
 
 def knn_refine_scans(
@@ -121,13 +121,13 @@ def knn_refine_scans(
     recorded = results.label_space("pixel_labels") if labels is None else None
     if recorded and space and not recorded.fits(space):
         found = f"{space.name}, for pixel labels in the classes of {recorded.name}"
-        raise UsageError("--label-space", found, remedy="predict with --classes, or leave it out")
+        raise UsageError("--label-space", found, hint="predict with --classes, or leave it out")
     space = space or recorded or results.label_space() or space_of(scans)
     if labels is None:
         scans = with_outputs(scans, out, "pixel_labels")
         if not scans:
-            remedy = f"run `salsanext predict SCANS {out} --pixel-labels` first, or give --labels"
-            raise NoInputError(out, "holds no pixel_labels", remedy=remedy)
+            hint = f"run `salsanext predict SCANS {out} --pixel-labels` first, or give --labels"
+            raise NoInputError(out, "holds no pixel_labels", hint=hint)
     scans = choose(scans, selection, space_of(scans, space), out)
     if labels is not None:
         _require_some(labels, scans)

@@ -17,7 +17,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, NoInputError, counted
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
-from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans, settings_of_network
+from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans, settings_of_network
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.picked_data_set import (
     STAGE,
@@ -29,12 +29,12 @@ from salsanext_cli.labelling.picked_data_set import (
 )
 from salsanext_cli.labelling.scan_choice import choose_scans, require_choice
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWarning, log_recorded
-from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Failure, Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.picked import picked_cloud, picked_csv, picked_scans
-from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.manifest import settings_json
+from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import choose, evenly_spaced, scans_of, space_of
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import require_sampling
@@ -227,4 +227,6 @@ def _failures(record: PickRecord, scans: Sequence[ScanFile]) -> tuple[Failure, .
     """Return the scans that could not be looked at when the choice was made."""
     files = {str(scan.path): scan for scan in scans}
     known = (failure for failure in record.failures if failure["scan"] in files)
-    return tuple(Failure(files[f["scan"]], f["reason"], f["code"]) for f in known)
+    return tuple(
+        Failure(files[f["scan"]], f["reason"], f.get("hint", ""), f["code"]) for f in known
+    )

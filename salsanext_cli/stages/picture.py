@@ -9,18 +9,18 @@ from pathlib import Path
 
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, NoInputError, UsageError
-from salsanext_cli.fitting.scan_fit import fitted_view
+from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.report.colours import CLASS_COLOURS, Scales, common_scales, require_colouring
 from salsanext_cli.report.scan_pictures import known_views, picture_of_results
-from salsanext_cli.results.layout import (
+from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.paths import (
     COLOURINGS,
     PREDICTION_STAGES,
     SUFFIX_OF_FOLDER,
     ScanFile,
     find_outputs,
 )
-from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import FOLDERS, ChosenResults, ResultFolder, scalar_columns
 from salsanext_cli.results.selection import MissingResults, choose, scans_of, space_of_labels
@@ -113,8 +113,8 @@ def _scans_alone(out: Path, query: ResultQuery) -> ChosenResults:
     results, dataset = ResultFolder(out), query.dataset
     if dataset is None and not any(find_outputs(out, folder) for folder in SUFFIX_OF_FOLDER):
         found = "holds no results" if out.is_dir() else "no such folder"
-        remedy = f"run `salsanext predict SCANS {out}` first, or name scans with --dataset"
-        raise NoInputError(out, found, "the output folder of an earlier stage", remedy)
+        hint = f"run `salsanext predict SCANS {out}` first, or name scans with --dataset"
+        raise NoInputError(out, found, "the output folder of an earlier stage", hint)
     found_scans = scans_of(dataset) if dataset else results.scans()
     own, classes = query.label_space, query.classes
     space = results.compared_space(found_scans, own, classes, own_ids=True)

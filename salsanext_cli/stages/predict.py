@@ -27,7 +27,7 @@ from salsanext_cli.fitting.label_scan import (
     sensor_of_images,
 )
 from salsanext_cli.fitting.scan_checks import ScanCheck, check_image
-from salsanext_cli.fitting.scan_fit import (
+from salsanext_cli.fitting.sensor_fit import (
     fitted_view,
     is_other_view,
     labels_depend_on,
@@ -42,18 +42,18 @@ from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.measures.risk_control import promise
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.card import RiskThreshold
-from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
-from salsanext_cli.results.layout import (
+from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.paths import (
     ERROR,
     LEAST_CONFIDENCE,
     ScanFile,
     output_path,
     with_outputs,
 )
-from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.uncertainty.error_features import error_model, error_probability
@@ -221,8 +221,8 @@ def _chosen_threshold(
     """Return the threshold in the weights; refuse settings that its guarantee does not cover."""
     risk = network.card.risk
     if risk is None:
-        remedy = "`salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%` chooses one"
-        raise WeightsError(network.backend.name, "no threshold of risk", "weights with one", remedy)
+        hint = "`salsanext tune risk DATASET WEIGHTS_OUT --at-most 5%` chooses one"
+        raise WeightsError(network.backend.name, "no threshold of risk", "weights with one", hint)
     tuned, given = risk.settings, labels_depend_on(settings, network)
     others = {"--classes": network.merging, "--knn-…": knn != KnnParameters()}
     others |= {name: given[name] != tuned.get(name) for name in given}

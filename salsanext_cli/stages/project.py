@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from salsanext_cli.fitting.label_scan import ProjectedScan, project_scan
-from salsanext_cli.fitting.scan_fit import fitted_view
+from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor

@@ -29,8 +29,8 @@ from salsanext_cli.report.page.run_results import (
 )
 from salsanext_cli.report.page.server import PageServer
 from salsanext_cli.report.scan_pictures import NARROW_PX, REACH_M, TITLES, scan_picture
-from salsanext_cli.results.layout import PREDICTION_STAGES, ScanFile, drive_order
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import PREDICTION_STAGES, ScanFile, drive_order
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import evenly_spaced
@@ -175,7 +175,7 @@ class RunServer(PageServer):
         run = self._run
         if _state_of(run.reader.out) != self._state:
             found = "results were made anew since"
-            raise OutputError(run.reader.out, found, remedy="start view again")
+            raise OutputError(run.reader.out, found, hint="start view again")
         shown = run.read(run.rows[place])
         with self._lock:
             if new := shown.values().keys() - self._scales:
@@ -249,7 +249,7 @@ def _readable(
         try:
             shown.append(run.read(row, reason))
         except SalsanextError as error:
-            failures.append(Failure(row.file, str(error), error.code))
+            failures.append(Failure.of(row.file, error))
     if not shown:
         raise NoInputError(run.reader.out, f"no scan can be shown, as {failures[0].reason}")
     return shown, tuple(failures)

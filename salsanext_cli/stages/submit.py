@@ -26,8 +26,8 @@ from salsanext_cli.files.atomic import require_target, writing
 from salsanext_cli.files.reading import is_folder, present, reading, size_of
 from salsanext_cli.formats import read_scan, scan_suffix
 from salsanext_cli.formats.kitti import count_points, read_labels
-from salsanext_cli.parallel.options import Progress
-from salsanext_cli.results.layout import ScanFile, find_outputs
+from salsanext_cli.parallel.run_options import Progress
+from salsanext_cli.results.paths import ScanFile, find_outputs
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import data_set_of, space_of, with_splits
 
@@ -41,8 +41,8 @@ SCANS_OF_TEST = {
 PROBLEMS = {
     "length": "",
     "unreadable": "",
-    "unknown-id": "ids that {1} lacks: {0} · write raw ids, not train ids, or give --label-space",
-    "moving": "{0}, which the benchmark of single scans does not know · give the ids of the "
+    "unknown-id": "ids that {1} lacks: {0}; write raw ids, not train ids, or give --label-space",
+    "moving": "{0}, which the benchmark of single scans does not know; give the ids of the "
     "classes at rest, such as 10 instead of 252",
 }
 """Kinds of problems of label files; of raw ids their description with these and a label space."""
@@ -76,7 +76,7 @@ class Problem:
     code: str  # missing, length, unreadable, unknown-id or moving
     sequence: str
     scans: int  # Number of scans that have the problem
-    message: str  # Problem and remedy in one line
+    message: str  # Problem and hint in one line
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +106,8 @@ def submit(
     require_target(target, overwrite, ".zip")
     files = find_outputs(out, "predictions")
     if not files:
-        remedy = f"run `salsanext predict DATASET {out} --split {SPLIT}` first"
-        raise NoInputError(out, "holds no predictions", remedy=remedy)
+        hint = f"run `salsanext predict DATASET {out} --split {SPLIT}` first"
+        raise NoInputError(out, "holds no predictions", hint=hint)
     texts = {} if description is None else {"description.txt": description}
     if description is not None and (is_folder(description) or not present(description)):
         raise UsageError(f"--description {description}", "no such file", "a text file")
@@ -202,18 +202,18 @@ def problems(
                 found[code].append(message)
         advance()
     if not stems:
-        message = f"sequence {sequence} · no predictions, and no scans to tell how many are needed"
-        yield Problem("missing", sequence, 0, f"{message} · predict it")
+        message = f"sequence {sequence}: no predictions, and no scans to tell how many are needed"
+        yield Problem("missing", sequence, 0, f"{message}; predict it")
     if lacking := [stem for stem in stems if stem not in files]:
         gone = len([stem for stem in lacking if scans and stem not in scans])
-        remedy = f"{gone} of their scans are missing too: complete the data set"
+        hint = f"{gone} of their scans are missing too: complete the data set"
         share = f"{len(lacking):,} of {len(stems):,} predictions are missing"
-        message = f"sequence {sequence} · {share}: {first_few(lacking)}"
-        message += f" · {remedy if gone else 'predict them'}"
+        message = f"sequence {sequence}: {share}: {first_few(lacking)}"
+        message += f"; {hint if gone else 'predict them'}"
         yield Problem("missing", sequence, len(lacking), message)
     for code, messages in found.items():
         if messages:
-            others = f" · and {len(messages) - 1} more" if len(messages) > 1 else ""
+            others = f"; and {len(messages) - 1} more" if len(messages) > 1 else ""
             yield Problem(code, sequence, len(messages), f"{messages[0]}{others}")
 
 
@@ -222,7 +222,7 @@ def _wrong_with(path: Path, scan: Path | None, space: LabelSpace) -> Iterator[tu
     try:
         ids = _ids_of(path, scan)
     except SalsanextError as error:
-        yield "length" if isinstance(error, LabelError) else "unreadable", str(error)
+        yield "length" if isinstance(error, LabelError) else "unreadable", error.headline
         return
     names = {i: space.labels.get(i, "") for i in sorted(ids)}
     refused = {
@@ -232,7 +232,7 @@ def _wrong_with(path: Path, scan: Path | None, space: LabelSpace) -> Iterator[tu
     for code, of_code in refused.items():
         if of_code:
             shown = first_few([f"{i} {names[i]}".rstrip() for i in of_code])
-            yield code, f"{path} · {PROBLEMS[code].format(shown, space.name)}"
+            yield code, f"{path}: {PROBLEMS[code].format(shown, space.name)}"
 
 
 def _ids_of(path: Path, scan: Path | None) -> set[int]:

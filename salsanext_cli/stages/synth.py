@@ -19,9 +19,9 @@ from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.files.reading import filled
 from salsanext_cli.formats.kitti import encode_bin, encode_labels, read_labels
 from salsanext_cli.parallel.run import Progress, RunOptions, run_over_scans
-from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.manifest import StageRecord, require_same_settings, settings_json
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.synthesis.drive import record
 from salsanext_cli.synthesis.rig import RIGS
 

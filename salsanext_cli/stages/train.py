@@ -13,7 +13,7 @@ from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
 from salsanext_cli.measures.scan_summary import ScanWarning
 from salsanext_cli.network.card import WeightsCard, default_weights, read_card
-from salsanext_cli.parallel.options import cores, worker_count
+from salsanext_cli.parallel.run_options import cores, worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -103,9 +103,9 @@ class NewTraining:
         counts = class_counts(kept, sources, scored, validated, self.jobs, recipe.also)
         if strict and counts.warnings:
             found = (f"{w.code} in {counted(len(w.scans), 'scan')}" for w in counts.warnings)
-            remedy = "mend the scans or leave them out, or train without --strict"
+            hint = "mend the scans or leave them out, or train without --strict"
             found_scans = f"doubtful scans: {', '.join(found)}"
-            raise TrainingError(self.roots[0], found_scans, "none", remedy)
+            raise TrainingError(self.roots[0], found_scans, "none", hint)
         begin(run, self.settings, overwrite=overwrite)
         random = "random weights (--weights default: those of the package)"
         if not (run / CHECKPOINT).exists():
@@ -199,8 +199,8 @@ def _workers(jobs: int | None, kind: str) -> int:
 def _require_batch(samples: int, workers: int) -> None:
     if samples < workers:
         expected = f"at least one sample for each of {workers} workers"
-        remedy = "start fewer workers or set batch higher"
-        raise UsageError("recipe key batch", f"{samples}", expected, remedy)
+        hint = "start fewer workers or set batch higher"
+        raise UsageError("recipe key batch", f"{samples}", expected, hint)
 
 
 def _simulated_streets(

@@ -13,7 +13,7 @@ from salsanext_cli.errors import NOTICE
 from salsanext_cli.files.atomic import require_absent, require_target, writing
 from salsanext_cli.network.card import require_tensors
 from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Progress
 from salsanext_cli.report.tuning_plots import risk_curve
 from salsanext_cli.training.tuning.dropout_rate import fit_dropout

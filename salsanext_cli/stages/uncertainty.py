@@ -15,16 +15,16 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, OutputError
 from salsanext_cli.fitting.label_scan import PreparedScan, ProjectedScan, labelled, prepared_for
-from salsanext_cli.fitting.scan_fit import network_of_run, settings_of_network
+from salsanext_cli.fitting.sensor_fit import network_of_run, settings_of_network
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
-from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
-from salsanext_cli.results.layout import ERROR, ScanFile
 from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.paths import ERROR, ScanFile
 from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.results.settings import StageSettings
@@ -154,5 +154,5 @@ def _require_network_of_labels(out: Path, settings: StageSettings) -> None:
         same["classes"] = space is not None and space.fits(settings.label_space)
     for name in (name for name, is_same in same.items() if not is_same):
         found, expected = f"labels made with other {name}", "the same for labels and uncertainty"
-        remedy = f"give the same --{name}, or use another output folder"
-        raise OutputError(records.path(stage), found, expected, remedy)
+        hint = f"give the same --{name}, or use another output folder"
+        raise OutputError(records.path(stage), found, expected, hint)

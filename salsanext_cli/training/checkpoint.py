@@ -68,8 +68,8 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
         _restore(learner, tensors)
     except DAMAGE as error:
         found = f"cannot be resumed from: {error_text(error)}"
-        remedy = "start anew with --overwrite or in another folder"
-        raise TrainingError(path, found, "a checkpoint of this training", remedy) from error
+        hint = "start anew with --overwrite or in another folder"
+        raise TrainingError(path, found, "a checkpoint of this training", hint) from error
     return state
 
 

@@ -7,7 +7,7 @@ from itertools import groupby
 
 import numpy as np
 
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.training.log import Row
 
 

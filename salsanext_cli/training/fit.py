@@ -132,8 +132,8 @@ class Training:
             return self.learner.step(images, truth, step, self.samples.plan.steps_per_epoch)
         except torch.OutOfMemoryError as error:
             found = f"no memory is left on {self.learner.device} for {len(images)} images"
-            remedy = "--set accumulate=2, or more parts still"
-            raise TrainingError(f"step {step + 1}", found, "images that fit", remedy) from error
+            hint = "--set accumulate=2, or more parts still"
+            raise TrainingError(f"step {step + 1}", found, "images that fit", hint) from error
 
     def _checked(self, losses: list[Tensor], last: int) -> list[float]:
         """Return the losses of the steps up to the last; an error names the scans of one."""
@@ -144,8 +144,8 @@ class Training:
                 keys = next(self.samples.plan.batches(step))
                 files = [self.samples.scan_at(index)[1].path for _, index in keys]
                 found = f"the loss or its gradient is not finite with {', '.join(map(str, files))}"
-                remedy = "look at these scans, lower learning_rate or set clip_gradient"
-                raise TrainingError(f"step {step + 1}", found, "finite ones", remedy)
+                hint = "look at these scans, lower learning_rate or set clip_gradient"
+                raise TrainingError(f"step {step + 1}", found, "finite ones", hint)
         return values
 
     def _write(self, state: TrainingState, row: Row, card: WeightsCard, write: EpochWriter) -> None:

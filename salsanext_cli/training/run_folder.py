@@ -13,7 +13,6 @@ from salsanext_cli.errors import OutputError, counted
 from salsanext_cli.files.atomic import require_writable
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import record_of
-from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.manifest import (
     Manifest,
     StageRecord,
@@ -21,6 +20,7 @@ from salsanext_cli.results.manifest import (
     settings_json,
 )
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.recipe import REMOVED, Recipe
@@ -113,7 +113,7 @@ def recorded_settings(run: Path) -> TrainingSettings | None:
     path, recipe = manifest.path(STAGE), record.settings.get("recipe")
     if isinstance(recipe, dict) and (gone := [key for key in REMOVED if recipe.get(key)]):
         found = f"a training of an older version with {gone[0]} {recipe[gone[0]]}"
-        raise OutputError(path, found, remedy="use another folder, or --overwrite to start again")
+        raise OutputError(path, found, hint="use another folder, or --overwrite to start again")
     return record_of(TrainingSettings, record.settings, path)
 
 
@@ -139,8 +139,8 @@ def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> N
     before, after = _extended(recorded, settings).decisive, settings.decisive
     if before != after and _extended(recorded, settings, always=True).decisive == after:
         found = f"{counted(recorded.recipe.epochs, 'epoch')}, and a schedule that has ended"
-        remedy = f"go on from it in another folder: --weights {run / LAST}"
-        raise OutputError(owned.record_path, found, "a schedule that goes on: decay", remedy)
+        hint = f"go on from it in another folder: --weights {run / LAST}"
+        raise OutputError(owned.record_path, found, "a schedule that goes on: decay", hint)
     require_same_settings(owned.record_path, before, after)
 
 

@@ -25,8 +25,8 @@ from salsanext_cli.network.registry import build, described
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.parallel.network_task import network_pipeline
-from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.sensors.sensor import Sensor, sensor
 from salsanext_cli.training import run_folder
 from salsanext_cli.training.cross_validation import Expectation, expectation, folds
@@ -74,8 +74,8 @@ def initial_network(
     trained, card = read_weights(weights)
     if _hidden_shapes(trained) != _hidden_shapes(module):
         name = card.architecture["name"]
-        remedy = f'set architecture = "{name}" in the recipe'
-        raise WeightsError(weights, f"of a {name}", f"of a {recipe.architecture}", remedy)
+        hint = f'set architecture = "{name}" in the recipe'
+        raise WeightsError(weights, f"of a {name}", f"of a {recipe.architecture}", hint)
     tensors = trained.state_dict()
     if not card.space.fits(space):
         tensors |= _outputs(module, tensors, card.space, space)

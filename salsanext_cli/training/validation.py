@@ -17,7 +17,7 @@ from salsanext_cli.network.error_model import TEMPERATURES
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.parallel.network_task import network_pipeline
 from salsanext_cli.records import Float, RangeImage
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.training.data.sources import Source, read_labelled
 from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.log import Row

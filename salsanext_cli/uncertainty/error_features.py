@@ -165,11 +165,11 @@ def knows_error(network: Network) -> bool:
 def error_model(network: Network) -> ErrorModel:
     """Return the model of errors of weights."""
     model, weights = network.card.error, network.backend.name
-    remedy = "`salsanext tune error DATASET WEIGHTS_OUT` fits one to labelled scans"
+    hint = "`salsanext tune error DATASET WEIGHTS_OUT` fits one to labelled scans"
     if model is None:
-        raise WeightsError(weights, "no probability of errors", "weights with one", remedy)
+        raise WeightsError(weights, "no probability of errors", "weights with one", hint)
     if model.features != FEATURES:
-        raise WeightsError(weights, "errors by other features", ", ".join(FEATURES), remedy)
+        raise WeightsError(weights, "errors by other features", ", ".join(FEATURES), hint)
     if network.merging is not None:
         found = "the probability of errors is of labels before merging"
         raise UsageError("--classes", found, "the classes of the weights")

@@ -8,7 +8,7 @@ from salsanext_cli.errors import UsageError
 from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import require_dropout
 from salsanext_cli.records import RangeImage
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import require_samples, sample, scan_seed

@@ -13,7 +13,7 @@ from salsanext_cli.fitting.label_scan import PreparedScan, ProjectedScan, prepar
 from salsanext_cli.fitting.scan_checks import ScanCheck
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.records import Double, Float
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.uncertainty.estimate import Estimate
 from salsanext_cli.uncertainty.monte_carlo import sample
 

@@ -13,7 +13,7 @@ from scans import write_bin, write_sequence
 
 from salsanext_cli import read_labels, read_scan
 from salsanext_cli.network.card import read_card
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.synthesis.mesh import Mesh, Skin
 from salsanext_cli.synthesis.surfaces import Material
 

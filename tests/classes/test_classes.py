@@ -79,7 +79,7 @@ def test_instance_bits_are_dropped_and_shapes_kept(raw, instance):
 def test_unknown_ids_and_train_ids_in_place_of_raw_ids_are_told() -> None:
     raw = np.uint32([10, 7, 7 + (3 << 16), 65535, *[40] * 26, 0])
     space = label_space()
-    with pytest.raises(LabelError, match=r"a\.label · unknown label ids 7 \(2×\), 65535 \(1×\)"):
+    with pytest.raises(LabelError, match=r"a\.label: unknown label ids 7 \(2×\), 65535 \(1×\)"):
         space.to_train(raw, source="a.label")
     assert space.to_train(raw, strict=False).tolist() == [1, 0, 0, 0, *[9] * 26, 0]
     # Few are taken for stray, of many points a tenth.
@@ -190,7 +190,7 @@ def test_what_needs_movable_classes_says_how_to_state_them(small):
     label_space("coarse").require_movable("--objects")
     with pytest.raises(UsageError) as caught:
         small.require_movable("--objects")
-    assert "movable: [1, 2]" in caught.value.remedy
+    assert "movable: [1, 2]" in caught.value.hint
 
 
 def test_a_label_space_of_the_same_classes_states_what_is_movable():

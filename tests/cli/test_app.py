@@ -68,7 +68,7 @@ def test_memory_that_runs_out_is_one_line(monkeypatch, raised):
 
     monkeypatch.setattr("salsanext_cli.__main__.handle_signals", lambda: None)
     monkeypatch.setattr("salsanext_cli.cli.app.main", fail)
-    with pytest.raises(SystemExit, match=r"^error: memory ran out · "):
+    with pytest.raises(SystemExit, match=r"^error: memory ran out: "):
         main()
     monkeypatch.setattr("salsanext_cli.cli.app.main", lambda: 1 // 0)
     with pytest.raises(ZeroDivisionError):
@@ -175,19 +175,19 @@ def test_an_error_is_one_line_and_a_status():
     for error, flags, status, stdout, stderr in (
         (
             *(FormatError("a.bin", "17 bytes", "a multiple of 16", "copy it again"), [], 1, ""),
-            "error: a.bin · 17 bytes · expected a multiple of 16 · copy it again\n",
+            "error: a.bin: 17 bytes (expected a multiple of 16)\nhint: copy it again\n",
         ),
         (
             *(FormatError("a.bin", "17 bytes"), ["--json"], 1),
             *(
-                '{"schema": 1, "error": "a.bin \\u00b7 17 bytes", "code": "format"}\n',
-                "error: a.bin · 17 bytes\n",
+                '{"schema": 2, "error": "a.bin \\u00b7 17 bytes", "code": "format"}\n',
+                "error: a.bin: 17 bytes\n",
             ),
         ),
-        (UsageError("--limit", "0"), [], 2, "", "error: --limit · 0\n"),
+        (UsageError("--limit", "0"), [], 2, "", "error: --limit: 0\n"),
         (
             *(KeyboardInterrupt(), ["--json"], 130),
-            '{"schema": 1, "error": "interrupted", "code": "interrupted"}\n',
+            '{"schema": 2, "error": "interrupted", "code": "interrupted"}\n',
             "interrupted: everything finished so far is intact\n",
         ),
     ):
@@ -228,7 +228,7 @@ def test_a_result_is_shown_or_json():
     assert invoke(body).stdout == "a table\n"
     found = json.loads(invoke(body, "--json").stdout)
     assert 0 <= found.pop("seconds") < 10
-    assert found == {"schema": 1, "name": "Größe \\xff", "value": 1.5}
+    assert found == {"schema": 2, "name": "Größe \\xff", "value": 1.5}
 
 
 def test_a_log_file_gets_a_line_now_and_then(monkeypatch, capsys):

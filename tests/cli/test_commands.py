@@ -14,7 +14,7 @@ from command_line import only_json
 from scans import SMALL, labels_below, write_array, write_sequence
 
 from salsanext_cli.network.card import read_card
-from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.paths import output_path
 from salsanext_cli.stages import models as stages
 
 ROOT = Path(__file__).parents[2]
@@ -109,7 +109,7 @@ def test_columns_are_those_of_the_scans_in_every_stage(run, data, weights, tmp_p
     assert 'columns = ["intensity", "_", "x", "y", "z"]' in fitted.read_text()
     wrong = run("predict", data, out, *network, "--columns", "x,y")
     assert wrong.exit_code == 2
-    assert "--columns · x,y · expected up to 64 different names" in wrong.stderr
+    assert "--columns: x,y (expected up to 64 different names" in wrong.stderr
 
 
 def test_messages_go_to_stderr(predict, weights, tmp_path):
@@ -139,7 +139,7 @@ def test_quiet_prints_errors_only_and_failures_are_in_the_json(predict, data, tm
     out = tmp_path / "other"
     result = predict(out, "--json", "--quiet")
     assert len(result.stderr.splitlines()) == 1
-    assert "000001.bin · 1 bytes" in result.stderr
+    assert "000001.bin: 1 bytes" in result.stderr
     found = only_json(result)
     (failure,) = found.pop("failures")
     expected = {"stage": "predict", "done": 1, "skipped": 0, "failed": 1, "out": str(out)}
@@ -218,38 +218,38 @@ def test_wrong_settings_are_status_two(run, predicted, weights, monkeypatch):
     monkeypatch.setenv("SALSANEXT_OUT", str(predicted.out))
     names = {"data": predicted.data.name, "weights": weights}
     for line, says in (
-        ("export-ply --colour rainbow", "--colour · rainbow"),
-        ("export-ply --max-error 1.5", "--max-error · 1.5"),
-        ("export-ply --format obj", "--format · obj"),
-        ("picture --colour range --scale 2 1", "--scale · 2.0 1.0"),
-        ("picture --colour label --scale 1 2", "--scale · --colour is label"),
+        ("export-ply --colour rainbow", "--colour: rainbow"),
+        ("export-ply --max-error 1.5", "--max-error: 1.5"),
+        ("export-ply --format obj", "--format: obj"),
+        ("picture --colour range --scale 2 1", "--scale: 2.0 1.0"),
+        ("picture --colour label --scale 1 2", "--scale: --colour is label"),
         (
             "tune dropout {data} other.safetensors --split valid --weights {weights} --samples 1",
-            "--samples · 1",
+            "--samples: 1",
         ),
         (
             "tune dropout {data} other.safetensors --split valid --weights {weights} --steps 1",
-            "--steps · 1",
+            "--steps: 1",
         ),
         (
             "tune dropout {data} other.safetensors --split valid --weights {weights} --lowest 0.9",
             "--lowest",
         ),
         (f"predict {ON_DATA} --ego a,b,c,d,e,f", "--ego"),
-        (f"predict {ON_DATA} --jobs 0", "--jobs · 0"),
-        (f"predict {ON_DATA} --limit 0", "--limit · 0"),
-        (f"predict {ON_DATA} --batch many", "--batch · 'many'"),
-        (f"predict {ON_DATA} --split tset", "split tset · no such split"),
+        (f"predict {ON_DATA} --jobs 0", "--jobs: 0"),
+        (f"predict {ON_DATA} --limit 0", "--limit: 0"),
+        (f"predict {ON_DATA} --batch many", "--batch: 'many'"),
+        (f"predict {ON_DATA} --split tset", "split tset: no such split"),
         (f"predict {ON_DATA} --split valid --sequences 08", "both given"),
-        (f"predict {ON_DATA} --classes corse", "corse · no such file"),
+        (f"predict {ON_DATA} --classes corse", "corse: no such file"),
         (f"predict {ON_DATA} --device cuda:99", "device cuda:99"),
-        (f"uncertainty {ON_DATA} --samples 1", "--samples · 1 · expected at least 2"),
+        (f"uncertainty {ON_DATA} --samples 1", "--samples: 1 (expected at least 2"),
         (f"predict {ON_DATA} --sequences ,", "--sequences"),
-        (f"predict {ON_DATA} --scheduler tcp://h:1", "--scheduler tcp://h:1 · --backend loky"),
-        ("knn-refine --label-space none.yaml", "none.yaml · no such file"),
-        ("train {data} other --set epoch=3", "--set epoch=3 · unknown key epoch"),
+        (f"predict {ON_DATA} --scheduler tcp://h:1", "--scheduler tcp://h:1: --backend loky"),
+        ("knn-refine --label-space none.yaml", "none.yaml: no such file"),
+        ("train {data} other --set epoch=3", "--set epoch=3: unknown key epoch"),
         ("import-weights {weights} other.safetensors --dropout 0.2", "leave --dropout out"),
-        (f"predict {ON_DATA} --fuse --reject 0.5", "--fuse · with"),
+        (f"predict {ON_DATA} --fuse --reject 0.5", "--fuse: with"),
     ):
         result = run(*(word.format(**names) for word in line.split()))
         assert result.exit_code == 2, result.output
@@ -265,11 +265,11 @@ def test_nothing_to_work_on_is_status_one(run, weights, tmp_path, monkeypatch):
     (tmp_path / "rubbish.safetensors").write_bytes(b"rubbish")
     monkeypatch.setattr(stages, "ARCHITECTURES", {})  # counting takes seconds
     for line, says in (
-        ("predict nowhere --weights {weights}", "nowhere · no such file"),
-        ("eval --out empty", "empty · holds no results"),
-        ("picture nowhere", "nowhere · no such folder"),
-        ("models nowhere.safetensors", "nowhere.safetensors · no such file"),
-        ("import-weights nowhere w.safetensors", "nowhere · cannot be read"),
+        ("predict nowhere --weights {weights}", "nowhere: no such file"),
+        ("eval --out empty", "empty: holds no results"),
+        ("picture nowhere", "nowhere: no such folder"),
+        ("models nowhere.safetensors", "nowhere.safetensors: no such file"),
+        ("import-weights nowhere w.safetensors", "nowhere: cannot be read"),
         ("predict empty --weights rubbish.safetensors", "rubbish.safetensors"),
     ):
         result = run(*(word.format(weights=weights) for word in line.split()))
@@ -342,13 +342,13 @@ def test_several_scans_and_globs(run, data, weights, tmp_path):
     assert run("project", *scans, tmp_path / "images", "--weights", weights).exit_code == 0
     without_out = run("predict", *scans, *options)
     assert without_out.exit_code == 2
-    assert "000001.bin is a file · expected a folder for the results" in without_out.stderr
+    assert "000001.bin is a file (expected a folder for the results" in without_out.stderr
     write_sequence(tmp_path / "other")
     hidden = run("predict", scans[0], data / "sequences/08", tmp_path / "other", *options)
     assert hidden.exit_code == 1
     assert "holds scans" in hidden.stderr
     both = run("predict", scans[0], tmp_path / "out", "--fuse", "--objects", *options)
-    assert (both.exit_code, "--fuse · with" in both.stderr) == (2, True)
+    assert (both.exit_code, "--fuse: with" in both.stderr) == (2, True)
 
 
 def test_a_temperature_is_printed_and_stored(run, data, weights, tmp_path, monkeypatch):

@@ -32,7 +32,7 @@ def world(tmp_path, monkeypatch):
     ("predicted", "status", "says"),
     [
         ([CAR, ROAD], 0, ""),
-        ([CAR], 1, "000001.label · 1 label"),
+        ([CAR], 1, "000001.label: 1 label"),
         (None, 1, "error: 1 of 2 scans have no predictions"),
     ],
 )

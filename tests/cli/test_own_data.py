@@ -10,7 +10,7 @@ from command_line import only_json
 from edited_clouds import write_ply
 
 from salsanext_cli import label_space, read_labels, read_scan, write_labels
-from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.paths import output_path
 from salsanext_cli.stages import submit as stage
 
 
@@ -22,7 +22,10 @@ def test_a_topic_of_a_recording_is_named(run, tmp_path):
     path = write_bag(tmp_path, ".mcap", [*messages(points[:1], "/a"), *messages(points[1:3], "/b")])
     refused = run("convert", path, tmp_path / "data")
     assert refused.exit_code == 2
-    assert "2 topics of point clouds: /a, /b · expected one of them · --topic /a" in refused.stderr
+    assert (
+        "/a, /b (expected one of them)\nhint: --topic /a"
+        in refused.stderr
+    )
     done = run("convert", path, tmp_path / "data", "--topic", "/b", "--json")
     found = only_json(done)
     assert (found["done"], found["next"]) == (2, f"salsanext predict {tmp_path / 'data'}")
@@ -121,7 +124,7 @@ def test_problems_are_one_list_and_status_one(run, out, tmp_path):
     assert result.exit_code == 1
     assert result.stderr.splitlines() == [
         *(
-            f"error: sequence {s} · 1 of 1 predictions are missing: 000000 · predict them"
+            f"error: sequence {s}: 1 of 1 predictions are missing: 000000\nhint: predict them"
             for s in ("12", "20")
         ),
         "submit: 2 problems, a.zip is not written",

@@ -5,7 +5,6 @@ import pytest
 from command_line import only_json
 from scans import SMALL, write_sequence
 
-from salsanext_cli.cli import options
 from salsanext_cli.engines.device import bfloat16_instructions
 from salsanext_cli.network.card import read_card
 from salsanext_cli.training.recipe import recipe
@@ -13,7 +12,7 @@ from salsanext_cli.training.recipe import recipe
 
 @pytest.fixture(autouse=True)
 def small_sensor(tiny_training, monkeypatch):
-    monkeypatch.setattr(options, "sensor", lambda name: SMALL)
+    monkeypatch.setattr(arguments, "sensor", lambda name: SMALL)
 
 
 def test_set_changes_the_recipe_that_the_run_folder_and_the_weights_record(run, data, tmp_path):
@@ -41,5 +40,5 @@ def test_a_batch_too_small_for_the_workers(run, data, tmp_path, monkeypatch):
         monkeypatch.setenv(name, value)
     result = run("train", data, tmp_path / "run", "--recipe", "quick")
     assert result.exit_code == 2
-    assert "recipe key batch · 2 · expected at least one sample for each of 3" in result.stderr
+    assert "recipe key batch: 2 (expected at least one sample for each of 3" in result.stderr
     assert result.stderr.count("\n") == 1

@@ -89,7 +89,7 @@ def test_bfloat16_where_the_cpu_multiplies_it(fresh, tmp_path, monkeypatch, flag
     if expected:
         assert choose_precision("bfloat16", "cpu") == "bfloat16"
     else:
-        with pytest.raises(UsageError, match=r"bfloat16 on this CPU · expected float32$"):
+        with pytest.raises(UsageError, match=r"bfloat16 on this CPU \(expected float32\)$"):
             choose_precision("bfloat16", "cpu")
 
 
@@ -113,7 +113,7 @@ def test_engines():
     [
         ImportError("No module named 'openvino'"),
         AttributeError("no attribute 'Core'"),
-        MissingDependency("openvino", "cannot be imported: libfoo.so", remedy="install it again"),
+        MissingDependency("openvino", "cannot be imported: libfoo.so", hint="install it again"),
     ],
 )
 def test_where_openvino_does_not_start_torch_computes_and_it_is_said_once(

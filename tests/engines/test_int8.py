@@ -13,10 +13,10 @@ from salsanext_cli import Scan, load_network, project, read_scan
 from salsanext_cli.engines.onnx_export import run
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, UsageError
-from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
+from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
 from salsanext_cli.network.card import read_card
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages import export_onnx as stage
 from salsanext_cli.stages.export_onnx import export_onnx

@@ -123,7 +123,7 @@ def test_one_process_at_a_time_and_the_file_goes_with_it(tmp_path: Path) -> None
     )
     assert holder.stdout
     assert holder.stdout.readline() == b"held\n"
-    with pytest.raises(OutputError, match=r"\.lock · held by another process"), locked(path):
+    with pytest.raises(OutputError, match=r"\.lock: held by another process"), locked(path):
         pass
     holder.kill()
     holder.communicate()

@@ -11,13 +11,13 @@ from scans import SMALL
 
 from salsanext_cli import Scan, project
 from salsanext_cli.fitting import mounting_fit
+from salsanext_cli.fitting.field_of_view import fit_view
 from salsanext_cli.fitting.mounting_fit import (
     USUAL_HEIGHT_M,
     find_ground,
     find_origin,
     fit_mounting,
 )
-from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.geometry.projection import in_sensor_frame, upright_rotation
 
 HEIGHT = 1.7

@@ -8,8 +8,8 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, project
 from salsanext_cli.errors import FormatError
+from salsanext_cli.fitting.field_of_view import fit_view
 from salsanext_cli.fitting.scan_checks import ALONE, check_scan
-from salsanext_cli.fitting.view_fit import fit_view
 from salsanext_cli.formats import SCAN_SUFFIXES, read_scan
 from salsanext_cli.geometry.network_input import NO_INTENSITY, intensity_quantiles
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS, sensor
@@ -49,7 +49,7 @@ def test_a_right_scan_is_not_doubted():
 
 @pytest.mark.parametrize("scale", [1000, 100, 0.001])
 def test_other_units_are_an_error(scale):
-    with pytest.raises(FormatError, match=r"s\.bin · a median range of .* in metres"):
+    with pytest.raises(FormatError, match=r"s\.bin: a median range of .* in metres"):
         codes(moved(scale))
 
 
@@ -90,8 +90,8 @@ def test_columns_are_advised_only_for_formats_that_do_not_name_them():
     for scan in (moved(scale=30), mostly_missing()):
         for suffix, advised in ((".bin", True), (".npy", True), (".pcd", False), (".las", False)):
             found = check_scan(Path(f"s{suffix}"), scan, SMALL, TRAINED).findings
-            remedies = [each.remedy for each in found if each.code in ("units", "not-measured")]
-            assert [("--columns" in remedy) for remedy in remedies] == [advised]
+            hints = [each.hint for each in found if each.code in ("units", "not-measured")]
+            assert [("--columns" in hint) for hint in hints] == [advised]
 
 
 def test_views_that_are_doubtful():
@@ -102,16 +102,16 @@ def test_views_that_are_doubtful():
 FITTED = replace(SMALL, name="fitted")
 
 
-def remedies(scan, of, trained=TRAINED):
-    return {f.code: f.remedy for f in check_scan(Path("s.bin"), scan, of, trained).findings}
+def hints(scan, of, trained=TRAINED):
+    return {f.code: f.hint for f in check_scan(Path("s.bin"), scan, of, trained).findings}
 
 
 def test_a_wrong_view_that_was_named_is_mended_by_a_fit():
     named = replace(SMALL, name="mine", fov_up=-8.0)
-    assert remedies(STREET, named)["out-of-view"] == "--sensor auto"
+    assert hints(STREET, named)["out-of-view"] == "--sensor auto"
     assert codes(STREET, fit_view([STREET], TRAINED)) == []
     plain = replace(SMALL, fov_up=-8.0)
-    assert "inspect SCANS --fit" in remedies(STREET, plain, plain)["out-of-view"]
+    assert "inspect SCANS --fit" in hints(STREET, plain, plain)["out-of-view"]
     assert codes(STREET, fit_view([STREET], plain)) == []
 
 
@@ -120,14 +120,14 @@ def test_a_wrong_view_that_was_named_is_mended_by_a_fit():
 def test_an_odd_scan_of_a_run_is_mended_by_a_run_of_its_own(of, degrees):
     """Nothing that `inspect --fit` writes would, since the others are as fitted."""
     odd = leaning(degrees)
-    assert remedies(odd, of)["tilted"] == ALONE
+    assert hints(odd, of)["tilted"] == ALONE
     assert codes(odd, fit_view([odd], TRAINED)) == []
 
 
 def test_a_place_that_was_not_found_is_mended_by_its_origin():
     odd = moved(shift=(0, 0, 1.2))
     found = fit_view([odd], TRAINED)
-    assert "`origin`" in remedies(odd, found)["height"]
+    assert "`origin`" in hints(odd, found)["height"]
     assert "height" not in codes(odd, replace(found, origin=(0.0, 0.0, 1.2)))
     image, expected = project(odd, replace(SMALL, origin=(0.0, 0.0, 1.2))), project(STREET, SMALL)
     assert (image.pixel_of_point == expected.pixel_of_point).mean() > 0.99
@@ -135,11 +135,11 @@ def test_a_place_that_was_not_found_is_mended_by_its_origin():
 
 def test_no_remedy_is_given_that_weights_refuse():
     decibels = Scan(STREET.points, -40 * STREET.intensity - 1)
-    unknown = remedies(decibels, SMALL, SMALL)["intensity-scale"]
+    unknown = hints(decibels, SMALL, SMALL)["intensity-scale"]
     assert "--intensity none" not in unknown
-    assert "--intensity none" in remedies(decibels, SMALL)["intensity-scale"]
+    assert "--intensity none" in hints(decibels, SMALL)["intensity-scale"]
     matched = replace(SMALL, intensity_quantiles=tuple(255 * q for q in QUANTILES))
-    assert "intensity_scale" not in remedies(STREET, matched)["intensity-scale"]
+    assert "intensity_scale" not in hints(STREET, matched)["intensity-scale"]
 
 
 def test_columns_are_named_for_formats_only_that_do_not_name_them():
@@ -150,7 +150,7 @@ def test_columns_are_named_for_formats_only_that_do_not_name_them():
     for name in (*unnamed, *named):
         (found,) = check_scan(Path(name), dark, SMALL, plain).findings
         assert found.code == "no-intensity"
-        assert ("--columns" in found.remedy) == (name in unnamed)
+        assert ("--columns" in found.hint) == (name in unnamed)
 
 
 def test_matched_intensities_are_those_of_the_scans_matched_with():

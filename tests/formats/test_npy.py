@@ -34,7 +34,7 @@ def test_another_dtype_or_shape_is_refused(tmp_path, dtype, shape):
     np.save(path, np.zeros(shape, dtype))
     with pytest.raises(FormatError, match=r"expected a \.npy file of float32 \(5, any\)") as caught:
         read_array(path, np.float32, (5, None))
-    assert np.dtype(dtype).str in caught.value.found
+    assert np.dtype(dtype).str in caught.value.problem
 
 
 class Trap:
@@ -73,7 +73,7 @@ def test_every_softmax_rounded_to_float16_is_read(path, count, scale):
 )
 def test_invalid_probabilities_are_refused(path, row):
     write_array(path, np.array([(1, 0), row, (0, 1)], np.float16))
-    with pytest.raises(FormatError, match=r"000000\.npy · NaN or no probabilities at 1 of 3 point"):
+    with pytest.raises(FormatError, match=r"000000\.npy: NaN or no probabilities at 1 of 3 point"):
         read_probabilities(path, 3, 2)
 
 

@@ -22,7 +22,7 @@ from salsanext_cli.fusion.window import (
     fused_labels,
     movable_classes,
 )
-from salsanext_cli.options import FusionReach
+from salsanext_cli.option_fields import FusionReach
 
 CLASSES = 20
 CAR, PERSON, ROAD = 1, 6, 9

@@ -29,8 +29,8 @@ from salsanext_cli.formats.ply import write_ply
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.published import read_published
 from salsanext_cli.network.weights import read_weights, save_weights
-from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.output_run import encode_array
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.training.recipe import Recipe, recipe
 
 FEW = LabelSpace.from_dict(

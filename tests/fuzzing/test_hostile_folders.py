@@ -9,7 +9,7 @@ from scans import SMALL, files_below, write_sequence
 from world import begin_and_end
 
 from salsanext_cli.errors import OutputError
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.project import project_scans
 from salsanext_cli.stages.synth import synthesise
@@ -30,7 +30,7 @@ def test_records_of_scans_that_lead_elsewhere(tmp_path, stem):
     if isinstance(stem, str):
         assert ResultFolder(out).scans() == scans
     else:
-        with pytest.raises(OutputError, match=r"predict\.json · not what salsanext writes"):
+        with pytest.raises(OutputError, match=r"predict\.json: not what salsanext writes"):
             ResultFolder(out).scans()
     assert files_below(tmp_path).keys() == before.keys()
 
@@ -42,7 +42,7 @@ def test_synthetic_data_sets_that_name_folders_elsewhere(tmp_path, splits):
     victim.touch()
     (tmp_path / "out").mkdir()
     (tmp_path / "out/synth.json").write_text(json.dumps({"settings": {"splits": splits}}))
-    with pytest.raises(OutputError, match=r"synth\.json · not what `synth` writes"):
+    with pytest.raises(OutputError, match=r"synth\.json: not what `synth` writes"):
         synthesise(tmp_path / "out", train=1, valid=0, scans=1, overwrite=True)
     assert victim.exists()
 

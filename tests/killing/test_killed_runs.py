@@ -73,7 +73,7 @@ def overwriting(folder: Path) -> Run:
 
     from salsanext_cli.engines.settings import NetworkSettings
     from salsanext_cli.network.registry import ARCHITECTURES
-    from salsanext_cli.options import KnnParameters
+    from salsanext_cli.option_fields import KnnParameters
     from salsanext_cli.parallel.run import RunOptions
     from salsanext_cli.stages.predict import predict_scans
 

@@ -22,8 +22,8 @@ from salsanext_cli.labelling.label_records import (
     first_guesses,
     labels_root,
 )
-from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import ScanFile, find_scans
 
 GUESS = encode_labels(np.full(1500, 40, np.uint32))
 
@@ -188,8 +188,8 @@ def test_names_and_folders_tell_the_scan(edited):
 
 def test_a_name_of_no_scan_or_several_is_an_error(edited):
     for name, found in (
-        ("000010.ply", "may belong to 00/000010, 08/000010 · expected"),
-        ("1000011.ply", "belongs to no scan · expected"),
+        ("000010.ply", "may belong to 00/000010, 08/000010: expected"),
+        ("1000011.ply", "belongs to no scan: expected"),
         ("00/000011.ply", "belongs to no scan in sequence 00 ·"),
         ("sequences/05/000011.label", "belongs to no scan in sequence 05 ·"),
         ("scan 1 b edited.ply", "may belong to x/scan 1, x/scan 1 b ·"),
@@ -230,7 +230,7 @@ def test_nothing_to_import_is_an_error(tmp_path):
     (tmp_path / "1.bin").touch()
     (tmp_path / "none").touch()
     for name, found in {
-        "": "holds no labels, but 1 without a suffix, 1 .bin · expected labels: .pcd, .ply",
+        "": "holds no labels, but 1 without a suffix, 1 .bin (expected labels: .pcd, .ply",
         "1.bin": "a .bin file",
         "none": "has no suffix",
         "absent.ply": "no such file or folder",

@@ -17,7 +17,7 @@ from salsanext_cli.measures.paired import (
     paired_differences,
 )
 from salsanext_cli.measures.scores import class_sums, confusion_matrix, scored_rows, scores
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 
 SPACE = small_space("nothing", "car", "road", "tree")
 

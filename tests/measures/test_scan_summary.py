@@ -18,7 +18,7 @@ from salsanext_cli.fitting.scan_checks import Finding, ScanCheck, check_scan
 from salsanext_cli.geometry.scan_traits import groups_of
 from salsanext_cli.measures.scan_counts import ScanCounts, band_of_point
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, mixed_sensors
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 
 SPACE = label_space()
 FILE = ScanFile("08", "000000", Path("000000.bin"))

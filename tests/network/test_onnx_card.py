@@ -32,7 +32,7 @@ def test_a_cut_file_is_an_error_wherever_it_is_cut(tmp_path):
     ("make", "found"),
     [
         (lambda path: None, "no such file"),
-        (lambda path: path.mkdir(), r"a folder · .* · name the file in it"),
+        (lambda path: path.mkdir(), r"a folder: .*\nhint: name the file in it"),
         (lambda path: path.write_bytes(b"PK\x03\x04"), "damaged or cut off"),
         (lambda path: path.write_bytes(b""), "lacks"),
         (lambda path: write_onnx(path, {}), "lacks"),

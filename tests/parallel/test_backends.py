@@ -13,8 +13,8 @@ from works import Write, run, scans_of
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import MissingDependency, UsageError, WorkersLost
 from salsanext_cli.parallel import pool
-from salsanext_cli.parallel.options import threads_of_workers
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.parallel.run_options import threads_of_workers
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.method import UncertaintyMethod
@@ -83,8 +83,8 @@ def test_failures_are_named_and_the_rest_is_done(tmp_path, workers, monkeypatch)
     handler = signal.getsignal(signal.SIGTERM)
     outcome = run(Write(Path("out")), scans_of("bad2", "a", "bad1", "b"), **workers)
     assert [failure.reason for failure in outcome.failures] == [
-        "/scans/bad1.bin · cut off",
-        "/scans/bad2.bin · cut off",
+        "/scans/bad1.bin: cut off",
+        "/scans/bad2.bin: cut off",
     ]
     assert sorted(path.name for path in Path("out/s").iterdir()) == ["a", "b"]
     assert signal.getsignal(signal.SIGTERM) is handler
@@ -109,7 +109,7 @@ def test_a_scan_that_kills_its_workers_is_one_error_and_the_next_run_goes_on(tmp
 
 
 def test_a_cluster_needs_an_address():
-    with pytest.raises(UsageError, match=r"^--backend dask · no --scheduler · "):
+    with pytest.raises(UsageError, match=r"^--backend dask: no --scheduler\nhint: "):
         RunOptions(backend="dask")
 
 
@@ -124,7 +124,7 @@ def test_where_no_cluster_answers(tmp_path, address, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(pool, "CONNECT_TIMEOUT_S", 1)
     address = address.format(here=HERE, port=free_port())
-    with pytest.raises(UsageError, match=f"^--scheduler {address} · "):
+    with pytest.raises(UsageError, match=f"^--scheduler {address}: "):
         run(Write(tmp_path), scans_of("a"), backend="dask", scheduler=address)
 
 

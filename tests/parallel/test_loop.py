@@ -13,7 +13,7 @@ from salsanext_cli.engines.batches import BatchSize
 from salsanext_cli.errors import FormatError, SalsanextError
 from salsanext_cli.files.atomic import MARK
 from salsanext_cli.parallel.pipeline import Pipeline
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 
 FILES = [ScanFile("00", str(number), Path(f"{number}.bin")) for number in range(7)]
 STEMS = [file.stem for file in FILES]
@@ -237,7 +237,7 @@ def test_a_scan_that_does_not_fit_alone_is_an_error_of_this_scan():
     attempts = [*pipeline(job, 2).run(FILES[:3])]
     assert [attempt.error.code for attempt in attempts] == ["format"] * 3
     assert attempts[1].error.subject == "1.bin"
-    assert "memory of cpu" in attempts[1].error.found
+    assert "memory of cpu" in attempts[1].error.problem
     assert [len(batch) for batch in job.batches] == [2, 1, 1, 1]
 
 

@@ -16,16 +16,16 @@ from hypothesis import strategies as st
 
 from salsanext_cli.errors import UsageError
 from salsanext_cli.parallel import worker
-from salsanext_cli.parallel.options import (
+from salsanext_cli.parallel.pool import MAX_CHUNK_SCANS, MIN_CHUNKS_PER_WORKER, chunks
+from salsanext_cli.parallel.run_options import (
     Shard,
     cores,
     threads_of_workers,
     use_threads,
     worker_count,
 )
-from salsanext_cli.parallel.pool import MAX_CHUNK_SCANS, MIN_CHUNKS_PER_WORKER, chunks
 from salsanext_cli.parallel.worker import WORKER
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 
 
 @pytest.fixture(autouse=True)

@@ -18,8 +18,8 @@ from served import served
 
 from salsanext_cli import write_labels
 from salsanext_cli.geometry.objects import BOX
-from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.manifest import Manifest, StageRecord
+from salsanext_cli.results.paths import output_path
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.report import report, view
 
@@ -251,7 +251,7 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     assert found["pixels"]
     assert found["strip"][0] == found["strip"][1]
     assert found["opened"][0] == "08/000001"
-    assert found["opened"][1].startswith("08/000001 · mean entropy 0.5")
+    assert found["opened"][1].startswith("08/000001: mean entropy 0.5")
     assert found["fetched"] == 0
 
 

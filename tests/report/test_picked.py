@@ -6,7 +6,7 @@ from pathlib import Path
 
 from salsanext_cli.labelling.scan_choice import Choice
 from salsanext_cli.report.picked import picked_csv, picked_scans
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 
 FILES = [ScanFile("$0$", f"[{i}]", Path(f"/s/[{i}].bin")) for i in range(3)]
 CHOICES = [Choice(2, 0.5, 1), Choice(0, 0.25, 3, 1.25, 2), Choice(1, 0.375, 2, 0.0, 0)]

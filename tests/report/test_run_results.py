@@ -29,9 +29,9 @@ from salsanext_cli.report.page.run_results import (
     warnings_of_run,
     worth_looking_at,
 )
-from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.results.result_folder import ScanResults
 
 SPACE = small_space("unlabeled", "car", "road")
@@ -140,7 +140,7 @@ def test_boxes_are_those_of_the_table_or_it_is_refused(tmp_path):
     assert read_boxes(path, space) == [[car, 1, 2, 3, 4, 2, 1.5, -0.5], [0, 0, 0, 0, 1, 1, 1, 0]]
     for damaged in ("1,car,12,1,2,3,4,2,1.5,nan", "1,car,12,1,2", "1,car,12,1,2,3,4,2,1.5,wide"):
         path.write_text(head + damaged)
-        with pytest.raises(FormatError, match=r"000000.csv · .* expected a table of `predict"):
+        with pytest.raises(FormatError, match=r"000000.csv: .* expected a table of `predict"):
             read_boxes(path, space)
 
 

@@ -26,7 +26,7 @@ from salsanext_cli.report.scan_pictures import (
     raster,
     scan_picture,
 )
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.result_folder import ScanResults
 
 RED, GREEN = (255, 0, 0), (0, 255, 0)

@@ -30,7 +30,7 @@ from salsanext_cli.report.tables import (
     survey_tables,
     uncertainty_tables,
 )
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.stages.models import describe_weights
 
 MANY = 430_123_456

@@ -20,11 +20,11 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, WeightsError
 from salsanext_cli.files.atomic import STALE_AFTER_S
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.options import KnnParameters
+from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
-from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.output_run import OutputRun, output_run
+from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.stages.predict import LabelWriter, PredictJob, predict_scans
@@ -84,8 +84,8 @@ def test_the_same_settings_may_go_on_and_write_more(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("other", "named"),
     [
-        ({"weights": "abc", "knn": KNN | {"k": 7}}, r"settings: knn\.k was 5 and is 7 · "),
-        (SETTINGS | {"seed": 7}, "seed was not set and is 7 · "),
+        ({"weights": "abc", "knn": KNN | {"k": 7}}, r"settings: knn\.k was 5 and is 7: "),
+        (SETTINGS | {"seed": 7}, "seed was not set and is 7: "),
         ({"weights": "abc"}, r"knn\.k was 5 and is not set, knn\.sigma was 1.0 and is not set"),
     ],
 )
@@ -137,7 +137,7 @@ def test_overwriting_keeps_what_salsanext_did_not_write_so(
     ) as output:
         assert output.kept == {corrected}
         output.require_replaceable(scans[0])
-        with pytest.raises(OutputError, match=r"b\.label · was changed, or not written by"):
+        with pytest.raises(OutputError, match=r"b\.label: was changed, or not written by"):
             output.require_replaceable(scans[1])
     assert json.loads((out / "predict.json").read_text())["kept"] == [
         str(path.relative_to(out)) for path in (linked, corrected, foreign)
@@ -176,7 +176,7 @@ def test_results_that_no_stage_recorded(tmp_path: Path) -> None:
         path = out / "sequences/08" / folder / name
         path.parent.mkdir(parents=True)
         path.write_bytes(b"mine")
-        with pytest.raises(OutputError, match=rf"{name} · is a result that no stage recorded"):
+        with pytest.raises(OutputError, match=rf"{name}: is a result that no stage recorded"):
             predict(out, folders=("predictions", folder), scans=scans)
         output = predict(out, folders=("predictions", folder), scans=scans, overwrite=True)
         assert path in output.kept
@@ -235,7 +235,7 @@ def test_results_that_are_being_made_are_not_removed(tmp_path: Path) -> None:
     before = files_below(out)
     with output_run(out, "predict", TYPED, ("predictions",), scans, overwrite=False):
         for stage in ("predict", "knn-refine"):
-            with pytest.raises(OutputError, match="a run of `predict` is at work in it · w"):
+            with pytest.raises(OutputError, match="a run of `predict` is at work in it: w"):
                 begin_and_end(out, stage, {"seed": 3}, ["predictions"], scans, overwrite=True)
     assert files_below(out) == before
     (out / f".predict.{'0' * 32}.lock").touch()
@@ -311,7 +311,7 @@ def test_a_scan_that_is_deleted(world, tmp_path):
     content = path.read_bytes()
     outcome = run(world, path.unlink)
     assert (outcome.done, len(outcome.failures)) == (3, 1)
-    assert outcome.failures[0].reason.startswith(f"{path} · cannot be read: no such file")
+    assert outcome.failures[0].reason.startswith(f"{path}: cannot be read: no such file")
     path.write_bytes(content)
     assert run(world).done == 1
     assert labels_below(world.out) == labels_below(tmp_path / "whole")
@@ -398,4 +398,4 @@ def test_settings_that_no_stage_writes_are_named(tmp_path: Path, settings) -> No
     with pytest.raises(OutputError) as caught:
         Provenance(tmp_path).settings("predict")
     assert caught.value.subject == str(tmp_path / "predict.json")
-    assert caught.value.remedy
+    assert caught.value.hint

@@ -10,8 +10,8 @@ from salsanext_cli import Scan, label_space
 from salsanext_cli.errors import FormatError, LabelError, NoInputError, OutputError
 from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.formats.ply import write_ply
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, scalar_columns
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
@@ -131,7 +131,7 @@ def test_the_file_that_was_predicted_is_found_beside_others_of_its_stem(world, t
     assert not [scan for scan in ResultFolder(world.out).scans() if scan.stem == "a"]
     gone.rename(named[0].path)
     other = find_scans(folder / ("a.ply" if suffix == ".bin" else "a.bin"))
-    with pytest.raises(OutputError, match=rf"came from .*a\{suffix} · .* not .*a\."):
+    with pytest.raises(OutputError, match=rf"came from .*a\{suffix}: .* not .*a\."):
         ask(world, other)
 
 
@@ -196,7 +196,7 @@ def test_ranges_too_large_for_their_squares():
 
 def test_files_of_another_scan_are_refused(world, file):
     world.predict_by_hand(count=9)
-    with pytest.raises(LabelError, match="9 labels · expected 1,500"):
+    with pytest.raises(LabelError, match=r"9 labels \(expected 1,500"):
         ResultFolder(world.out).read(file)
     world.predict_by_hand()
     write_array(world.result("uncertainty/entropy"), np.zeros(3, np.float32))

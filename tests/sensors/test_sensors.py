@@ -63,8 +63,8 @@ def test_an_excessive_size_is_refused_with_its_memory() -> None:
     with pytest.raises(UsageError) as caught:
         VALID.resized(4096, 4096)
     assert str(caught.value) == (
-        "sensor valid · size 4096×4096, of which an image takes 16 GB in a network"
-        " · expected at most 2097152 pixels, such as 64×32768"
+        "sensor valid: size 4096×4096, of which an image takes 16 GB in a network"
+        " (expected at most 2097152 pixels, such as 64×32768"
     )
     with pytest.raises(UsageError, match=r"a number of \d+ bits"):
         VALID.resized(1 << 2000, 1 << 2000)
@@ -74,7 +74,7 @@ def test_unknown_and_missing_keys() -> None:
     with pytest.raises(UsageError, match="unknown key fov_upp"):
         Sensor.from_dict(VALID.to_dict() | {"fov_upp": 3})
     with pytest.raises(
-        UsageError, match="sensor · lacks fov_down, height · expected a sensor with"
+        UsageError, match=r"sensor: lacks fov_down, height \(expected a sensor with"
     ):
         Sensor.from_dict({"name": "s", "fov_up": 1, "width": 1})
 
@@ -115,7 +115,7 @@ def test_bad_files(tmp_path: Path, text: str) -> None:
 def test_neither_preset_nor_file(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="one of hdl64"):
         sensor("hdl46")
-    with pytest.raises(UsageError, match=r"s\.toml · no preset and no file of that name"):
+    with pytest.raises(UsageError, match=r"s\.toml: no preset and no file of that name"):
         sensor(tmp_path / "s.toml")
     with pytest.raises(UsageError, match="cannot be read: is a directory"):
         sensor(tmp_path)

@@ -11,7 +11,7 @@ from scans import SMALL, write_bin, write_sequence
 from salsanext_cli import Scan, read_scan
 from salsanext_cli.errors import FormatError, TrainingError
 from salsanext_cli.files.json_files import plain
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages.inspect import inspect
@@ -74,22 +74,22 @@ def test_doubtful_scans_are_named_by_both(dataset, caplog, changes, codes):
     assert all(scans == ["00/1"] for scans in found(inspected.warnings).values())
     assert inspected.to_dict()["warnings"] == plain(inspected.warnings)
     assert caplog.text.count("(mixed-sensors)") == 2 * ("mixed-sensors" in codes)
-    assert "auto" not in "".join(warning.remedy for warning in warnings)
+    assert "auto" not in "".join(warning.hint for warning in warnings)
 
 
 def test_scans_in_millimetres_are_not_trained_on(dataset):
     change(dataset, scale=1000.0, sequence="08", stem="0")
-    with pytest.raises(FormatError, match=r"08/velodyne/0\.bin · a median range of .* in metres"):
+    with pytest.raises(FormatError, match=r"08/velodyne/0\.bin: a median range of .* in metres"):
         trained(dataset)
     assert not (dataset.parent / "run/train.json").exists()
     (failure,) = inspect(dataset, sensor=SMALL).failures
-    assert "0.bin · a median range of" in failure.reason
+    assert "0.bin: a median range of" in failure.reason
 
 
 def test_strict_refuses_before_anything_is_begun(dataset):
     change(dataset, brighter=0.0)
     for _ in range(2):
-        with pytest.raises(TrainingError, match=r"data · doubtful scans: no-intensity in 1 scan ·"):
+        with pytest.raises(TrainingError, match=r"data: doubtful scans: no-intensity in 1 scan ·"):
             trained(dataset, strict=True)
     assert not (dataset.parent / "run/train.json").exists()
     change(dataset, brighter=0.0, stem="2")
@@ -104,9 +104,9 @@ def test_a_training_that_goes_on_knows_the_warnings(dataset, monkeypatch):
     kept = dataset.parent / "run/class_counts.json"
     content = json.loads(kept.read_bytes())
     assert content["warnings"] == plain(warnings)
-    check, checked = counting.check_with_remedy, []
+    check, checked = counting.check_with_hint, []
     counted = lambda path, *a, **k: checked.append(path) or check(path, *a, **k)  # noqa: E731
-    monkeypatch.setattr(counting, "check_with_remedy", counted)
+    monkeypatch.setattr(counting, "check_with_hint", counted)
     assert trained(dataset) == warnings
     assert not checked
     # Of an older version: looked at again.

@@ -13,8 +13,8 @@ from salsanext_cli import label_space, read_scan, sensor
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.network.card import scan_digest
 from salsanext_cli.report.comparison import comparison_tables
-from salsanext_cli.results.layout import find_scans, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import find_scans, output_path
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.compare import compare
 from salsanext_cli.stages.evaluate import evaluate
@@ -76,7 +76,7 @@ def test_an_own_record_is_replaced_and_a_changed_one_is_not(runs):
     assert not (runs[1].out / "compare.html").exists()
     assert files_below(runs[1].out).keys() == first.keys()
     (runs[1].out / "compare.json").write_text("{}")
-    with pytest.raises(OutputError, match=r"compare.json · .*and is kept"):
+    with pytest.raises(OutputError, match=r"compare.json: .*and is kept"):
         compared(runs)
 
 
@@ -108,7 +108,7 @@ def test_what_cannot_be_compared_is_said(runs, tmp_path, caplog):
     _, failures, data = compared(runs)
     assert "1 scan left out, with labels of one run only" in caplog.text
     assert data["alone"] == 1
-    assert "1.label · 3 labels · expected 20, as" in failures[0].reason
+    assert "1.label: 3 labels (expected 20, as" in failures[0].reason
     with pytest.raises(NoInputError):
         compare(runs[0].out, tmp_path / "nowhere", query=ResultQuery(runs[0].dataset))
     shutil.rmtree(runs[1].out / "sequences")
@@ -140,7 +140,7 @@ def test_other_scans_of_the_same_names_are_refused(runs, tmp_path):
     assert len(compare(runs[0].out, runs[1].out)[0].pairs) == 7
     first = moved / "sequences/08/velodyne/0.bin"
     first.write_bytes(np.flip(np.fromfile(first, np.float32)).tobytes())
-    with pytest.raises(UsageError, match=r"0\.bin · other points than"):
+    with pytest.raises(UsageError, match=r"0\.bin: other points than"):
         compare(runs[0].out, runs[1].out)
     assert len(compare(runs[0].out, runs[1].out, query=query)[0].pairs) == 7
     with pytest.raises(UsageError, match="another run"):

@@ -12,7 +12,7 @@ from scans import files_below, labels_below
 from salsanext_cli import read_scan
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.convert import convert
 from salsanext_cli.stages.export_ply import export_ply

@@ -10,9 +10,9 @@ from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
 from scans import files_below
 
 from salsanext_cli.errors import LabelError, NoInputError, OutputError
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate, part_of
 
@@ -66,7 +66,7 @@ def test_ids_of_something_else_are_refused(world):
     """A few of nuScenes' ids are SemanticKITTI's of other things; so are a few train ids."""
     nuscenes, right = [24, 24, 28, 28, 30, 17, 0], [ROAD, ROAD, CAR, CAR, CAR, CAR, 0]
     world.add("000000", 10 * right, 10 * nuscenes)
-    with pytest.raises(NoInputError, match=r"000000\.label · unknown label ids 24 .*--label-space"):
+    with pytest.raises(NoInputError, match=r"000000\.label: unknown label ids 24 .*--label-space"):
         world.evaluate()
     assert not (world.out / "eval.json").exists()
     # One scan of them is left out by name.
@@ -101,7 +101,7 @@ def test_no_scores_without_a_scan_that_can_be_compared_or_labels_of_a_sequence(w
         world.evaluate(on_error="stop")
     assert not (world.out / "scores.txt").exists()
     world.add("000000", None, [CAR], "11")
-    with pytest.raises(LabelError, match=r"11/labels · no labels of sequence 11"):
+    with pytest.raises(LabelError, match=r"11/labels: no labels of sequence 11"):
         world.evaluate()
 
 
@@ -115,7 +115,7 @@ def test_distance_bands(world):
     shutil.copy(folder / "000000.bin", folder / "000004.bin")
     found = world.evaluate(by_distance=True)
     assert [failure.scan.stem for failure in found.failures] == ["000003", "000004"]
-    assert "000003.bin · is empty" in found.failures[0].reason
+    assert "000003.bin: is empty" in found.failures[0].reason
     bands = found.by_distance
     assert bands["0–10 m"].accuracy == 1
     assert bands["30–40 m"].accuracy == 0.5
@@ -149,7 +149,7 @@ def test_foreign_files_stay(world, name):
     world.add("000000", [CAR], [CAR])
     (world.out / name).write_text("mine")
     before = files_below(world.out)
-    with pytest.raises(OutputError, match=rf"{name} · .*and is kept"):
+    with pytest.raises(OutputError, match=rf"{name}: .*and is kept"):
         world.evaluate(by_distance=True)
     assert files_below(world.out) == before
 
@@ -208,5 +208,5 @@ def test_a_part_leaves_the_evaluation_of_all(world):
     for chosen in (scans[1:], scans[2:]):
         assert len(part_of(folder, chosen, ScanSelection(sequences=("x",)))) < 60
     (world.out / "eval/08/scores.txt").write_text("mine")
-    with pytest.raises(OutputError, match=r"scores\.txt · was changed"):
+    with pytest.raises(OutputError, match=r"scores\.txt: was changed"):
         evaluate(scans[:1], world.out, SPACE, part=part)

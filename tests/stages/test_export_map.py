@@ -21,10 +21,10 @@ from salsanext_cli.fusion import drive_map
 from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.drive_map import MapTask
 from salsanext_cli.fusion.poses import encode_poses
-from salsanext_cli.options import FusionReach
-from salsanext_cli.parallel.options import Shard
+from salsanext_cli.option_fields import FusionReach
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.parallel.run_options import Shard
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.export_ply import export_ply
 from salsanext_cli.stages.fuse import fuse_results
@@ -181,7 +181,7 @@ def test_voxels_too_small_for_the_way_are_refused(fused, monkeypatch):
     poses[1, 0, 3] = 12e3
     drive = Drive(poses, np.zeros(2, np.int64))
     monkeypatch.setattr("salsanext_cli.stages.export_ply.drive_of_map", lambda *_: drive)
-    with pytest.raises(UsageError, match=r"--map-voxel · 12\.0 km .* larger voxels"):
+    with pytest.raises(UsageError, match=r"--map-voxel: 12\.0 km .* larger voxels"):
         export(fused, voxel=0.01)
     assert export(fused, voxel=0.02).done == 2
 

@@ -18,7 +18,7 @@ from salsanext_cli.errors import (
     OutputError,
 )
 from salsanext_cli.formats.las import classification
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report.colours import EMPTY, RIGHT, WRONG, map_colours
 from salsanext_cli.results.query import ResultQuery
@@ -127,7 +127,9 @@ def test_clouds_hold_the_numbers_of_objects(world):
 
 def test_las_without_laspy_is_refused_before_anything_is_done(predicted, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(MissingDependency, match=r"--format laz · LAS needs laspy · pip install"):
+    with pytest.raises(
+        MissingDependency, match=r"--format laz: LAS needs laspy\nhint: pip"
+    ):
         export(predicted, form="laz")
 
 
@@ -183,7 +185,7 @@ def test_uncertainty_is_the_least_confidence_until_another_is_known(predicted):
     )
     outcome = export(predicted, colour="uncertainty")
     assert (outcome.done, len(outcome.failures)) == (1, 2)
-    assert "no entropy known · expected" in outcome.failures[0].reason
+    assert "no entropy known: expected" in outcome.failures[0].reason
     for path in predicted.out.rglob("uncertainty/*/*.npy"):
         path.unlink()
     with pytest.raises(NoInputError, match="no least_confidence known"):
@@ -204,7 +206,7 @@ def test_one_scan_without_labels_or_predictions_does_not_keep_the_others(predict
     (predicted.data / "sequences/08/labels/000001.label").unlink()
     outcome = export(predicted, colour="wrong")
     assert outcome.done == 2
-    assert "000001.bin · has no labels" in outcome.failures[0].reason
+    assert "000001.bin: has no labels" in outcome.failures[0].reason
     # Train ids in place of raw ids are labels of something else.
     path = predicted.data / "sequences/00/labels/000000.label"
     write_labels(path, SPACE.to_train(read_labels(path)).astype(np.uint32))

@@ -10,8 +10,8 @@ from evaluated import CAR, MOVING_CAR, ROAD, World
 
 from salsanext_cli import read_labels, read_scan
 from salsanext_cli.errors import OutputError
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.results.layout import output_path
+from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.results.paths import output_path
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages import export_rrd as stage
 from salsanext_cli.stages.export_rrd import export_rrd
@@ -115,7 +115,7 @@ def test_a_recording_that_fails_leaves_no_part_of_a_file(world, recorded, monkey
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(stage, "recording", failing)
-    with pytest.raises(OutputError, match=r"00\.rrd · cannot be written: no space left on device"):
+    with pytest.raises(OutputError, match=r"00\.rrd: cannot be written: no space left on device"):
         export(world)
     assert written(world) == {}
 
@@ -125,7 +125,7 @@ def test_recordings_of_others_are_kept_and_ones_own_replaced(world, recorded):
     assert export(world).done == 3
     mine = world.out / "rrd/08.rrd"
     mine.write_bytes(b"mine")
-    with pytest.raises(OutputError, match=r"08\.rrd · .*and is kept"):
+    with pytest.raises(OutputError, match=r"08\.rrd: .*and is kept"):
         export(world)
     assert mine.read_bytes() == b"mine"
     recorded.clear()

@@ -12,11 +12,11 @@ from scans import files_below, make_scan, write_array, write_bin
 from salsanext_cli import LabelSpace, Scan, label_space, sensor, write_labels
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
 from salsanext_cli.geometry.scan_traits import traits_of
-from salsanext_cli.parallel.options import Shard
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.layout import output_path
+from salsanext_cli.parallel.run_options import Shard
 from salsanext_cli.results.manifest import Manifest, StageRecord
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import output_path
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.filter import filter_scans, named_classes
 
@@ -101,7 +101,7 @@ def test_points_above_an_error_go(apply, world, tmp_path):
     outcome = apply(max_error=0.1, drop=["car"])
     assert left(tmp_path) == [1, 3, 5, 6]
     (failure,) = outcome.failures
-    assert "000001.bin · no error known" in failure.reason
+    assert "000001.bin: no error known" in failure.reason
 
 
 def test_a_file_for_each_class(apply, world, tmp_path):
@@ -159,7 +159,7 @@ def test_other_settings_are_refused_or_replace_own_files_only(apply, world, tmp_
     edited.write_bytes(b"mine")
     again = RunOptions(overwrite=True)
     for outcome in (apply(drop=["car"]), apply(drop=["truck"], options=again)):
-        assert "000000.bin · was changed, or not written by salsanext" in outcome.failures[0].reason
+        assert "000000.bin: was changed, or not written by salsanext" in outcome.failures[0].reason
         assert edited.read_bytes() == b"mine"
     assert left(tmp_path, "000001") == [0, 1, 2, 3]
 
@@ -200,7 +200,7 @@ def test_scans_that_changed_or_lack_labels_fail_alone(apply, world, tmp_path):
     write_array(output_path(world.out, "08", "uncertainty/entropy", "000001"), np.zeros(4, "f4"))
     outcome = apply(drop=["car"])
     reasons = [failure.reason for failure in outcome.failures]
-    assert "8 points · expected 7, as it has labels" in reasons[0]
+    assert "8 points (expected 7, as it has labels" in reasons[0]
     assert "no label known" in reasons[1]
     assert not (tmp_path / "to/sequences/08/velodyne").exists()
 
@@ -219,7 +219,7 @@ def test_a_bag_is_refused_but_for_masks(tmp_path, kind):
     with pytest.raises(UsageError) as refused:
         call(query=ResultQuery(source))
     assert (refused.value.subject, refused.value.code) == (str(source.parent), "usage")
-    assert f"`salsanext convert {source.parent} DATA`" in str(refused.value.remedy)
+    assert f"`salsanext convert {source.parent} DATA`" in str(refused.value.hint)
     assert not (tmp_path / "to").exists()
     assert call(query=ResultQuery(source), indices=True).kept_points == (18, 12)
     mask = np.load(tmp_path / f"to/sequences/drive/masks/{START}.npy")

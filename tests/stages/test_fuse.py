@@ -26,7 +26,7 @@ from salsanext_cli.errors import (
 )
 from salsanext_cli.fusion.poses import encode_poses, read_fused_poses
 from salsanext_cli.fusion.window import FusionWindow, disagreement, fused_labels
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.query import ResultQuery
@@ -65,9 +65,9 @@ def write_drive(world, count):
     return folder
 
 
-def typed(remedy, *more, **names):
-    """Run the command that a remedy names, with names put in, and more options."""
-    words = shlex.split(remedy.split("`")[1])
+def typed(hint, *more, **names):
+    """Run the command that a hint names, with names put in, and more options."""
+    words = shlex.split(hint.split("`")[1])
     assert words[0] == "salsanext"
     words = [str(names.get(word, word)) for word in words[1:]]
     return CliRunner().invoke(app, [*words, *map(str, more)])
@@ -159,7 +159,7 @@ def test_fused_labels_of_refined_ones_are_fused_anew(drive):
     (drive.out / "predict.json").write_text(json.dumps(record))
     with pytest.raises(OutputError, match="made anew") as found:
         ResultFolder(drive.out / "TARGET").scans()
-    done = typed(found.value.remedy)
+    done = typed(found.value.hint)
     assert done.exit_code == 0, done.output
     assert ResultFolder(drive.out / "TARGET").scans()
 
@@ -171,7 +171,7 @@ def test_votes_of_other_scans_are_not_mixed(drive):
     hidden.with_suffix(".hidden").rename(hidden)
     with pytest.raises(OutputError, match="not have the scans and poses") as found:
         fuse_results(drive.out)
-    assert typed(found.value.remedy).exit_code == 0
+    assert typed(found.value.hint).exit_code == 0
     assert fuse_results(drive.out).skipped == 3
     (fused_folder(drive) / "drive.json").unlink()
     with pytest.raises(OutputError, match="not have the scans and poses"):

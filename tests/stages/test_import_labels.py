@@ -14,8 +14,8 @@ from salsanext_cli import label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import NoInputError
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.labelling.label_records import first_guesses
-from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.stages.import_labels import import_labels
 
 SPACE = label_space()
@@ -150,7 +150,7 @@ def test_a_part_with_an_unknown_id_keeps_its_scan_as_it_was(world):
     assert [row.scan for row in found.scans] == ["08/000011"]
     (failure,) = found.failures
     assert len(failure.files) == 2
-    assert "000010 rest.ply · unknown label ids 2 (800 points) · expected 0" in failure.reason
+    assert "000010 rest.ply: unknown label ids 2 (800 points) (expected 0" in failure.reason
     assert len(first_guesses(world.scans)) == 2
 
 
@@ -249,8 +249,8 @@ def array_of_floats(world):
         (rounded, r"but 0\.00.* its coordinates were rounded"),
         (lambda world: world.write(labels=np.full(1500, 99)), "none of the 1,500 points has a cla"),
         (lambda world: world.write("x.ply"), "belongs to no scan"),
-        (of_fewer_points, "1,499 labels · expected 1,500"),
-        (array_of_floats, r"<f4 \(1500\) · expected a .npy file of integers"),
+        (of_fewer_points, "1,499 labels (expected 1,500"),
+        (array_of_floats, r"<f4 \(1500\) \(expected a .npy file of integers"),
     ],
 )
 def test_what_cannot_be_imported_leaves_the_labels_as_they_were(world, spoil, found):
@@ -268,7 +268,7 @@ def test_labels_of_others_are_kept_unless_overwriting(world):
     theirs = np.full(1500, 70, np.uint32)
     write_labels(world.scans[0].label_path, theirs)
     failure = only_failure(world.run())
-    assert "000010.label · kept: changed" in failure.reason
+    assert "000010.label: kept: changed" in failure.reason
     np.testing.assert_array_equal(world.labels(), theirs)
     assert len(world.run(overwrite=True).scans) == 1
 

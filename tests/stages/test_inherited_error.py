@@ -18,9 +18,9 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.network.card import AccuracyLine, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.weights import save_weights, save_with_card
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.report.page.run_results import expected_of_run, facts_of_run
-from salsanext_cli.results.layout import ERROR, find_scans
+from salsanext_cli.results.paths import ERROR, find_scans
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.train import TrainResult, train

@@ -7,7 +7,7 @@ from scans import SMALL, make_scan, write_bin
 
 from salsanext_cli import Scan, project, read_scan, sensor
 from salsanext_cli.errors import NoInputError
-from salsanext_cli.fitting.view_fit import fit_view
+from salsanext_cli.fitting.field_of_view import fit_view
 from salsanext_cli.stages.inspect import inspect, write_sensor
 from salsanext_cli.stages.project import project_scans
 
@@ -90,4 +90,4 @@ def test_a_cloud_that_no_view_shows_is_doubted_without_advice_to_fit(tmp_path):
     auto = project_scans(folder, tmp_path / "auto", sensor=SMALL, fit=True).summary.warnings()
     for warnings in (inspect(folder, sensor=SMALL).warnings, fitted.warnings, later, auto):
         (outside,) = (each for each in warnings if each.code == "out-of-view")
-        assert outside.remedy == "expect wrong labels"
+        assert outside.hint == "expect wrong labels"

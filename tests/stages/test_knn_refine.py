@@ -8,7 +8,7 @@ from scans import SMALL, files_below, labels_below, write_array, write_weights
 
 from salsanext_cli import KnnParameters, knn_refine, label_space, project, read_labels, read_scan
 from salsanext_cli.errors import NoInputError, OutputError, UsageError
-from salsanext_cli.fitting.scan_fit import labels_depend_on
+from salsanext_cli.fitting.sensor_fit import labels_depend_on
 from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.geometry.projection import pixels_from_points
 from salsanext_cli.network.card import RiskThreshold, read_card
@@ -67,8 +67,8 @@ def test_labels_that_do_not_fit_or_are_missing_fail_that_scan(world, truth):
     write_labels(other, np.full(1500, 77, np.uint32))
     outcome = refine(world, truth)
     assert outcome.done == 1
-    assert f"{path} · 1,499 labels · expected 1,500" in outcome.failures[0].reason
-    assert f"{other} · unknown label ids 77 (1500×)" in outcome.failures[1].reason
+    assert f"{path}: 1,499 labels (expected 1,500" in outcome.failures[0].reason
+    assert f"{other}: unknown label ids 77 (1500×)" in outcome.failures[1].reason
 
 
 def test_labels_are_not_refined_onto_themselves(world, truth):
@@ -129,7 +129,7 @@ def test_no_pixel_labels_at_all(world):
     ("array", "says"),
     [
         (np.zeros((16, 64), np.uint8), "16, 64"),
-        (np.full((16, 128), 20, np.uint8), "train ids up to 20 · expected 0 … 19"),
+        (np.full((16, 128), 20, np.uint8), "train ids up to 20 (expected 0 … 19"),
     ],
 )
 def test_pixel_labels_that_do_not_fit_are_named(pixels, array, says):
@@ -155,8 +155,8 @@ def test_a_folder_without_labels_is_named_once(world, tmp_path):
     for name, found in (
         ("typo", "no such folder"),
         ("file", "not a folder"),
-        ("empty", r"no labels of any of 3 scans · expected files like .*00/predictions/000000"),
+        ("empty", r"no labels of any of 3 scans \(expected files like .*00/predictions/000000"),
     ):
-        with pytest.raises(NoInputError, match=rf"{name} · {found}"):
+        with pytest.raises(NoInputError, match=rf"{name}: {found}"):
             refine(world, tmp_path / name)
     assert not world.out.exists()

@@ -22,11 +22,11 @@ from salsanext_cli import (
 )
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError, WeightsError
 from salsanext_cli.labelling.scan_choice import choose_scans
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.pipeline import Pipeline
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.stages import pick as stage
 from salsanext_cli.stages.pick import pick
 from salsanext_cli.uncertainty.scan_description import DescribeJob
@@ -200,7 +200,7 @@ def test_files_that_were_changed_are_never_replaced(picked):
         change()
         before = files_below(picked.out)
         for how in ({}, {"count": 2}):
-            with pytest.raises(OutputError, match=r"\.label · was changed"):
+            with pytest.raises(OutputError, match=r"\.label: was changed"):
                 run(picked, overwrite=True, **how)
         assert files_below(picked.out) == before
     OwnedFolder(picked.out).write(labels, first_guess)
@@ -219,7 +219,7 @@ def test_labels_that_are_imported_while_scans_are_looked_at_are_kept(picked, mon
         return chosen(*given)
 
     monkeypatch.setattr(stage, "_chosen", slowly)
-    with pytest.raises(OutputError, match=r"\.label · was changed"):
+    with pytest.raises(OutputError, match=r"\.label: was changed"):
         run(picked, count=2, overwrite=True)
     assert labels.read_bytes() == corrected
 

@@ -10,7 +10,7 @@ from scans import files_below, write_array
 
 from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError
-from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.report import scan_pictures
 from salsanext_cli.report.colours import WRONG, screen_colours

@@ -316,7 +316,7 @@ def test_scans_that_do_not_fit_into_memory_are_named(nine, tmp_path, monkeypatch
     by_torch = replace(nine.network, engine="torch")
     outcome = predict(nine, tmp_path / "out", batch=batch, settings=by_torch)
     assert len(outcome.failures) == 9
-    expected = "000000.bin · is too large for the memory of cpu · free some memory"
+    expected = "000000.bin: is too large for the memory of cpu\nhint: free some memory"
     assert expected in outcome.failures[0].reason
 
 

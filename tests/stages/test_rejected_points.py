@@ -10,8 +10,8 @@ from evaluated import CAR, ROAD, SPACE, World
 
 from salsanext_cli import sensor
 from salsanext_cli.report.scan_pictures import picture_of_results
-from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.manifest import Manifest, StageRecord
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages import picture as pictures
 from salsanext_cli.stages.compare import compare

@@ -13,8 +13,8 @@ from scans import SMALL, write_array
 from salsanext_cli import label_space
 from salsanext_cli.errors import NoInputError, OutputError
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.layout import output_path
 from salsanext_cli.results.manifest import Manifest, StageRecord
+from salsanext_cli.results.paths import output_path
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.report import read_run, report
 

@@ -9,7 +9,7 @@ from scans import make_scan, write_bin
 from salsanext_cli import read_labels, read_scan
 from salsanext_cli.errors import UsageError
 from salsanext_cli.report.colours import EMPTY
-from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.paths import output_path
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.stages.export_rrd import export_rrd
 
@@ -122,6 +122,6 @@ def test_what_a_scan_lacks_is_not_that_of_the_scan_before(world):
 
 def test_a_recording_that_is_turned_off_is_an_error(world, monkeypatch):
     monkeypatch.setenv("RERUN", "off")
-    with pytest.raises(UsageError, match="RERUN · off · expected on"):
+    with pytest.raises(UsageError, match=r"RERUN: off \(expected on"):
         exported(world)
     assert not [*(world.out / "rrd").iterdir()]

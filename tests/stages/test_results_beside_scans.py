@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from salsanext_cli.cli.app import app
 from salsanext_cli.errors import OutputError
-from salsanext_cli.results.layout import find_scans, require_none_hidden
+from salsanext_cli.results.paths import find_scans, require_none_hidden
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def test_later_commands_find_the_scans(drive: None, weights, source: str, out: s
 @pytest.mark.usefixtures("drive")
 def test_sequences_with_scans_would_hide_others() -> None:
     for place in ("plain", "data/sequences/00", "streets"):
-        with pytest.raises(OutputError, match="an output folder of its own · give another"):
+        with pytest.raises(OutputError, match="an output folder of its own: give another"):
             require_none_hidden(Path(place))
     for place in ("data", "tables", "new"):
         require_none_hidden(Path(place))

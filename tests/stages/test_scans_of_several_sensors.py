@@ -13,12 +13,12 @@ from salsanext_cli import Scan, project, read_scan
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, UsageError
-from salsanext_cli.fitting.scan_fit import fitted_view
+from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges, upright_rotation
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.parallel.options import Shard
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.parallel.run_options import Shard
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
@@ -149,7 +149,7 @@ def test_a_fit_is_not_advised_where_it_is_refused(mixed, tmp_path):
     write_bin(tmp_path / "one/1.bin", leaning(1))
     for folder, advised in ((mixed, False), (tmp_path / "one", True)):
         found = {each.code: each for each in inspect(folder, sensor=SMALL).warnings}
-        assert ("--fit" in found["tilted"].remedy) == advised
+        assert ("--fit" in found["tilted"].hint) == advised
 
 
 def test_images_of_several_sensors_are_not_labelled_through_one(mixed, network, tmp_path, caplog):

@@ -10,9 +10,9 @@ from scans import SMALL, labels_below, share_alike, write_bin, write_sequence, w
 from salsanext_cli import Scan, knn_refine, project, read_scan
 from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.geometry.network_input import fill_rows, intensity_quantiles, row_gaps
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.parallel.options import Shard
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.parallel.run_options import Shard
 from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.knn_refine import knn_refine_scans
@@ -161,7 +161,7 @@ def test_scans_of_another_scale_than_those_before_are_warned_of(knowing, tmp_pat
 
 def test_weights_that_do_not_know_it(world):
     network = replace(world.network, intensity="match")
-    with pytest.raises(UsageError, match="--intensity · match, but these weights do not know"):
+    with pytest.raises(UsageError, match="--intensity: match, but these weights do not know"):
         predict_scans(world.data, world.out, settings=network)
     predict_scans(world.data, world.out, settings=replace(network, intensity="auto"))
     recorded = Provenance(world.out).settings("predict").sensor

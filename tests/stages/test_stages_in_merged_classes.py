@@ -16,7 +16,7 @@ from salsanext_cli.errors import OutputError, UsageError
 from salsanext_cli.formats.kitti import write_labels
 from salsanext_cli.measures.histograms import softmax_errors
 from salsanext_cli.measures.scores import confusion_matrix
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.result_folder import ResultFolder

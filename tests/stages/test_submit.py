@@ -9,7 +9,7 @@ from scans import make_scan, write_bin
 
 from salsanext_cli import label_space, write_labels
 from salsanext_cli.errors import LabelError, OutputError
-from salsanext_cli.results.layout import output_path
+from salsanext_cli.results.paths import output_path
 from salsanext_cli.stages import submit as module
 from salsanext_cli.stages.submit import SCANS_OF_TEST, submit
 
@@ -120,14 +120,14 @@ def test_everything_that_is_wrong_is_listed_and_nothing_written(folders):
         ("length", "17", 1),
     ]
     missing, cut, _, length, unknown, moving, _, short = messages(made)
-    assert "sequence 11 · 1 of 3 predictions are missing: 000001" in missing
+    assert "sequence 11: 1 of 3 predictions are missing: 000001" in missing
     assert "1 of their scans are missing too: complete the data set" in missing
-    assert "000002.label · 5 bytes" in cut
-    assert "8 labels · expected 7" in length
+    assert "000002.label: 5 bytes" in cut
+    assert "8 labels (expected 7" in length
     assert "2, 3" in unknown
     assert "train ids" in unknown
     assert "252 moving-car, 258 moving-truck" in moving
-    assert "000000.label · 2 bytes per label" in short
+    assert "000000.label: 2 bytes per label" in short
     assert not folders.zip.exists()
     assert list(folders.zip.parent.iterdir()) == []
 
@@ -137,21 +137,21 @@ def test_an_incomplete_data_set_is_noticed(folders):
     for path in (folders.scan("21", "000001"), folders.label("21", "000001")):
         path.unlink()
     (problem,) = folders.submit().problems
-    assert "sequence 21 · 1 of 2 predictions are missing: 000001" in problem.message
+    assert "sequence 21: 1 of 2 predictions are missing: 000001" in problem.message
     (problem,) = folders.submit(with_data=False).problems
-    assert problem.message.endswith("missing: 000001 · predict them")
+    assert problem.message.endswith("missing: 000001: predict them")
 
 
 def test_nothing_is_replaced_unasked(folders):
     folders.zip.parent.mkdir()
     folders.zip.write_text("mine")
-    with pytest.raises(OutputError, match=r"test\.zip · exists"):
+    with pytest.raises(OutputError, match=r"test\.zip: exists"):
         folders.submit()
     folders.label("11", "000001").unlink()
     assert folders.submit(overwrite=True).problems
     assert folders.zip.read_text() == "mine"
     folders.zip = folders.zip.with_suffix(".tar")
-    with pytest.raises(OutputError, match=r"suffix \.tar · expected \.zip"):
+    with pytest.raises(OutputError, match=r"suffix \.tar \(expected \.zip"):
         folders.submit()
 
 
@@ -159,7 +159,7 @@ def test_another_label_space_needs_the_scans_of_its_own_test_split(folders):
     space = replace(SPACE, splits={**SPACE.splits, "test": ("11", "99")})
     made = folders.submit(space=space)
     (problem,) = made.problems
-    assert problem.message.startswith("sequence 99 · no predictions, and no scans")
+    assert problem.message.startswith("sequence 99: no predictions, and no scans")
     folders.label("11", "000002").unlink()
     only = replace(space, splits={"test": ("11",)})
     (problem,) = folders.submit(space=only).problems
@@ -175,7 +175,7 @@ def test_classes_that_group_semantic_kittis_raw_ids_may_be_ones_own(folders):
         assert (made.scans, made.problems) == (3, ())
     official = replace(mine, splits=SPACE.splits)
     for space in (official, replace(mine, splits={})):
-        with pytest.raises(LabelError, match="merged classes of mine · expected those of sem"):
+        with pytest.raises(LabelError, match=r"merged classes of mine \(expected those of sem"):
             folders.submit(space=space, overwrite=True)
     (folders.data / "labels.yaml").write_text(yaml.safe_dump(SPACE.to_dict()))
     with pytest.raises(LabelError, match="merged classes of mine"):

@@ -14,9 +14,9 @@ from salsanext_cli.errors import MissingDependency, OutputError, UsageError
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.files.locks import locked
 from salsanext_cli.formats.kitti import read_bin
-from salsanext_cli.results.layout import find_scans
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.stages import synth
 from salsanext_cli.stages.synth import synthesise
 from salsanext_cli.synthesis.drive import Frame
@@ -202,7 +202,7 @@ def test_what_was_begun_otherwise_is_not_completed(quick, tmp_path, monkeypatch)
         synthesise(out, **how)
     assert files_below(out) == before
     (out / "sequences/00/labels/000000.label").write_bytes(b"corrected")
-    with pytest.raises(OutputError, match=r"000000\.label · .*was changed"):
+    with pytest.raises(OutputError, match=r"000000\.label: .*was changed"):
         synthesise(out, **how)
     assert not (out / "labels.yaml").exists()
 
@@ -227,7 +227,7 @@ def test_a_linked_sequence_keeps_its_scans(again, tmp_path):
     folder.rename(elsewhere)
     folder.symlink_to(elsewhere)
     before = files_below(elsewhere)
-    with pytest.raises(OutputError, match="sequences/00 · is a link"):
+    with pytest.raises(OutputError, match="sequences/00: is a link"):
         replace()
     assert files_below(elsewhere) == before
 
@@ -240,14 +240,14 @@ def test_an_edited_file_is_kept_and_named(again, caplog):
     assert (out / "sequences/01/labels/000000.label").read_bytes() == b"corrected"
     (out / "labels.yaml").write_bytes(b"corrected")
     before = files_below(out)
-    with pytest.raises(OutputError, match=r"labels\.yaml · .*was changed"):
+    with pytest.raises(OutputError, match=r"labels\.yaml: .*was changed"):
         replace()
     assert files_below(out) == before
 
 
 def test_nothing_is_begun_without_open3d(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(MissingDependency, match="open3d · not installed"):
+    with pytest.raises(MissingDependency, match="open3d: not installed"):
         synthesise(tmp_path / "out", train=1, valid=0, scans=1)
     assert not (tmp_path / "out").exists()
 

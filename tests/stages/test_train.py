@@ -171,7 +171,7 @@ def test_another_network_by_its_name(dataset, tmp_path):
     assert recipe(tmp_path / "first/recipe.toml").architecture == "salsanet"
     with pytest.raises(WeightsError, match='set architecture = "salsanet" in the recipe'):
         go(dataset, tmp_path / "second", weights=first.best)
-    with pytest.raises(UsageError, match="architecture resnet · expected one of"):
+    with pytest.raises(UsageError, match=r"architecture resnet \(expected one of"):
         go(dataset, tmp_path / "second", recipe=TINY.with_changes(architecture="resnet"))
     assert not (tmp_path / "second").exists()
 
@@ -232,7 +232,7 @@ def test_the_recipe_of_a_run_resumes_it_unless_it_was_edited(dataset, tmp_path):
     assert before.st_ino == (run / "recipe.toml").stat().st_ino
     text = "# shorter\n" + TINY.with_changes(epochs=1).to_toml()
     (run / "recipe.toml").write_text(text, "utf-8")
-    with pytest.raises(OutputError, match=r"recipe\.toml · was changed"):
+    with pytest.raises(OutputError, match=r"recipe\.toml: was changed"):
         go(dataset, run, recipe=recipe(run / "recipe.toml"), overwrite=True)
     assert (run / "recipe.toml").read_text("utf-8") == text
 
@@ -267,7 +267,7 @@ def test_files_that_no_training_wrote_are_not_replaced(dataset, tmp_path):
             before = theirs.read_bytes() if theirs.exists() else None
             theirs.write_text("mine")
             for overwrite in (False, True):
-                with pytest.raises(OutputError, match=f"{name} · .*and is kept"):
+                with pytest.raises(OutputError, match=f"{name}: .*and is kept"):
                     go(dataset, theirs.parent, progress=no_step, overwrite=overwrite)
                 assert theirs.read_text() == "mine"
             if before is not None:
@@ -311,7 +311,7 @@ def test_labels_edited_since_they_were_counted_are_counted_again(dataset, tmp_pa
     )
     assert change > 300
     write_labels(path, np.full(600, 77, np.uint32))
-    with pytest.raises(LabelError, match=r"1\.label · unknown label ids 77"):
+    with pytest.raises(LabelError, match=r"1\.label: unknown label ids 77"):
         go(dataset, tmp_path / "run", recipe=recipe)
 
 
@@ -357,7 +357,7 @@ def test_a_loss_that_is_not_finite_and_lack_of_memory(dataset, tmp_path, monkeyp
         raise torch.OutOfMemoryError
 
     monkeypatch.setattr(Learner, "step", full)
-    message = r"step 1 · no memory is left on cpu for 2 images .* --set accumulate=2"
+    message = r"step 1: no memory is left on cpu for 2 images .* --set accumulate=2"
     with pytest.raises(TrainingError, match=message):
         go(dataset, tmp_path / "run")
 
@@ -389,7 +389,7 @@ def test_losses_that_are_checked_late_name_the_scans_of_their_step(
         go(dataset, tmp_path / "run", recipe=TINY.with_changes(samples_per_epoch=10))
     names = f"{drawn[2 * spoilt]}, {drawn[2 * spoilt + 1]}"
     assert caught.value.subject == f"step {spoilt + 1}"
-    assert caught.value.found.endswith(names)
+    assert caught.value.problem.endswith(names)
     assert steps == list(range(taken))
     assert not (tmp_path / "run/checkpoint.safetensors").exists()
 
@@ -432,8 +432,8 @@ def test_what_fails_before_the_first_step_costs_no_earlier_training(dataset, tmp
 @pytest.mark.parametrize(
     ("sequence", "stems", "count", "label", "error", "says"),
     [
-        ("00", "1", None, 0, LabelError, r"00/labels/1\.label · no such file"),
-        ("08", "1", 9, 40, LabelError, r"1\.label · 9 labels · expected 600"),
+        ("00", "1", None, 0, LabelError, r"00/labels/1\.label: no such file"),
+        ("08", "1", 9, 40, LabelError, r"1\.label: 9 labels \(expected 600"),
         ("00", "012", 600, 0, TrainingError, "none of 1,800 points in 3 scans"),
         # Of the two, only the first is scored, and only the second is labelled.
         ("08", "0", 600, 0, TrainingError, "none of 600 points in 1 scan "),

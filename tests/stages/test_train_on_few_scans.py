@@ -23,7 +23,7 @@ from salsanext_cli.network.card import WeightsCard, read_card, scan_digest
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.registry import ARCHITECTURES
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.stages import train as stage
 from salsanext_cli.stages.import_labels import import_labels
 from salsanext_cli.stages.synth import SynthSettings
@@ -202,7 +202,7 @@ def test_first_guesses_are_no_labels(data, tmp_path, caplog):
     assert only_guesses in caplog.messages
     own = label_space().to_dict() | {"split": {"train": ["a", "b"], "valid": ["c"]}}
     (data / "labels.yaml").write_text(json.dumps(own))
-    with pytest.raises(LabelError, match=r"c/labels/0\.label · a network's first guess"):
+    with pytest.raises(LabelError, match=r"c/labels/0\.label: a network's first guess"):
         go(data, tmp_path / "split", FEW.with_changes(folds=0))
 
 

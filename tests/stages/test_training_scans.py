@@ -15,7 +15,7 @@ from salsanext_cli.errors import OutputError
 from salsanext_cli.measures.scores import confusion_matrix
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.stages.evaluate import Evaluation, evaluate
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.report import read_run, report

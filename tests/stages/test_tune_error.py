@@ -21,9 +21,9 @@ from salsanext_cli.errors import (
 from salsanext_cli.measures.expected_accuracy import expected_accuracy
 from salsanext_cli.network.card import AccuracyLine, read_card
 from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
-from salsanext_cli.results.layout import ERROR, find_scans
+from salsanext_cli.results.paths import ERROR, find_scans
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
@@ -161,7 +161,7 @@ def test_other_features_and_merged_classes_are_refused(far_is_wrong: World, targ
     tune("error", world.data, target, settings=world.network, selection=EVERY)
     network = replace(world.network, weights=target)
     coarse = replace(network, classes=label_space("coarse"))
-    with pytest.raises(UsageError, match=r"--classes · .*labels before merging"):
+    with pytest.raises(UsageError, match=r"--classes: .*labels before merging"):
         predict_scans(world.data, world.out, settings=coarse, extras=(ERROR,))
     card = read_card(target)
     assert card.error is not None

@@ -15,9 +15,9 @@ from salsanext_cli.files.json_files import plain
 from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED
 from salsanext_cli.network.card import AccuracyLine, read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
-from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.report.page.run_results import expected_of_run
-from salsanext_cli.results.layout import LEAST_CONFIDENCE, find_scans, output_path
+from salsanext_cli.results.paths import LEAST_CONFIDENCE, find_scans, output_path
 from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
@@ -215,9 +215,9 @@ def test_what_few_scans_cannot_promise(unsure_is_wrong: World, target) -> None:
         tuned(at_most=0.05)
     with pytest.raises(TrainingError, match=r"no less than 54% of scans above .* 19 more"):
         tuned(at_most=0.05, confidence=0.9)
-    with pytest.raises(UsageError, match=r"--at-most · 5 · expected above 0"):
+    with pytest.raises(UsageError, match=r"--at-most: 5 \(expected above 0"):
         tuned(at_most=5)
-    with pytest.raises(UsageError, match=r"--confidence · 1 · "):
+    with pytest.raises(UsageError, match=r"--confidence: 1\nhint: "):
         tuned(at_most=0.5, confidence=1)
     assert not target.exists()
     tuned(at_most=0.05, confidence=0.6)
@@ -275,9 +275,9 @@ def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path, m
     tune("risk", world.data, target, settings=world.network, selection=EVERY, at_most=0.3)
     network = replace(world.network, weights=target)
     coarse = replace(network, classes=label_space("coarse"))
-    with pytest.raises(UsageError, match=r"--classes · .*guarantee .* does not cover other labels"):
+    with pytest.raises(UsageError, match=r"--classes: .*guarantee .* does not cover other labels"):
         predict_scans(world.data, world.out, settings=coarse, reject="risk")
-    with pytest.raises(UsageError, match=r"--knn-… · "):
+    with pytest.raises(UsageError, match=r"--knn-…: "):
         predict_scans(
             world.data, world.out, settings=network, knn=KnnParameters(k=3), reject="risk"
         )
@@ -285,7 +285,7 @@ def test_a_void_threshold_is_refused(unsure_is_wrong: World, target, tmp_path, m
     others = {"min_range": 2.0, "ego": "none", "sensor": replace(card.sensor, fov_up=4.0)}
     for name, value in others.items():
         other = replace(network, **{name: value})
-        with pytest.raises(UsageError, match=f"--{name.replace('_', '-')} · .*other labels"):
+        with pytest.raises(UsageError, match=f"--{name.replace('_', '-')}: .*other labels"):
             predict_scans(world.data, world.out, settings=other, reject="risk")
     assert not world.out.exists()
     # Another error or another temperature is another uncertainty.

@@ -32,7 +32,7 @@ from salsanext_cli.errors import (
 from salsanext_cli.network.card import read_card, scan_digest
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.network.weights import read_weights, save_weights, save_with_card
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.tuning.dropout_rate import MIN_VARIANCE
 from salsanext_cli.training.tuning.temperature import best_temperature, negative_log_likelihood
@@ -138,7 +138,7 @@ def test_what_cannot_be_written_is_noticed_before_the_work(world, target, tmp_pa
     [
         (0, "no point is of a class that counts"),
         (1234, r"unknown label ids 1234"),
-        (None, r"00000\d\.label · no such file"),
+        (None, r"00000\d\.label: no such file"),
     ],
 )
 def test_labels_that_cannot_be_learnt_from(world, target, raw, says):

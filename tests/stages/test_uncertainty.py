@@ -10,7 +10,7 @@ from salsanext_cli import knn_refine, label_space, project, read_scan, sample
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import OutputError, UsageError, WeightsError
 from salsanext_cli.files.identity import fingerprint
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.knn_refine import knn_refine_scans

@@ -38,7 +38,7 @@ def trained(**changes: object) -> Learner:
 
 def refused(path: Path, learning: Learner, words: str = "") -> None:
     """Fail unless a file is refused in one line, at once, and without taking memory."""
-    message = rf"c\.safetensors · cannot be resumed.*{words}"
+    message = rf"c\.safetensors: cannot be resumed.*{words}"
     with bounded(0), pytest.raises(TrainingError, match=message) as caught:
         load_checkpoint(path, learning)
     assert "\n" not in str(caught.value)

@@ -171,6 +171,6 @@ def test_one_gpu_for_several_workers_is_refused(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("RANK", "0")
     monkeypatch.setenv("WORLD_SIZE", "2")
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
-    with pytest.raises(UsageError, match="device cuda:1 · one GPU for 2 workers"):  # noqa: SIM117
+    with pytest.raises(UsageError, match="device cuda:1: one GPU for 2 workers"):  # noqa: SIM117
         with process_group("cuda:1"):
             pass

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import log_loss
 
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.training.cross_validation import expectation, folds
 from salsanext_cli.training.tuning.dropout_rate import rates_between
 from salsanext_cli.training.tuning.error import JudgedPoints, fit_error

@@ -119,12 +119,12 @@ def refused(group: ProcessGroup) -> bool:
     """Say whether an error of the main worker reaches this one as it is."""
 
     def fail() -> None:
-        raise TrainingError("data", "found", "expected", f"remedy of {group.rank}")
+        raise TrainingError("data", "found", "expected", f"hint of {group.rank}")
 
     try:
         group.on_main(fail)
     except TrainingError as error:
-        return str(error) == "data · found · expected expected · remedy of 0"
+        return str(error) == "data: found (expected expected)\nhint: hint of 0"
     return False
 
 

@@ -14,7 +14,7 @@ from salsanext_cli.engines.batches import BatchSize
 from salsanext_cli.engines.torch_backend import TorchBackend
 from salsanext_cli.geometry.network_input import normalise
 from salsanext_cli.network.dropout import ChannelDropout, random_masks, sampling
-from salsanext_cli.parallel.options import threads_of_workers
+from salsanext_cli.parallel.run_options import threads_of_workers
 from salsanext_cli.uncertainty.aleatoric import aleatoric, noise_variance
 from salsanext_cli.uncertainty.monte_carlo import pass_seed
 

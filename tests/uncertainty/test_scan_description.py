@@ -14,7 +14,7 @@ from scipy.special import softmax
 from salsanext_cli import Scan, load_network, project, read_scan, sample
 from salsanext_cli.errors import FormatError
 from salsanext_cli.parallel.pipeline import Pipeline
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.uncertainty.error_features import FEATURES, error_features
 from salsanext_cli.uncertainty.scan_description import DescribeJob, pixel_features
 

@@ -32,7 +32,7 @@ from salsanext_cli.report.page.run_results import (
 )
 from salsanext_cli.report.plots import PICTURES, uncertainty_pictures
 from salsanext_cli.report.tables import BAND_HEADINGS, band_cells, percent
-from salsanext_cli.results.layout import find_outputs
+from salsanext_cli.results.paths import find_outputs
 from salsanext_cli.version import __version__
 
 PARTS = ("page.css", "view.js", "drive.js", "scans.js", "page.js")

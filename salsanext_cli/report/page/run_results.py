@@ -21,7 +21,7 @@ from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import SalsanextError, UsageError, counted, first_few, shortened
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.reading import present, reading, refusing_damage
-from salsanext_cli.fitting.view_fit import view_text
+from salsanext_cli.fitting.field_of_view import view_text
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.objects import BOX
 from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_accuracy
@@ -39,8 +39,8 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     evaluate_uncertainty,
 )
 from salsanext_cli.network.card import default_weights, read_card
-from salsanext_cli.results.layout import ERROR, PREDICTION_STAGES, ScanFile, output_path
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import ERROR, PREDICTION_STAGES, ScanFile, output_path
 from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
@@ -336,8 +336,8 @@ def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:
     words: dict[str, dict[str, str]] = {}  # By code and name
     for stage in CHECKED_STAGES:
         for name, findings in OwnedFolder(out, stage).findings().items():
-            for code, message, remedy in findings if name in wanted else ():
-                words.setdefault(code, {}).setdefault(name, f"{message}; {remedy}")
+            for code, message, hint in findings if name in wanted else ():
+                words.setdefault(code, {}).setdefault(name, f"{message}; {hint}")
     return [
         f"{code} in {counted(len(of), 'scan' if '/' in min(of) else 'sequence')} "
         f"({first_few([*of])}): {next(iter(of.values()))}"

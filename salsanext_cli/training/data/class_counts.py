@@ -18,13 +18,13 @@ from torch import Tensor
 from salsanext_cli.errors import LabelError, TrainingError, counted
 from salsanext_cli.files.identity import identity
 from salsanext_cli.files.json_files import MALFORMED, decoded, encode_json, read_json
-from salsanext_cli.fitting.label_scan import check_with_remedy
+from salsanext_cli.fitting.label_scan import check_with_hint
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary, ScanWarning, log_recorded
 from salsanext_cli.network.card import parted, scan_digest
 from salsanext_cli.records import Double, Mask
-from salsanext_cli.results.layout import ScanFile
 from salsanext_cli.results.owned_folder import OwnedFolder
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.training.data.sources import Source, read_labelled
 
 Counts = npt.NDArray[np.int64]
@@ -60,7 +60,7 @@ def count_classes(source: Source, jobs: int = 1) -> tuple[Counts, list[ScanSumma
         if source.fitted:
             own, trained = source.sensor_of(file), source.sensor
         scan, labels = read_labelled(file, source.space, own)
-        check = check_with_remedy(file.path, scan, own, trained)
+        check = check_with_hint(file.path, scan, own, trained)
         counts = np.bincount(labels, minlength=source.space.class_count).astype(np.int64)
         return counts, ScanSummary(file, check), scan_digest(scan)
 

@@ -24,9 +24,9 @@ from salsanext_cli.geometry.network_input import (
     with_filled_gaps,
 )
 from salsanext_cli.geometry.projection import pixels_from_points, project
-from salsanext_cli.parallel.options import use_threads
+from salsanext_cli.parallel.run_options import use_threads
 from salsanext_cli.records import Float, Mask
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
 from salsanext_cli.training.data import augment, other_sensors
 from salsanext_cli.training.data.augment import LabelledScan

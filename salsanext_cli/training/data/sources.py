@@ -13,15 +13,15 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.classes.merging import ClassMerging, is_merged
 from salsanext_cli.errors import NOTICE, LabelError, NoInputError, counted, first_few
-from salsanext_cli.fitting.scan_fit import ScanSample, with_image_statistics
-from salsanext_cli.fitting.view_fit import fit_view
+from salsanext_cli.fitting.field_of_view import fit_view
+from salsanext_cli.fitting.sensor_fit import ScanSample, with_image_statistics
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.network_input import on_other_scale
 from salsanext_cli.geometry.projection import ego_points, in_sensor_frame, project
 from salsanext_cli.labelling.label_records import first_guesses
 from salsanext_cli.records import Float
-from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import data_set_label_space, log_unused, with_splits
 from salsanext_cli.sensors.sensor import FITTED_NAME, Sensor
 from salsanext_cli.training.data.augment import LabelledScan
@@ -188,6 +188,6 @@ def labelled_split(
     scans = [scan for scan in find_scans(dataset) if scan.sequence in members]
     if not scans:
         expected = f"one of the sequences {', '.join(members) or '(none)'}"
-        remedy = "name your sequences in labels.yaml, under split, or cross-validate: --set folds=3"
-        raise NoInputError(dataset, f"no scans of split {split}", expected, remedy)
+        hint = "name your sequences in labels.yaml, under split, or cross-validate: --set folds=3"
+        raise NoInputError(dataset, f"no scans of split {split}", expected, hint)
     return space, scans

@@ -15,7 +15,7 @@ from salsanext_cli.geometry.network_input import noise_of
 from salsanext_cli.network.dropout import dropouts
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.records import Double, Float
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
 from salsanext_cli.uncertainty.aleatoric import aleatoric

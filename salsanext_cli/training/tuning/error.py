@@ -22,7 +22,7 @@ from salsanext_cli.measures.risk_coverage import kept_points, ranking_scores
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.records import Float, Mask
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.training.cross_validation import folds
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import FEATURES, features_of, knows_error
@@ -99,8 +99,8 @@ def fit_error_model(scans: TuningScans) -> Tuned:
     scans.require_points(len(wrong))
     if not of_both_kinds(judged.values()):
         count = f"{'every' if wrong.all() else 'no'} label of {len(wrong)} points is wrong"
-        remedy = "use more scans, or other weights"
-        raise TrainingError(scans.source, count, "right and wrong ones", remedy)
+        hint = "use more scans, or other weights"
+        raise TrainingError(scans.source, count, "right and wrong ones", hint)
     start = network.card.error if knows_error(network) else None
     sequences = {file.sequence for file in files}
     if start and (same := sequences & {*start.scores.get("sequences", ())}):

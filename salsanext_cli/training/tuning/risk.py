@@ -16,7 +16,7 @@ from salsanext_cli.engines.backend import PixelPrediction
 from salsanext_cli.errors import LabelError, TrainingError, UsageError, counted, first_few
 from salsanext_cli.files.json_files import plain
 from salsanext_cli.fitting.label_scan import PreparedScan, labelled, prepared_for
-from salsanext_cli.fitting.scan_fit import labels_depend_on
+from salsanext_cli.fitting.sensor_fit import labels_depend_on
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
@@ -31,9 +31,9 @@ from salsanext_cli.measures.risk_control import (
 )
 from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.network.card import RiskThreshold, scan_digest
-from salsanext_cli.options import KnnParameters
+from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.parallel.job import Steps
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.sensors.sensor import FittedView
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error

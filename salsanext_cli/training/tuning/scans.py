@@ -15,16 +15,16 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import LabelError, NoInputError, TrainingError, counted, first_few
 from salsanext_cli.files.reading import present
-from salsanext_cli.fitting.scan_fit import ScanSample, fit_scans
+from salsanext_cli.fitting.sensor_fit import ScanSample, fit_scans
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.network.card import WeightsCard, scan_digest
-from salsanext_cli.options import ScanSelection
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.job import Computed, Prepared, ScanJob
 from salsanext_cli.parallel.network_task import network_pipeline
 from salsanext_cli.records import Float, Indices, RangeImage
-from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import (
     choose,
     data_set_of,
@@ -143,8 +143,8 @@ def unseen(scans: Sequence[ScanFile], network: Network, source: Path) -> list[Sc
             others.append(scan)
     which = "the weights were trained on them, or they are copies"
     if not others:
-        remedy = "label other scans, or choose others with --sequences"
-        raise TrainingError(source, f"every labelled scan is skipped: {which}", "others", remedy)
+        hint = "label other scans, or choose others with --sequences"
+        raise TrainingError(source, f"every labelled scan is skipped: {which}", "others", hint)
     if skipped := len(scans) - len(others):
         log.warning("%s skipped: %s", counted(skipped, "scan"), which)
     return others

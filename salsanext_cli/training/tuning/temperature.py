@@ -19,7 +19,7 @@ from salsanext_cli.network.card import WeightsCard
 from salsanext_cli.network.error_model import TEMPERATURES
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.records import Float
-from salsanext_cli.results.layout import ScanFile
+from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
 from salsanext_cli.uncertainty.monte_carlo import scan_seed

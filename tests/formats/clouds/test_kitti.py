@@ -24,7 +24,7 @@ from salsanext_cli.formats.kitti import (
     read_labels,
     write_labels,
 )
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 
 
 @pytest.mark.parametrize("name", ["s.bin.gz", "S.BIN.GZ", "s.pcd.bin.gz"])
@@ -109,7 +109,7 @@ def test_a_real_scan_with_other_columns_is_refused_with_names_to_try(real_data, 
         [table, 0 * ones, np.arange(len(table))[:, None] % 64, 0 * normals],
     ):
         path.write_bytes(np.hstack(columns).astype("<f4").tobytes())
-        with pytest.raises(FormatError, match=r"holds \d+ columns · expected 4") as caught:
+        with pytest.raises(FormatError, match=r"holds \d+ columns \(expected 4") as caught:
             kitti.read_bin(path)
         (names,) = re.findall(r"--columns (\S+)", str(caught.value))
         scan = kitti.read_bin(path, columns=tuple(names.split(",")))
@@ -134,7 +134,7 @@ def test_labels_survive_the_round_trip(tmp_path_factory, raw):
     write_labels(path, raw)
     assert path.read_bytes() == b"".join(struct.pack("<I", value) for value in raw.tolist())
     np.testing.assert_array_equal(read_labels(path, len(raw)), raw)
-    with pytest.raises(LabelError, match=f"{len(raw)} labels? · expected {len(raw) + 53}"):
+    with pytest.raises(LabelError, match=rf"{len(raw)} labels? \(expected {len(raw) + 53}"):
         read_labels(path, len(raw) + 53)
     path.write_bytes(path.read_bytes() + b"cut")
     with pytest.raises(FormatError, match=f"{4 * len(raw) + 3} bytes"):
@@ -149,11 +149,11 @@ def test_labels_of_one_two_or_four_bytes(tmp_path, kind):
     read = read_labels(path, 100)
     assert read.dtype == np.uint32
     np.testing.assert_array_equal(read, raw)
-    with pytest.raises(LabelError, match=r"\d+ labels · expected 99"):
+    with pytest.raises(LabelError, match=r"\d+ labels \(expected 99"):
         read_labels(path, 99)
     if raw.itemsize < 4:
         path.write_bytes(np.arange(25 * raw.itemsize, dtype="<u4").tobytes())
-        with pytest.raises(LabelError, match=r"\d+ labels · expected 100"):
+        with pytest.raises(LabelError, match=r"\d+ labels \(expected 100"):
             read_labels(path, 100)
         path.write_bytes(bytes(100 * raw.itemsize))
         assert not read_labels(path, 100).any()
@@ -228,10 +228,12 @@ def test_any_columns(tmp_path):
     scan = read_bin(path, columns=names, intensity_scale=255)
     np.testing.assert_array_equal(scan.points, SCAN.points)
     np.testing.assert_allclose(scan.intensity, SCAN.intensity, rtol=1e-6)
-    with pytest.raises(FormatError, match=r"holds 7 columns · expected 9 float32 per point · name"):
+    with pytest.raises(
+        FormatError, match=r"7 columns \(expected 9 float32 per point\)\nhint: name"
+    ):
         read_bin(path, columns=(*names, "_", "_"))
     path.write_bytes(table.tobytes()[:-4])
-    with pytest.raises(FormatError, match=r"83996 bytes · expected a multiple of 28 \(7 float32"):
+    with pytest.raises(FormatError, match=r"83996 bytes \(expected a multiple of 28 \(7 float32"):
         read_bin(path, columns=names)
     path.write_bytes(SCAN.points.tobytes())
     assert not read_bin(path, columns=("x", "y", "z")).intensity.any()
@@ -362,7 +364,7 @@ def test_any_bytes_have_some_number_of_columns_or_none(content, expected):
 def test_the_remedy_of_columns_that_the_file_has_not(tmp_path):
     path = tmp_path / "s.bin"
     path.write_bytes(table(("fraction",), scan()).tobytes())
-    with pytest.raises(FormatError, match=r"holds 4 columns · expected 8 .* leave --columns out"):
+    with pytest.raises(FormatError, match=r"holds 4 columns \(expected 8 .* leave --columns out"):
         read_bin(path, columns=("x", "y", "z", "intensity", *"____"))
 
 

@@ -116,7 +116,7 @@ def test_bad_files(tmp_path, capfd):
         path.write_bytes(content)
         with pytest.raises(FormatError) as caught:
             read_scan(path)
-        assert found in caught.value.found
+        assert found in caught.value.problem
         assert caught.value.subject == str(path)
         assert capfd.readouterr() == ("", ""), "open3d prints by itself"
 

@@ -16,7 +16,7 @@ from bags import KINDS, START, STEP, TOPIC, cloud, messages, structured, text, w
 from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, MissingDependency, NoInputError, UsageError
 from salsanext_cli.formats.bags import columns_of
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 
 POINTS = [structured(seed=seed) for seed in range(5)]
 TIMES = [f"{START + n * STEP}" for n in range(5)]
@@ -106,7 +106,7 @@ def test_a_bag_that_was_cut_is_refused_with_a_remedy(tmp_path, kind):
     data = path.read_bytes()
     for share in (0, 1, 30, 70, 99):
         path.write_bytes(data[: len(data) * share // 100])
-        with pytest.raises(FormatError, match=rf"drive{kind} · .* reindex"):
+        with pytest.raises(FormatError, match=rf"drive{kind}: .* reindex"):
             find_scans(path)
 
 
@@ -116,7 +116,7 @@ def test_damaged_metadata_are_refused_and_the_storage_itself_is_read(tmp_path):
     twice = metadata.read_text().replace("  - drive.db3\n", "  - drive.db3\n" * 2)
     for damaged in ("a: [", "rosbag2_bagfile_information: 3", "", "\0", "{", twice):
         metadata.write_text(damaged)
-        with pytest.raises(FormatError, match=r"drive · "):
+        with pytest.raises(FormatError, match=r"drive: "):
             find_scans(path.parent)
     assert len(find_scans(path)) == 5
 
@@ -124,7 +124,7 @@ def test_damaged_metadata_are_refused_and_the_storage_itself_is_read(tmp_path):
 def test_what_the_recorder_left_in_its_log_is_missed(tmp_path):
     path = write_bag(tmp_path, ".db3", messages(POINTS))
     path.with_name("drive.db3-wal").write_bytes(b"pages")
-    with pytest.raises(FormatError, match=r"drive\.db3-wal · .* sqlite3"):
+    with pytest.raises(FormatError, match=r"drive\.db3-wal: .* sqlite3"):
         find_scans(path)
 
 
@@ -141,7 +141,7 @@ def test_a_database_without_definitions_is_read(tmp_path):
 def test_the_package_that_is_missing_or_too_old_is_named(tmp_path, monkeypatch):
     path = write_bag(tmp_path, ".bag", messages(POINTS[:1]))
     monkeypatch.setattr("salsanext_cli.files.optional_packages.version", lambda name: "0.9.23")
-    with pytest.raises(MissingDependency, match=r"version 0\.9\.23 · expected 0\.11 or newer"):
+    with pytest.raises(MissingDependency, match=r"version 0\.9\.23 \(expected 0\.11 or newer"):
         find_scans(path)
 
     def missing(name):
@@ -149,7 +149,7 @@ def test_the_package_that_is_missing_or_too_old_is_named(tmp_path, monkeypatch):
 
     monkeypatch.setattr("salsanext_cli.files.optional_packages.import_module", missing)
     with pytest.raises(
-        MissingDependency, match=r"rosbags · not installed · pip install 'salsanext\[ros\]'"
+        MissingDependency, match=r"rosbags: not installed\nhint: pip install 'salsanext\[ros\]'"
     ):
         find_scans(path)
 

@@ -10,7 +10,7 @@ from ouster_recordings import START, STEP, write_recording
 
 from salsanext_cli import read_scan
 from salsanext_cli.errors import FormatError, NoInputError, SalsanextError
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 
 TIMES = [f"{START + n * STEP}" for n in range(4)]
 
@@ -87,7 +87,7 @@ def test_packets_of_no_lidar_are_named(tmp_path):
 def test_reported_recordings_are_refused_by_what_they_are(real_data):
     for name, found in {
         "bad_encoding.osf": "reflectivities that are all 0",
-        "bad_crc32.osf": "its checksum is wrong · .* newer ouster-sdk",
+        "bad_crc32.osf": "its checksum is wrong: .* newer ouster-sdk",
         "imu_zm_no_lidar.pcap": "no LiDAR packets",
         "same_ports.pcap": "several sensors send to one port",
     }.items():

@@ -22,13 +22,13 @@ from salsanext_cli import (
     read_scan,
 )
 from salsanext_cli.errors import LabelError, NoInputError, UsageError
-from salsanext_cli.fitting.scan_fit import with_image_statistics
+from salsanext_cli.fitting.sensor_fit import with_image_statistics
 from salsanext_cli.geometry.network_input import (
     match_intensity,
     with_filled_gaps,
 )
 from salsanext_cli.measures.scores import scores
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.training.data.dataset import Samples, SamplingPlan
 from salsanext_cli.training.data.sources import (
     Source,
@@ -176,7 +176,7 @@ def test_a_label_space_that_is_named_keeps_its_own_splits(roots: list[Path]) -> 
     (roots[0] / "labels.yaml").write_text("labels: 3")
     assert labelled_split(roots[0], mine, "train")[0].splits == mine.splits
     for unknown in (None, COARSE):
-        with pytest.raises(UsageError, match=r"labels\.yaml · not a label space"):
+        with pytest.raises(UsageError, match=r"labels\.yaml: not a label space"):
             labelled_split(roots[0], unknown, "train")
     (roots[0] / "labels.yaml").unlink()
     assert labelled_split(roots[0], COARSE, "train")[0].splits == SPACE.splits

@@ -11,7 +11,7 @@ from salsanext_cli import label_space, project
 from salsanext_cli.compiled import thread_count
 from salsanext_cli.formats.kitti import read_bin, read_labels
 from salsanext_cli.network.card import scan_digest
-from salsanext_cli.results.layout import ScanFile, find_scans
+from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.training.data.class_counts import class_shares, count_classes, rare_classes
 from salsanext_cli.training.data.dataset import (
     Sample,

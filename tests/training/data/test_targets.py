@@ -26,7 +26,7 @@ def test_an_id_of_several_classes_is_the_target_of_their_set() -> None:
     assert found.dtype == np.uint8
     assert to_targets(raw, PLAIN, sets, "a.label").tolist() == PLAIN.to_train(raw).tolist()
     assert class_sets([PLAIN]) == ()
-    with pytest.raises(LabelError, match=r"a\.label · unknown label ids 7"):
+    with pytest.raises(LabelError, match=r"a\.label: unknown label ids 7"):
         to_targets(np.uint32([40, 7]), OTHER, class_sets([OTHER]), "a.label")
 
 

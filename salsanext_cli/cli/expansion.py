@@ -26,7 +26,7 @@ class Shown(dict[str, dict[str, Any]]):
 VALUES = {
     "sensor": "salsanext_cli.sensors.sensor:presets",
     "recipe": "salsanext_cli.training.recipe:presets",
-    "colour": "salsanext_cli.results.layout:COLOURS",
+    "colour": "salsanext_cli.results.paths:COLOURS",
     "classes": "salsanext_cli.classes.label_space:BUILT_IN",
     "label_space": "salsanext_cli.classes.label_space:BUILT_IN",
 }

@@ -13,12 +13,12 @@ from scans import SMALL, make_scan
 
 from salsanext_cli import Scan, project, read_labels, read_scan
 from salsanext_cli.engines.settings import NetworkSettings
-from salsanext_cli.fitting import scan_fit
+from salsanext_cli.fitting import sensor_fit
+from salsanext_cli.fitting.field_of_view import MIN_RANGE_M, SHOWN, fit_ego, fit_view
 from salsanext_cli.fitting.scan_checks import check_scan, share_outside
-from salsanext_cli.fitting.scan_fit import MAX_SCANS
-from salsanext_cli.fitting.view_fit import MIN_RANGE_M, SHOWN, fit_ego, fit_view
+from salsanext_cli.fitting.sensor_fit import MAX_SCANS
 from salsanext_cli.geometry.projection import ego_points, upright_rotation, without_ego
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 from salsanext_cli.results.selection import evenly_spaced
 
 SCANS = [make_scan(3000, seed) for seed in range(3)]
@@ -135,11 +135,11 @@ def test_each_scan_is_read_once_for_view_intensity_and_gaps(world, monkeypatch):
         read.append(path)
         return read_scan(path, *arguments)
 
-    monkeypatch.setattr(scan_fit, "read_scan", counted)
+    monkeypatch.setattr(sensor_fit, "read_scan", counted)
     settings = NetworkSettings(device="cpu", engine="torch")
     network = settings.load()
-    sample = scan_fit.ScanSample(find_scans(world.data), network.sensor)
-    network = scan_fit.fit_scans(settings, network, sample)
+    sample = sensor_fit.ScanSample(find_scans(world.data), network.sensor)
+    network = sensor_fit.fit_scans(settings, network, sample)
     assert len(sample.images(network.sensor)) == len(read)
     assert network.sensor.intensity_quantiles
     assert network.sensor.row_gaps is not None

@@ -14,11 +14,11 @@ from command_line import only_json, parsed
 from scans import SMALL, labels_below, write_weights
 
 from salsanext_cli.cli.app import app
-from salsanext_cli.cli.option_groups import Default, Shown, Without, expanded
+from salsanext_cli.cli.expansion import Default, Shown, Without, expanded
 from salsanext_cli.engines.settings import NetworkSettings, weights_file
 from salsanext_cli.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
 from salsanext_cli.network.card import default_weights
-from salsanext_cli.options import KnnParameters, ScanSelection
+from salsanext_cli.option_fields import KnnParameters, ScanSelection
 
 
 def test_a_group_is_expanded_filled_and_handed_over():
@@ -126,5 +126,5 @@ def test_a_removed_option_is_one_line_that_names_what_to_use(run, line):
     result = run(*line, "--json")
     assert (result.exit_code, only_json(result)["code"]) == (2, "usage")
     assert result.stderr.startswith(f"error: {line[1].partition('=')[0]}")
-    assert " · this option was removed · use " in result.stderr
+    assert ": this option was removed\nhint: use " in result.stderr
     assert result.stderr.count("\n") == 1

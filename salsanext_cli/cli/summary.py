@@ -95,7 +95,7 @@ def _lines(summary: RunSummary | None, following: str | None) -> Iterable[str]:
     """Yield what else is worth knowing: the sensor, the classes, the command to type next."""
     if summary is not None:
         sensor = summary.sensor
-        from salsanext_cli.fitting.view_fit import ego_text, view_text
+        from salsanext_cli.fitting.field_of_view import ego_text, view_text
 
         lines = (f"{s.name}, {s.height}×{s.width}, {view_text(s)}" for s in sensor.members)
         yield from (f"sensor: {line}" for line in dict.fromkeys(lines))
@@ -144,8 +144,8 @@ def next_command(
 
 def name_failures(failures: tuple[Failure, ...]) -> None:
     """Name every scan that failed, on stderr; once what several failed for."""
-    for reason in dict.fromkeys(failure.reason for failure in failures):
-        tell(f"error: {reason}")
+    for text in dict.fromkeys(failure.text for failure in failures):
+        tell(f"error: {text}")
 
 
 def leave(

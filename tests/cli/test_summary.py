@@ -13,10 +13,10 @@ from evaluated import CAR, ROAD, World
 from scans import SMALL, make_scan, write_bin, write_sequence
 
 from salsanext_cli import label_space
-from salsanext_cli.cli.run_end import _lines, next_command
+from salsanext_cli.cli.summary import _lines, next_command
 from salsanext_cli.measures.scan_summary import RunSummary
 from salsanext_cli.parallel.run import Outcome
-from salsanext_cli.results.layout import find_scans
+from salsanext_cli.results.paths import find_scans
 
 
 def test_the_commands_to_type_next_lead_from_scans_to_scores(run, data, weights, tmp_path):
@@ -101,7 +101,7 @@ def test_without_scans_nothing_is_read_and_no_folder_is_made(run, data, tmp_path
     for command in ("predict", "project", "uncertainty", "inspect"):
         result = run(command)
         assert result.exit_code == 2
-        assert result.stderr.startswith("error: SCANS · not given")
+        assert result.stderr.startswith("error: SCANS: not given")
     assert [path.name for path in Path().iterdir()] == ["0.bin"]
     monkeypatch.chdir(data)
     assert run("inspect").exit_code == 0
@@ -134,4 +134,4 @@ def test_without_rerun_the_extra_is_named(run, world, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     result = run("export-rrd", world.out, "--dataset", world.dataset)
     assert result.exit_code == 1
-    assert result.stderr == "error: rerun · not installed · pip install 'salsanext[rerun]'\n"
+    assert result.stderr == "error: rerun: not installed\nhint: pip install 'salsanext[rerun]'\n"

@@ -13,10 +13,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
 from salsanext_cli.errors import NOTICE, UsageError
-from salsanext_cli.options import option, option_group
+from salsanext_cli.option_fields import option, option_group
 
 if TYPE_CHECKING:
-    from salsanext_cli.results.layout import ScanFile
+    from salsanext_cli.results.paths import ScanFile
 
 Progress = Callable[[int, int], None]  # Called with the numbers of scans done and to do
 SLURM_PREFIX = "SLURM_ARRAY_TASK_"
@@ -111,8 +111,8 @@ class Shard:
         index, rest = divmod(number - least, max(1, step))
         if rest or min(number, least, step) < 0 or not 0 <= index < count:
             found = f"an array of {texts[2]} tasks from {texts[1]} in steps of {texts[3]}"
-            remedy = "say which share with --shard i/n"
-            raise UsageError(f"{names[0]}={texts[0]}", found, "numbers without gaps", remedy)
+            hint = "say which share with --shard i/n"
+            raise UsageError(f"{names[0]}={texts[0]}", found, "numbers without gaps", hint)
         return cls(index + 1, count)
 
     def of(self, scans: "Sequence[ScanFile]") -> "list[ScanFile]":
@@ -164,8 +164,8 @@ class RunOptions:
             subject = f"--scheduler {self.scheduler}"
             raise UsageError(subject, f"--backend {self.backend}", "dask")
         if self.scheduler is None and self.backend == "dask":
-            expected, remedy = "the address of a running cluster", "use loky on one machine"
-            raise UsageError(f"--backend {self.backend}", "no --scheduler", expected, remedy)
+            expected, hint = "the address of a running cluster", "use loky on one machine"
+            raise UsageError(f"--backend {self.backend}", "no --scheduler", expected, hint)
 
     def workers_here(self) -> int:
         """Return how many workers are wanted on this machine."""

@@ -15,8 +15,8 @@ from salsanext_cli.engines.network import Network
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE, SalsanextError, UsageError, counted
 from salsanext_cli.files.json_files import as_json
+from salsanext_cli.fitting.field_of_view import fit_ego, fit_view, view_text
 from salsanext_cli.fitting.scan_checks import check_scan
-from salsanext_cli.fitting.view_fit import fit_ego, fit_view, view_text
 from salsanext_cli.formats import read_scan
 from salsanext_cli.geometry.network_input import (
     NO_INTENSITY,
@@ -27,8 +27,8 @@ from salsanext_cli.geometry.network_input import (
 from salsanext_cli.geometry.projection import project
 from salsanext_cli.geometry.scan_traits import kinds_of, sensor_of
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.results.layout import ScanFile, find_scans
 from salsanext_cli.results.manifest import Manifest
+from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import evenly_spaced
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import FittedView, Sensor

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salsanext_cli.cli.option_groups import Default, Shown, Without
+from salsanext_cli.cli.expansion import Default, Shown, Without
 from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, NetworkSettings
 from salsanext_cli.errors import UsageError
 from salsanext_cli.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
-from salsanext_cli.options import ScanSelection, argument, option, option_group
-from salsanext_cli.parallel.options import RunOptions
+from salsanext_cli.option_fields import ScanSelection, argument, option, option_group
+from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery
 
 if TYPE_CHECKING:
@@ -134,8 +134,8 @@ def source(scans: Path | None, dataset: Path | None, topic: str | None) -> Path:
     here = any(Path(name).is_dir() for name in ("sequences", "velodyne"))
     if scans is None and dataset is None and not here:
         found = "not given, and the current folder is neither a data set nor a sequence"
-        expected, remedy = SCANS_HELP[0].lower() + SCANS_HELP[1:-1], "for those of this folder: ."
-        raise UsageError("SCANS", found, expected, remedy)
+        expected, hint = SCANS_HELP[0].lower() + SCANS_HELP[1:-1], "for those of this folder: ."
+        raise UsageError("SCANS", found, expected, hint)
     return in_topic(scans or dataset or Path(), topic)
 
 
@@ -148,9 +148,9 @@ def sources(
     from salsanext_cli.files.reading import is_folder, present
 
     if present(out) and not is_folder(out):
-        remedy = "give it last: salsanext predict a.bin b.bin out/"
-        raise UsageError("OUT", f"{out} is a file", "a folder for the results", remedy)
-    from salsanext_cli.results.layout import require_none_hidden
+        hint = "give it last: salsanext predict a.bin b.bin out/"
+        raise UsageError("OUT", f"{out} is a file", "a folder for the results", hint)
+    from salsanext_cli.results.paths import require_none_hidden
 
     if len(several) < 2:
         one = source(scans, dataset, topic)

@@ -12,8 +12,8 @@ from scans import write_sequence
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError
-from salsanext_cli.options import ScanSelection
-from salsanext_cli.results.layout import find_outputs, find_scans, output_path
+from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.results.paths import find_outputs, find_scans, output_path
 from salsanext_cli.results.selection import (
     choose,
     data_set_of,
@@ -262,10 +262,10 @@ def test_a_broken_label_space_is_read_only_where_it_is_needed(world, caplog):
     for _ in range(2):
         assert with_splits(whole, world.data, alternatives=True) is whole
     (said,) = caplog.messages
-    assert "labels.yaml · not a label space" in said
+    assert "labels.yaml: not a label space" in said
     assert said.endswith("label space coarse is taken without it")
     for alternatives in (False, True):
-        with pytest.raises(UsageError, match=r"labels\.yaml · not a label space"):
+        with pytest.raises(UsageError, match=r"labels\.yaml: not a label space"):
             with_splits(label_space("coarse"), world.data, alternatives=alternatives)
 
 

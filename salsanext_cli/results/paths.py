@@ -110,8 +110,8 @@ def find_scans(
             kind = (
                 f"a {source.suffix} file, which is not read" if source.suffix else "has no suffix"
             )
-            remedy = "convert it to .ply or .las, with CloudCompare or PDAL for example"
-            raise NoInputError(source, kind, f"one of {suffixes_in_words()}", remedy)
+            hint = "convert it to .ply or .las, with CloudCompare or PDAL for example"
+            raise NoInputError(source, kind, f"one of {suffixes_in_words()}", hint)
         scans = sorted(_scans_of(_absolute(source)))
         others = names_in(source) if not scans and source.is_dir() else []
     except OSError as error:
@@ -153,8 +153,8 @@ def require_none_hidden(root: Path) -> None:
         return
     if place / "sequences" not in first.path.parents:
         found = f"holds scans, such as {first.path.name}, which `sequences` there would hide"
-        remedy = "give another, such as data/"
-        raise OutputError(root, found, "an output folder of its own", remedy)
+        hint = "give another, such as data/"
+        raise OutputError(root, found, "an output folder of its own", hint)
 
 
 def _scans_at(path: Path) -> list[ScanFile]:
