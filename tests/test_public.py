@@ -208,5 +208,5 @@ def test_commands_log_and_say_printable_text(capsys, monkeypatch):
     monkeypatch.setattr(logger, "level", logger.level)
     output = Output(verbose=True)
     logger.info("reading %s", "a\x1b[2J.bin")
-    output.say("→ b\x07\nc")
+    output.print("→ b\x07\nc")
     assert capsys.readouterr().err == "reading a\\x1b[2J.bin\n→ b\\x07\\x0ac\n"

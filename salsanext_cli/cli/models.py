@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Commands of the panel Models, but `tune`: weights files, described and converted."""
+"""Commands on weights files: describe, import and export them."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,12 +15,17 @@ from salsanext_cli.results.query import named_label_space
 
 def models(
     weights: Annotated[
-        list[Path] | None, typer.Argument(help="Weights files to describe.", show_default="default")
+        list[Path] | None,
+        typer.Argument(
+            metavar="WEIGHTS...",
+            help="Weights files to describe.",
+            show_default="the weights of the package",
+        ),
     ] = None,
     *,
     output: console.Output,
 ) -> None:
-    """List the networks with their cost and the papers' figures, and plug-ins; describe weights.
+    """List networks with costs and the figures of the papers, and plug-ins; describe weights.
 
     Example: salsanext models runs/street/best.safetensors
     """
@@ -35,7 +40,7 @@ def models(
     cards = map(card_table, described)
     networks = [network_table(listed)]
     if plugged:
-        rows = [[*each.values()] for each in plugged]
+        rows = [[*plug_in.values()] for plug_in in plugged]
         networks.append(table_of([*plugged[0]], rows, texts=[*plugged[0]], title="Plug-ins"))
     tables = Group(*cards, *networks) if weights else Group(*networks, *cards)
     result = {"stage": "models", "models": listed, "plug_ins": plugged, "weights": described}
@@ -45,14 +50,17 @@ def models(
 def import_weights(
     source: Annotated[
         Path,
-        typer.Argument(help="Published checkpoint, or weights file of salsanext (.safetensors)."),
+        typer.Argument(
+            metavar="CHECKPOINT", help="Published checkpoint, or weights file (.safetensors)."
+        ),
     ],
-    target: Annotated[Path, typer.Argument(help="Weights file to write (.safetensors).")],
+    target: arguments.WeightsOut,
     *,
     label_space: Annotated[
         str | None,
         typer.Option(
-            help="Classes of a checkpoint: a label space, or a .yaml file in SemanticKITTI's "
+            metavar="NAME|FILE",
+            help="Label space of the checkpoint: built-in, or a .yaml file in SemanticKITTI's "
             "format.",
             show_default="semantic-kitti",
         ),
@@ -60,10 +68,10 @@ def import_weights(
     sensor: arguments.SensorWithoutWeights = None,
     dropout: Annotated[
         float | None,
-        typer.Option(help="Dropout rate that a checkpoint was trained with.", show_default="0.2"),
+        typer.Option(help="Dropout rate of the training of the checkpoint.", show_default="0.2"),
     ] = None,
     description: Annotated[
-        str, typer.Option(help="Description to store in the weights file.")
+        str, typer.Option(metavar="TEXT", help="Description to store in the weights file.")
     ] = "",
     half: Annotated[
         bool, typer.Option("--half", help="Store in float16, at half the size.")
@@ -71,7 +79,7 @@ def import_weights(
     overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
-    """Convert a published checkpoint to a weights file, without running anything inside it.
+    """Convert a published checkpoint to a weights file, without running code in it.
 
     Example: salsanext import-weights pretrained/SalsaNext salsanext.safetensors
     """
@@ -89,23 +97,24 @@ def import_weights(
         overwrite=overwrite,
     )
     output.result({"stage": "import-weights", **describe_weights(target).to_dict()})
-    output.say(f"import-weights: {source} → {target}")
-
-
-WEIGHTS_HELP = "Weights file (.safetensors); default: those of the package."
+    output.print(f"import-weights: {source} → {target}")
 
 
 def export_onnx(
-    weights: Annotated[Path, typer.Argument(help=WEIGHTS_HELP)],
+    weights: Annotated[
+        Path,
+        typer.Argument(
+            metavar="WEIGHTS", help="Weights file (.safetensors); default: that of the package."
+        ),
+    ],
     target: Annotated[Path, typer.Argument(metavar="OUT", help="ONNX model to write (.onnx).")],
     *,
     sensor: Annotated[
-        str | None,
-        typer.Option(help=arguments.SENSOR_HELP, show_default="the sensor of the weights"),
+        str | None, arguments.sensor_option(show_default="the sensor of the weights")
     ] = None,
     dynamic_width: Annotated[
         bool,
-        typer.Option("--dynamic-width", help="Take images of any width that 16 or 32 divides."),
+        typer.Option("--dynamic-width", help="Accept any width that is a multiple of 16 or 32."),
     ] = False,
     int8: Annotated[
         bool, typer.Option("--int8", help="Quantise to bytes, with ranges from --calibrate.")
@@ -139,8 +148,8 @@ def export_onnx(
         overwrite=overwrite,
     )
     output.result(done)
-    output.say(f"largest difference from torch: {done['difference']:.1e} of the largest logit")
+    output.print(f"largest difference from torch: {done['difference']:.1e} of the largest logit")
     if int8:
         scanned = counted(done["scans"], "scan")
-        output.say(f"int8: {done['equal_labels']:.2%} of the labels of {scanned} equal")
-    output.say(f"export-onnx: {weights} → {target}")
+        output.print(f"int8: {done['equal_labels']:.2%} of the labels of {scanned} equal")
+    output.print(f"export-onnx: {weights} → {target}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options of earlier versions, and what to use instead."""
+"""Options of earlier versions, and their replacements."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -8,21 +8,35 @@ from salsanext_cli.cli.console import guarded
 from salsanext_cli.errors import UsageError
 
 REMOVED = {
-    ("picture", "--gif"): "use ffmpeg on the pictures, as docs/picture.md shows",
-    ("picture", "--fps"): "use ffmpeg on the pictures, as docs/picture.md shows",
-    ("pick", "--strategy"): "use no option: picked scans are uncertain and unlike each other",
+    ("", "--out"): "give the folder as the argument OUT",
+    ("", "--backend ray"): "use `--shard I/N` on each machine",
+    ("convert", "--backend"): "use `--jobs`",
+    ("convert", "--scheduler"): "use `--jobs`",
+    ("demo", "--engine"): "use `predict --engine` on your own scans",
+    ("demo", "--intensity"): "use `predict --intensity` on your own scans",
+    ("demo", "--precision"): "use `predict --precision` on your own scans",
+    ("demo", "--weights"): "use `predict --weights` on your own scans",
+    ("filter", "--split"): "use `--by-class`",
+    ("fuse", "--strict"): "use the key `warnings` of `--json`",
     ("pick", "--disagreement"): "use no option: the uncertainty is that of the network",
-    ("", "--backend ray"): "use `--backend dask`, or `--shard I/N` for each machine",
+    ("pick", "--limit"): "use `--subset`",
+    ("pick", "--strategy"): "use no option: picked scans are uncertain and differ from each other",
+    ("picture", "--fps"): "use ffmpeg on the pictures",
+    ("picture", "--gif"): "use ffmpeg on the pictures",
+    ("tune", "--limit"): "use `--subset`",
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
+    ("view", "--backend"): "use `--jobs`",
+    ("view", "--by-distance"): "use `report --by-distance`",
+    ("view", "--scheduler"): "use `--jobs`",
 }
-"""Remedy by command, "" for all commands, and option, with its value if other values remain."""
+"""Hint by command, "" for all commands, and option, with its value if other values remain."""
 
 
 @guarded
-def refuse_removed(command: str, words: Sequence[str], *, json: bool) -> None:
-    """Refuse an option that a command no longer has; `guarded` reads `json`."""
+def refuse_removed(commands: Sequence[str], words: Sequence[str], *, json: bool) -> None:
+    """Refuse an option that a command or its group no longer has; `guarded` reads `json`."""
     parts = [part for word in words for part in word.split("=", 1)]
     given = {*parts, *map(" ".join, pairwise(parts))}
     for (name, option), hint in REMOVED.items():
-        if name in ("", command) and option in given:
+        if name in ("", *commands) and option in given:
             raise UsageError(option, "this option was removed", hint=hint)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Commands that work on results: they fuse, filter, compare, evaluate and export them."""
+"""Commands on results: fuse, filter, compare, evaluate and export them."""
 
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -12,7 +12,7 @@ from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.expansion import Without
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.option_fields import FusionReach, names_in, option_group, own_option
+from salsanext_cli.option_fields import FusionReach, names_in, option, option_group
 from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
@@ -24,29 +24,30 @@ if TYPE_CHECKING:
 
 
 def fuse(
-    out: arguments.Out = Path("out"),
+    out: arguments.Results = Path("out"),
     target: Annotated[
         Path | None,
         typer.Argument(
-            metavar="TARGET", help="Folder for the fused labels.", show_default="OUT/fused"
+            metavar="FUSED",
+            help="Folder to write the fused labels to.",
+            show_default="fused, in the folder OUT",
         ),
     ] = None,
     *,
     poses: Annotated[
         Path | None,
         typer.Option(
-            help="Poses of the scans of the sequence, from scan to world, as KITTI or TUM have "
-            "them.",
-            show_default="poses.txt in its folder, else computed from the scans",
+            help="Poses of the scans of the sequence, from scan to world, in the format of KITTI "
+            "or TUM.",
+            show_default="poses.txt of the sequence, else computed from the scans",
         ),
     ] = None,
     reach: FusionReach,
     query: Annotated[ResultQuery, Without({"label_space", "classes"})],
     running: RunOptions,
-    strict: arguments.Strict = False,
     output: console.Output,
 ) -> None:
-    """Correct the labels of each scan of a drive by all scans that see the same places.
+    """Correct the labels of a drive: all scans that see a location vote.
 
     Example: salsanext fuse out/
     """
@@ -55,38 +56,39 @@ def fuse(
     target = target or out / FUSED
     with over_scans("fuse", running, output.quiet) as run:
         outcome = fuse_results(out, target, poses=poses, reach=reach, query=query, options=run)
-    summary.finish("fuse", outcome, target, output, split=query.selection.split, strict=strict)
+    summary.finish("fuse", outcome, target, output, split=query.selection.split)
 
 
 @option_group
 class PointChoice:
     """Choice of the points that `filter` writes."""
 
-    drop: tuple[str, ...] = own_option(
-        "Leave out these classes, such as person,vehicle; coarse names too, and moving for all "
-        "movable ones, with the sensor's own vehicle and points without a measurement.",
+    drop: tuple[str, ...] = option(
+        "Drop these classes, such as person,vehicle; moving: all movable classes, your own "
+        "vehicle, and points without a measurement.",
         parse=partial(names_in, option="--drop", example="car,person"),
+        metavar="CLASSES",
     )
-    keep: tuple[str, ...] = own_option(
-        "Keep these classes only.",
+    keep: tuple[str, ...] = option(
+        "Write these classes only.",
         parse=partial(names_in, option="--keep", example="car,person"),
-        show_default="all",
+        metavar="CLASSES",
     )
-    max_error: float | None = own_option("Leave out points whose error is above this, 0 to 1.")
-    split: bool = own_option("Write a file for each class.", default=False)
-    indices: bool = own_option("Write masks of the points that stay (.npy).", default=False)
+    max_error: float | None = option("Drop points whose probability of error is above this.")
+    split: bool = option("Write a file for each class.", "--by-class", default=False)
+    indices: bool = option("Write masks of the accepted points (.npy) instead.", default=False)
 
 
 def filter_command(
-    out: arguments.Out = Path("out"),
+    out: arguments.Results = Path("out"),
     *,
-    to: Annotated[Path, typer.Option(metavar="FOLDER", help="New folder to write.")],
+    to: Annotated[Path, typer.Option(help="New folder to write to.")],
     points: PointChoice,
     query: Annotated[ResultQuery, Without({"split", "label_space", "classes"})],
     running: RunOptions,
     output: console.Output,
 ) -> None:
-    """Write the scans in their own format without some of their points, by class or error.
+    """Write the scans in their format without some points, by class or probability of error.
 
     Example: salsanext filter out/ --drop moving --to static/
     """
@@ -106,9 +108,9 @@ def compare(
     running: arguments.Reading,
     output: console.Output,
 ) -> None:
-    """Compare two runs on the same scans: what changed, and whether it is better.
+    """Compare two runs on the same scans: differences, and which run is better.
 
-    Scans that the weights of a run were trained on are left out of the scores.
+    Scans that the weights of a run were trained on do not count.
 
     Example: salsanext compare out/ tuned/
     """
@@ -117,19 +119,20 @@ def compare(
     from salsanext_cli.stages.compare import compare as stage
 
     with over_scans("compare", running, output.quiet) as run:
-        found, failures = stage(before, after, by_distance=by_distance, query=query, options=run)
+        comparison, failures = stage(
+            before, after, by_distance=by_distance, query=query, options=run
+        )
     failed = [failure.to_dict() for failure in failures]
-    output.result(
-        {"stage": "compare", **found.to_dict(), "failures": failed}, comparison_tables(found)
-    )
-    summary.name_failures(failures)
-    output.say(f"compare: {counted(len(found.pairs), 'scan')} → {after / RECORD}")
+    result = {"stage": "compare", **comparison.to_dict(), "failures": failed}
+    output.result(result, comparison_tables(comparison))
+    summary.print_failures(failures)
+    output.print(f"compare: {counted(len(comparison.pairs), 'scan')} → {after / RECORD}")
     summary.leave(failures)
 
 
 def evaluate(
+    out: arguments.Results = Path("out"),
     *,
-    results: arguments.Results,
     by_distance: arguments.ByDistance = False,
     query: ResultQuery,
     running: arguments.Reading,
@@ -137,7 +140,7 @@ def evaluate(
 ) -> None:
     """Compare predictions with labels, as the official benchmark does.
 
-    Scans that the weights were trained on are left out, unless all were.
+    Scans that the weights were trained on do not count, unless there are no others.
 
     Example: salsanext eval --split valid
     """
@@ -145,13 +148,12 @@ def evaluate(
     from salsanext_cli.stages.evaluate import evaluate as stage
     from salsanext_cli.stages.evaluate import part_of
 
-    out = results.folder()
     folder = ResultFolder(out, query.dataset)
     files, space = folder.predicted(query.selection, query.label_space, query.classes)
     part = part_of(folder, files, query.selection)
     with over_scans("eval", running, output.quiet) as run:
         settings, rejection = folder.provenance(query.selection), folder.rejection()
-        found = stage(
+        evaluation = stage(
             files,
             out,
             space,
@@ -161,64 +163,72 @@ def evaluate(
             settings=settings,
             labels=query.label_space,
         )
-    output.result(found.to_dict(), _evaluation_shown(found, rejection.above if rejection else None))
-    summary.name_failures(found.failures)
-    scans = f"{counted(found.counts.scans, 'scan')}{summary.left_out(found.missing)}"
-    output.say(f"eval: {scans} → {found.folder}/scores.txt, eval.json, eval_*.png")
-    summary.leave(found.failures, found.missing)
+    above = rejection.above if rejection else None
+    output.result(evaluation.to_dict(), _evaluation_tables(evaluation, above))
+    summary.print_failures(evaluation.failures)
+    missing = evaluation.missing
+    scans = f"{counted(evaluation.counts.scans, 'scan')}{summary.skipped_text(missing)}"
+    output.print(f"eval: {scans} → {evaluation.folder}/scores.txt, eval.json, eval_*.png")
+    summary.leave(evaluation.failures, missing)
 
 
-def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
-    """Return the tables and sentences of an evaluation, what was asked for last."""
+def _evaluation_tables(evaluation: "Evaluation", above: float | None) -> "Group":
+    """Return the tables and sentences of an evaluation, with rejection `above` a threshold."""
     from rich.console import Group
     from rich.text import Text
 
     from salsanext_cli.report.tables import band_table, kept_table, score_table, uncertainty_tables
     from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
 
-    of_training = ON_TRAINING_SCANS if found.counts.trained_on else ""
-    shown: list[Any] = [score_table(found.scores, of_training)]
-    shown += [band_table(found.by_distance)] if found.by_distance else []
-    shown += uncertainty_tables(found.uncertainty)
-    shown += [Text(found.uncertainty.kept.sentence)] if found.uncertainty.kept else []
-    shown += [Text(found.object_sentence)] if found.panoptic else []
-    if kept := found.kept:
-        missed = f"Points left unlabelled by predict --reject {reject:g} are missed in the scores."
-        promised = [found.promise.sentence] if found.promise else []
-        lines = [missed, *kept.sentences, *promised]
-        shown += [kept_table(kept.classes), Text("\n".join(lines))]
-    return Group(*shown)
+    of_training = ON_TRAINING_SCANS if evaluation.counts.trained_on else ""
+    uncertainty, accepted = evaluation.uncertainty, evaluation.kept
+    tables: list[Any] = [score_table(evaluation.scores, of_training)]
+    tables += [band_table(evaluation.by_distance)] if evaluation.by_distance else []
+    tables += uncertainty_tables(uncertainty)
+    tables += [Text(uncertainty.kept.sentence)] if uncertainty.kept else []
+    tables += [Text(evaluation.object_sentence)] if evaluation.panoptic else []
+    if accepted:
+        missed = f"The scores count points rejected by `predict --reject {above:g}` as misses."
+        guarantee = [evaluation.promise.sentence] if evaluation.promise else []
+        lines = [missed, *accepted.sentences, *guarantee]
+        tables += [kept_table(accepted.classes), Text("\n".join(lines))]
+    return Group(*tables)
 
 
 @option_group
 class CloudOptions:
     """Colours and format of the clouds of `export-ply`."""
 
-    colour: str = own_option(f"{COLOUR_HELP}.", "--colour", "--color", default="label")
-    scale: tuple[float, float] | None = own_option(
-        "Values at the two ends of the colour map.",
-        show_default="range of most values; fixed for error",
+    colour: str = option(f"{COLOUR_HELP}.", "--colour", "--color", default="label")
+    scale: tuple[float, float] | None = option(
+        "Values at the ends of the colour map.",
+        metavar="LOW HIGH",
+        show_default="the range of most values; fixed for error",
     )
-    max_error: float | None = own_option(
-        "Write points as unlabelled whose error is above this, 0 to 1."
+    max_error: float | None = option(
+        "Write points as unlabelled whose probability of error is above this."
     )
-    form: str = own_option(
-        "ply, or las or laz with the classes of the ASPRS.", "--format", default="ply"
+    form: str = option(
+        "Format; las and laz contain the classes of the ASPRS.",
+        "--format",
+        default="ply",
+        typed=Literal["ply", "las", "laz"],
     )
 
 
 def export_ply(
+    out: arguments.Results = Path("out"),
     *,
-    results: arguments.Results,
     clouds: CloudOptions,
     as_map: Annotated[
-        bool, typer.Option("--map", help="Write one cloud of each drive with labels of `fuse`.")
+        bool,
+        typer.Option("--map", help="Write one cloud for each drive, with the labels of `fuse`."),
     ] = False,
     voxel: Annotated[
         float | None,
         typer.Option(
             "--map-voxel",
-            help="Edge of the voxels of one point each, in metres.",
+            help="Edge of the voxels of --map, each with one point, in metres.",
             show_default="0.1",
         ),
     ] = None,
@@ -226,16 +236,15 @@ def export_ply(
     running: RunOptions,
     output: console.Output,
 ) -> None:
-    """Write coloured point clouds that hold every known value of every point.
+    """Write coloured point clouds that contain all values of every point.
 
     Example: salsanext export-ply --colour uncertainty
     """
     from salsanext_cli.stages.export_ply import export_ply as stage
 
     if voxel is not None and not as_map:
-        raise UsageError("--map-voxel", "without --map", "both, or neither")
-    out = results.folder()
+        raise UsageError("--map-voxel", "given without --map", "both or neither")
     with over_scans("export-ply", running, output.quiet) as run:
         map_voxel = (0.1 if voxel is None else voxel) if as_map else None
         outcome = stage(out, **asdict(clouds), voxel=map_voxel, query=query, options=run)
-    summary.finish("export-ply", outcome, out, output)
+    summary.finish("export-ply", outcome, out, output, limit=clouds.max_error)

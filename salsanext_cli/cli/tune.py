@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`salsanext tune`: a group of commands, one for each part of the weights that can be fitted."""
+"""`salsanext tune`: one command for each part of the weights that is fitted afterwards."""
 
 import shlex
 from pathlib import Path
@@ -10,6 +10,7 @@ import typer
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.console import guarded, progress
 from salsanext_cli.cli.expansion import Default, expanded
+from salsanext_cli.cli.help import Command, Group
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
 from salsanext_cli.option_fields import ScanSelection
@@ -24,9 +25,9 @@ def tune_temperature(
     overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
-    """Fit the temperature that calibrates the probabilities, and write new weights.
+    """Fit the temperature that calibrates the class probabilities, and write new weights.
 
-    Example: salsanext tune temperature streets/ tuned.safetensors --limit 50
+    Example: salsanext tune temperature scenes/ tuned.safetensors
     """
     from salsanext_cli.report.tables import temperature_table
 
@@ -45,9 +46,9 @@ def tune_error(
     overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
-    """Fit the probability that a label is wrong, and write new weights.
+    """Fit the estimate of the probability that a label is wrong, and write new weights.
 
-    Example: salsanext tune error streets/ tuned.safetensors
+    Example: salsanext tune error scenes/ trusted.safetensors
     """
     from salsanext_cli.report.tables import error_table
 
@@ -56,7 +57,7 @@ def tune_error(
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     points += f", {100 * tuned['wrong']:.1f} % wrong"
     if several := tuned["several"]:
-        points += f" ({several:.1%} of all skipped: labels of several classes, which eval counts)"
+        points += f" ({several:.1%} of all points skipped: labels of several merged classes)"
     _end(output, f"tune error: {points} → {target}", target, "--error ")
 
 
@@ -67,22 +68,22 @@ def tune_risk(
     at_most: Annotated[
         str,
         typer.Option(
-            metavar="SHARE", help="Share of a scan's points that may be kept and wrong, such as 5%."
+            metavar="SHARE", help="Largest share of accepted, wrong points in a scan, such as 5%."
         ),
     ],
     confidence: Annotated[
         str | None,
         typer.Option(
             metavar="SHARE",
-            help="Hold it, with this confidence, in at least this share of scans, such as 90%.",
-            show_default="on the mean of scans",
+            help="Guarantee the limit for this share of scans, with this confidence, instead of on "
+            "average, such as 90%.",
         ),
     ] = None,
     per_class: Annotated[
         bool,
         typer.Option(
             "--per-class",
-            help="Hold it of the points of each label, too, by thresholds of their own.",
+            help="Also guarantee the limit for the points of every class, by one threshold each.",
         ),
     ] = False,
     selection: arguments.LabelledSelection,
@@ -92,7 +93,7 @@ def tune_risk(
 ) -> None:
     """Choose the threshold of `predict --reject risk`, and write new weights.
 
-    Example: salsanext tune risk streets/ safe.safetensors --at-most 5%
+    Example: salsanext tune risk scenes/ safe.safetensors --at-most 5%
     """
     from rich.console import Group
     from rich.text import Text
@@ -123,15 +124,15 @@ def tune_dropout(
     steps: Annotated[
         int, typer.Option(help="Number of rates to try, evenly spaced on a log scale.")
     ] = 10,
-    seed: Annotated[int, typer.Option(help="Seed of the dropout masks.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed of the dropout masks.")] = 0,
     selection: Annotated[arguments.LabelledSelection, Default(limit=20)],
     settings: arguments.Network,
     overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
-    """Find the dropout rate to sample with, and write new weights.
+    """Find the best dropout rate for `uncertainty`, and write new weights.
 
-    Example: salsanext tune dropout streets/ tuned.safetensors --steps 10
+    Example: salsanext tune dropout scenes/ sampled.safetensors
     """
     from salsanext_cli.report.tables import rate_table
 
@@ -146,9 +147,9 @@ def tune_dropout(
 def _end(
     output: console.Output, summary: str, target: Path, option: str = "", stage: str = "predict"
 ) -> None:
-    """Print the last lines: what was fitted, and the command that most users type next."""
-    output.say(summary)
-    output.say(f"next: salsanext {stage} SCANS OUT {option}--weights {shlex.quote(str(target))}")
+    """Print the summary and the usual next command."""
+    output.print(summary)
+    output.print(f"next: salsanext {stage} SCANS OUT {option}--weights {shlex.quote(str(target))}")
 
 
 def _tuned(
@@ -161,7 +162,7 @@ def _tuned(
     output: console.Output,
     **numbers: float | None,
 ) -> dict[str, Any]:
-    """Fit a part of the weights; return plain data."""
+    """Fit a part of the weights; return the result as plain data."""
     from salsanext_cli.stages.tune import tune
 
     unit = "samplings" if part == "dropout" else "scans"
@@ -180,10 +181,11 @@ def _tuned(
 
 
 tune = typer.Typer(
-    no_args_is_help=True,
-    help="Fit weights to labelled scans: temperature, error, threshold of risk or dropout rate.",
+    cls=Group,
+    rich_markup_mode=None,
+    help="Fit weights to labelled scans: temperature, error model, risk threshold, dropout rate.",
 )
-tune.command("error")(guarded(expanded(tune_error)))
-tune.command("risk")(guarded(expanded(tune_risk)))
-tune.command("temperature")(guarded(expanded(tune_temperature)))
-tune.command("dropout")(guarded(expanded(tune_dropout)))
+tune.command("error", cls=Command)(guarded(expanded(tune_error)))
+tune.command("risk", cls=Command)(guarded(expanded(tune_risk)))
+tune.command("temperature", cls=Command)(guarded(expanded(tune_temperature)))
+tune.command("dropout", cls=Command)(guarded(expanded(tune_dropout)))

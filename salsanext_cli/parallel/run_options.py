@@ -124,7 +124,7 @@ class Shard:
         return ordered[start:stop]
 
 
-running_option = partial(option, "Running")
+running_option = partial(option, panel="Running")
 
 
 @option_group
@@ -133,19 +133,16 @@ class RunOptions:
 
     # None is one here, and all of a cluster
     jobs: int | None = running_option(
-        "Number of workers; -1: one per core.",
-        "--jobs",
-        "-j",
-        show_default="1; all workers of a cluster",
+        "Number of worker processes; -1: one per core.", "--jobs", "-j", show_default="1"
     )
     backend: Literal["loky", "threading", "dask"] = running_option(
-        "Processes (loky), threads, or workers of a Dask cluster.", default="loky"
+        "Workers: processes (loky), threads, or a Dask cluster.", default="loky"
     )
     scheduler: str | None = running_option(
-        "Address of the running scheduler, which dask needs.", metavar="ADDRESS"
+        "Address of the scheduler of the Dask cluster.", metavar="ADDRESS"
     )
     shard: Shard = running_option(
-        "Only share I of N shares of the scans, from 1/N to N/N.",
+        "Work on share I of N of the scans.",
         default=Shard(),
         parse=Shard.asked_for,
         metavar="I/N",
@@ -153,7 +150,7 @@ class RunOptions:
     )
     overwrite: bool = running_option("Replace existing results.", default=False)
     on_error: Literal["skip", "stop"] = running_option(
-        "Skip a scan that fails, or stop at the first.", default="skip"
+        "Skip a scan that fails, or stop.", default="skip"
     )
     # Called after each scan, or for several together when a worker is done with them
     progress: Progress | None = None

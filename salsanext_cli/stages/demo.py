@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whole pipeline on a synthetic drive, from the generated scans to the page of the run."""
+"""Whole pipeline on a simulated drive, from the scans to the page of the run."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -22,11 +22,11 @@ from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.error_features import knows_error
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
-SEED = 2020  # Not that of the default weights, which do not know this street
+SEED = 2020  # No scene of the training of the default weights has it
 SPACING_M = 12.0
 
 StepProgress = Callable[[str], AbstractContextManager[Progress | None]]
-"""Function from the name of a step to a context that gives its progress callback."""
+"""Function from the name of a step to a context with its progress callback."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Demonstration:
 
     evaluation: Evaluation  # Scores of the predictions
     pictures: tuple[Path, ...]  # PNG files
-    page: Path  # The page of the run
+    page: Path  # Page of `report`
     failures: tuple[Failure, ...]  # Scans that a stage could not process
 
 
@@ -48,7 +48,28 @@ def demo(
     options: RunOptions,
     bars: StepProgress,
 ) -> Demonstration:
-    """Run every stage on a synthetic drive, in ``data/`` and ``out/`` of a folder."""
+    """Run every stage on a simulated drive, in ``data/`` and ``out/`` of a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to write to.
+    scans : int
+        Number of scans of the drive.
+    samples : int
+        Monte-Carlo passes per scan.
+    settings : NetworkSettings
+        Network that predicts.
+    options : RunOptions
+        Options of every stage.
+    bars : callable
+        Function from the name of a step to a context with its progress callback.
+
+    Returns
+    -------
+    Demonstration
+        Scores and paths.
+    """
     data, out = folder / "data", folder / "out"
     method, valid = UncertaintyMethod(samples=samples), ScanSelection(split="valid")
 
@@ -77,7 +98,7 @@ def demo(
         exported = export_ply(out, colour="label", options=run)
     with step("picture") as run:
         pictured = picture(out, options=run)
-    failures = tuple(f for each in (predicted, sampled, exported, pictured) for f in each.failures)
+    failures = tuple(f for run in (predicted, sampled, exported, pictured) for f in run.failures)
     files, space = ResultFolder(out).predicted(valid)
     with step("eval") as run:
         evaluation = evaluate(files, out, space, run, settings=ResultFolder(out).provenance(valid))
