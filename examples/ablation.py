@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Train every rung of the paper's ladder (Table II) alike, and print the scores of each.
+"""Train the networks of the ablation study (Table II of the paper) alike, and print their scores.
 
-All rungs see the same samples in the same order for the same number of steps. The weights of the
-last step are scored, so that nothing is chosen on the scans that score. A rung that is finished is
-not trained again; an interrupted one goes on.
+All networks get the same samples in the same order. The weights of the last step are evaluated, so
+that the evaluation does not choose them. Finished trainings are skipped, interrupted ones resumed.
 
 Run: python examples/ablation.py streets/ ladder/ [steps [recipe [rung ...]]]
 """

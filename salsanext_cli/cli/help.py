@@ -85,7 +85,7 @@ def write_help(command: Any, ctx: Any, formatter: Any, *, every: bool = False) -
     if members:
         formatter.write_paragraph()
     with formatter.indentation():
-        formatter.write_text(f"Documentation: {DOCUMENTATION}{anchor}")
+        formatter.write_text(f"Docs: {DOCUMENTATION}{anchor}")
     for heading, names in (getattr(command, "sections", {}) or {"Commands": [*members]}).items():
         if names:
             with formatter.section(heading):
