@@ -33,14 +33,20 @@ def option(
     typed: Any = None,
     **shown: Any,
 ) -> Any:
-    """Return a field that commands offer: its help text, and its names if not that of the field.
+    """Return a field, or the default of a parameter, that commands offer as an option.
 
-    `parse` makes the value from the text that was typed, or from None; `typed` is the type of that
-    text, if not that of the field; `shown` are further arguments of `typer.Option`.
+    `text` is the help; `names`: if not the name of the field; `default`: ``...`` if required;
+    `parse` makes the value from the text that was typed, or from None; `typed`: type of that text,
+    if not that of the field; `shown`: further arguments of `typer.Option`.
     """
     declared = {"help": text, "rich_help_panel": panel, **shown}
     metadata = {"names": names, "parse": parse, "typed": typed, "option": declared}
     return field(default=default, metadata=metadata)
+
+
+def argument(text: str, *, default: Any = None, **shown: Any) -> Any:
+    """Return the default of a parameter that a command offers as an argument, like `option`."""
+    return field(default=default, metadata={"argument": {"help": text, **shown}})
 
 
 def names_in(text: str | None, option: str, example: str) -> tuple[str, ...]:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from salsanext_cli.cli.expansion import Default, Shown, Without
+from salsanext_cli.cli.expansion import Default, Without
 from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, NetworkSettings
 from salsanext_cli.errors import UsageError
 from salsanext_cli.formats import RECORDING_SUFFIXES, SCAN_SUFFIXES
-from salsanext_cli.option_fields import ScanSelection
-from salsanext_cli.parallel.run_options import RunOptions
+from salsanext_cli.option_fields import argument, network_option, option, selection_option
+from salsanext_cli.parallel.run_options import RunOptions, running_option
 from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery
 
 if TYPE_CHECKING:
@@ -25,95 +25,59 @@ FORMATS = f"{' '.join(SCAN_SUFFIXES)}; of recordings: {' '.join(RECORDING_SUFFIX
 SUBSET = {"names": ("--subset",), "help": "Only N scans, evenly spaced over the data."}
 DEFAULT_SCANS = "the data set or sequence in the current folder"
 
-network_option = partial(typer.Option, rich_help_panel="Network")
-running_option = partial(typer.Option, rich_help_panel="Running")
-
 
 def _shared(name: str, group: type[Any] = ResultQuery) -> Any:
-    """Return one option of a group, for commands that take no other."""
+    """Return one option of a group as typed, for commands that take no other."""
     (field,) = (field for field in fields(group) if field.name == name)
-    return typer.Option(**field.metadata["option"])
+    shown = dict(field.metadata["option"])
+    text, panel = shown.pop("help"), shown.pop("rich_help_panel")
+    return option(text, panel=panel, default=field.default, **shown)
 
 
-Scans = Annotated[
-    Path | None, typer.Argument(metavar="SCANS", help=SCANS_HELP, show_default=DEFAULT_SCANS)
-]
-SeveralScans = Annotated[
-    Path | None,
-    typer.Argument(
-        metavar="SCANS...",
-        help=f"{SCANS_HELP} Several may be given. Formats of scans: {FORMATS}.",
-        show_default=DEFAULT_SCANS,
-    ),
-]
-RequiredScans = Annotated[Path, typer.Argument(metavar="SCANS", help=SCANS_HELP)]
-LabelledDataSet = Annotated[
-    Path,
-    typer.Argument(
-        metavar="DATASET",
-        envvar=DATASET_VARIABLE,
-        help="Labelled data set in the layout of SemanticKITTI.",
-    ),
-]
-Out = Annotated[
-    Path, typer.Argument(metavar="OUT", envvar=OUT_VARIABLE, help="Folder to write results to.")
-]
-Results = Annotated[
-    Path,
-    typer.Argument(
-        metavar="OUT", envvar=OUT_VARIABLE, help="Folder with the results of earlier commands."
-    ),
-]
-WeightsOut = Annotated[
-    Path, typer.Argument(metavar="WEIGHTS_OUT", help="Weights file to write (.safetensors).")
-]
-Scale = Annotated[
-    tuple[float, float] | None,
-    typer.Option(
-        metavar="LOW HIGH",
-        help="Values at the ends of the colour map, for a single --colour.",
-        show_default="the range of most values; fixed for error",
-    ),
-]
-ByDistance = Annotated[
-    bool, typer.Option("--by-distance", help="Also evaluate by distance from the sensor.")
-]
-Topic = Annotated[
-    str | None,
-    typer.Option(help="Topic in a recording with several topics.", rich_help_panel="Selection"),
-]
-DataSet = Annotated[
-    Path | None,
-    typer.Option(
-        help="Data set in the layout of SemanticKITTI.",
-        envvar=DATASET_VARIABLE,
-        show_default="the current folder",
-        rich_help_panel="Selection",
-    ),
-]
-DataSetOfResults = Annotated[Path | None, _shared("dataset")]
-LabelSpaceName = Annotated[str | None, _shared("label_space")]
-MergedInto = Annotated[str | None, _shared("classes")]
-LabelledSelection = Annotated[
-    ScanSelection,
-    Shown(split={"show_default": "valid, and the sequences of no split"}, limit=SUBSET),
-]
-
-Network = Annotated[NetworkSettings, Default(precision="auto")]
-Device = Annotated[str, _shared("device", NetworkSettings)]
-sensor_option = partial(network_option, help="Sensor of the scans.", metavar="NAME|FILE")
-SensorWithoutWeights = Annotated[str | None, sensor_option(show_default="hdl64")]
-columns_option = partial(network_option, help=COLUMNS_HELP, metavar="NAMES")
-Columns = Annotated[str | None, columns_option(show_default=COLUMNS_DEFAULT)]
-
-jobs_option = partial(
-    running_option, "--jobs", "-j", help="Number of worker processes; -1: one per core."
+SCANS = argument(SCANS_HELP, metavar="SCANS", show_default=DEFAULT_SCANS)
+SEVERAL_SCANS = argument(
+    f"{SCANS_HELP} Several may be given. Formats of scans: {FORMATS}.",
+    metavar="SCANS...",
+    show_default=DEFAULT_SCANS,
 )
-Jobs = Annotated[int, jobs_option()]
-Overwrite = Annotated[bool, running_option("--overwrite", help="Replace existing results.")]
-Strict = Annotated[
-    bool, running_option("--strict", help="Exit with status 1 after a warning about a scan.")
-]
+labelled_argument = partial(
+    argument,
+    "Labelled data set in the layout of SemanticKITTI.",
+    metavar="DATASET",
+    envvar=DATASET_VARIABLE,
+)
+NEW_DATASET = argument("Root of the data set to write.", default=..., metavar="DATASET")
+folder_argument = partial(argument, default=Path("out"), metavar="OUT", envvar=OUT_VARIABLE)
+OUT = folder_argument("Folder to write results to.")
+RESULTS = folder_argument("Folder with the results of earlier commands.")
+WEIGHTS_OUT = argument("Weights file to write (.safetensors).", default=..., metavar="WEIGHTS_OUT")
+BY_DISTANCE = option("Also evaluate by distance from the sensor.", default=False)
+SCALE = option(
+    "Values at the ends of the colour map, for a single --colour.",
+    metavar="LOW HIGH",
+    show_default="the range of most values; fixed for error",
+)
+TOPIC = selection_option("Topic in a recording with several topics.")
+DATASET = selection_option(
+    "Data set in the layout of SemanticKITTI.",
+    envvar=DATASET_VARIABLE,
+    show_default="the current folder",
+)
+DATASET_OF_RESULTS = _shared("dataset")
+LABEL_SPACE = _shared("label_space")
+CLASSES = _shared("classes")
+DEVICE = _shared("device", NetworkSettings)
+Network = Annotated[NetworkSettings, Default(precision="auto")]
+sensor_option = partial(network_option, "Sensor of the scans.", metavar="NAME|FILE")
+SENSOR = sensor_option(show_default="hdl64")
+columns_option = partial(network_option, COLUMNS_HELP, metavar="NAMES")
+COLUMNS = columns_option(show_default=COLUMNS_DEFAULT)
+jobs_option = partial(
+    running_option, "Number of worker processes; -1: one per core.", "--jobs", "-j"
+)
+JOBS = jobs_option(default=1)
+OVERWRITE = running_option("Replace existing results.", default=False)
+STRICT = running_option("Exit with status 1 after a warning about a scan.", default=False)
 Unsharded = Annotated[RunOptions, Without({"shard"})]
 Reading = Annotated[RunOptions, Without({"shard", "overwrite"})]
 """For results over all scans, which several runs cannot share."""

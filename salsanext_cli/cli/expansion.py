@@ -4,7 +4,7 @@
 import dataclasses
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
@@ -67,6 +67,8 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
         if dataclasses.is_dataclass(kind) and isinstance(kind, type):
             groups[name] = _group(kind, marks)
             parameters += groups[name].offered.values()
+        elif isinstance(parameter.default, dataclasses.Field):
+            parameters.append(_offered(name, hint, parameter.default, parameter.default.default))
         else:
             parameters.append(parameter.replace(annotation=hint, kind=parameter.KEYWORD_ONLY))
 
@@ -101,19 +103,33 @@ def _group(kind: type, marks: list[Any]) -> Group:
     offered: dict[str, inspect.Parameter] = {}
     nested: dict[str, Group] = {}
     for name, field in fields.items():
-        declared = field.metadata
-        if not declared and isinstance(field.type, type) and dataclasses.is_dataclass(field.type):
+        if (
+            not field.metadata
+            and isinstance(field.type, type)
+            and dataclasses.is_dataclass(field.type)
+        ):
             nested[name] = _group(field.type, marks)
             offered |= nested[name].offered
-        if name in hidden or not declared:
-            continue
-        default, typed = defaults[name], declared["typed"] or field.type
-        # A flag of one name, without its contrary.
-        flag = [f"--{name.replace('_', '-')}"] if field.type is bool else []
-        shown = {"names": declared["names"] or flag} | declared["option"] | changes.get(name, {})
-        if declared["parse"]:
-            default, typed = None, str | None
-        mark = typer.Option(*shown.pop("names"), **shown)
-        kind_of, annotation = inspect.Parameter.KEYWORD_ONLY, Annotated[typed, mark]
-        offered[name] = inspect.Parameter(name, kind_of, default=default, annotation=annotation)
+        if field.metadata and name not in hidden:
+            offered[name] = _offered(name, field.type, field, defaults[name], changes.get(name))
     return Group(kind, defaults, offered, nested)
+
+
+def _offered(
+    name: str, kind: Any, field: Any, default: Any, changes: Mapping[str, Any] | None = None
+) -> inspect.Parameter:
+    """Return the parameter that typer reads for a field of `option` or `argument`."""
+    declared = field.metadata
+    if "argument" in declared:
+        mark = typer.Argument(**declared["argument"])
+    else:
+        # A flag of one name, without its contrary.
+        flag = [f"--{name.replace('_', '-')}"] if kind is bool else []
+        shown = {"names": declared["names"] or flag} | declared["option"] | dict(changes or {})
+        mark = typer.Option(*shown.pop("names"), **shown)
+        kind = declared["typed"] or kind
+        if declared["parse"]:
+            default, kind = None, str | None
+    default = inspect.Parameter.empty if default is ... else default
+    how, annotation = inspect.Parameter.KEYWORD_ONLY, Annotated[kind, mark]
+    return inspect.Parameter(name, how, default=default, annotation=annotation)

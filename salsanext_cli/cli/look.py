@@ -6,33 +6,28 @@ import shlex
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans, print_line, progress
 from salsanext_cli.cli.expansion import Without
 from salsanext_cli.cli.interruption import ARRIVED
 from salsanext_cli.engines.settings import AUTO, NetworkSettings
 from salsanext_cli.errors import counted
-from salsanext_cli.option_fields import names_in
+from salsanext_cli.option_fields import argument, names_in, option
 from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import ResultQuery, named_label_space
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
 
 
 def picture(
-    out: arguments.Results = Path("out"),
+    out: Path = arguments.RESULTS,
     *,
-    colour: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--colour",
-            "--color",
-            help=f"{COLOUR_HELP}; may be given several times.",
-            show_default="all that are available",
-        ),
-    ] = None,
-    scale: arguments.Scale = None,
+    colour: list[str] | None = option(
+        f"{COLOUR_HELP}; may be given several times.",
+        "--colour",
+        "--color",
+        show_default="all that are available",
+    ),
+    scale: tuple[float, float] | None = arguments.SCALE,
     query: ResultQuery,
     running: RunOptions,
     output: console.Output,
@@ -49,7 +44,7 @@ def picture(
 
 
 def export_rrd(
-    out: arguments.Results = Path("out"),
+    out: Path = arguments.RESULTS,
     *,
     query: ResultQuery,
     running: Annotated[RunOptions, Without({"jobs", "backend", "scheduler", "shard", "overwrite"})],
@@ -67,16 +62,14 @@ def export_rrd(
 
 
 def demo(
-    folder: Annotated[Path, typer.Argument(help="Folder to write data and results to.")] = Path(
-        "demo"
-    ),
+    folder: Path = argument("Folder to write to.", default=Path("demo"), metavar="FOLDER"),
     *,
-    scans: Annotated[int, typer.Option(help="Number of scans of the simulated drive.")] = 4,
-    samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 8,
-    classes: arguments.MergedInto = None,
-    device: arguments.Device = AUTO,
-    jobs: arguments.Jobs = 1,
-    overwrite: arguments.Overwrite = False,
+    scans: int = option("Number of scans of the simulated drive.", default=4),
+    samples: int = option("Monte-Carlo passes per scan.", default=8),
+    classes: str | None = arguments.CLASSES,
+    device: str = arguments.DEVICE,
+    jobs: int = arguments.JOBS,
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
     """Run the whole pipeline on a simulated drive and list the results.
@@ -109,17 +102,14 @@ def demo(
 
 
 def report(
-    out: arguments.Results = Path("out"),
+    out: Path = arguments.RESULTS,
     *,
-    scans: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAMES",
-            help="Scans to show in 3-D, such as 08/000000,08/000010.",
-            show_default="up to four notable scans",
-        ),
-    ] = None,
-    by_distance: arguments.ByDistance = False,
+    scans: str | None = option(
+        "Scans to show in 3-D, such as 08/000000,08/000010.",
+        metavar="NAMES",
+        show_default="up to four notable scans",
+    ),
+    by_distance: bool = arguments.BY_DISTANCE,
     query: ResultQuery,
     running: arguments.Reading,
     output: console.Output,
@@ -152,11 +142,9 @@ def report(
 
 
 def view(
-    out: arguments.Results = Path("out"),
+    out: Path = arguments.RESULTS,
     *,
-    port: Annotated[
-        int, typer.Option(help="Port on this machine; 0: any free port.", min=0, max=65535)
-    ] = 8765,
+    port: int = option("Port on this machine; 0: any free port.", default=8765, min=0, max=65535),
     query: ResultQuery,
     running: Annotated[RunOptions, Without({"backend", "scheduler", "shard", "overwrite"})],
     output: console.Output,

@@ -2,26 +2,20 @@
 """Commands on weights files: describe, import and export them."""
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.engines.settings import DEFAULT_WEIGHTS, weights_file
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.option_fields import ScanSelection, argument, option
 from salsanext_cli.results.query import named_label_space
 
 
 def models(
-    weights: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="WEIGHTS...",
-            help="Weights files to describe.",
-            show_default="the weights of the package",
-        ),
-    ] = None,
+    weights: list[Path] | None = argument(
+        "Weights files to describe.",
+        metavar="WEIGHTS...",
+        show_default="the weights of the package",
+    ),
     *,
     output: console.Output,
 ) -> None:
@@ -48,35 +42,25 @@ def models(
 
 
 def import_weights(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="CHECKPOINT", help="Published checkpoint, or weights file (.safetensors)."
-        ),
-    ],
-    target: arguments.WeightsOut,
+    source: Path = argument(
+        "Published checkpoint, or weights file (.safetensors).", default=..., metavar="CHECKPOINT"
+    ),
+    target: Path = arguments.WEIGHTS_OUT,
     *,
-    label_space: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Label space of the checkpoint: built-in, or a .yaml file in SemanticKITTI's "
-            "format.",
-            show_default="semantic-kitti",
-        ),
-    ] = None,
-    sensor: arguments.SensorWithoutWeights = None,
-    dropout: Annotated[
-        float | None,
-        typer.Option(help="Dropout rate of the training of the checkpoint.", show_default="0.2"),
-    ] = None,
-    description: Annotated[
-        str, typer.Option(metavar="TEXT", help="Description to store in the weights file.")
-    ] = "",
-    half: Annotated[
-        bool, typer.Option("--half", help="Store in float16, at half the size.")
-    ] = False,
-    overwrite: arguments.Overwrite = False,
+    label_space: str | None = option(
+        "Label space of the checkpoint: built-in, or a .yaml file in SemanticKITTI's format.",
+        metavar="NAME|FILE",
+        show_default="semantic-kitti",
+    ),
+    sensor: str | None = arguments.SENSOR,
+    dropout: float | None = option(
+        "Dropout rate of the training of the checkpoint.", show_default="0.2"
+    ),
+    description: str = option(
+        "Description to store in the weights file.", default="", metavar="TEXT"
+    ),
+    half: bool = option("Store in float16, at half the size.", default=False),
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
     """Convert a published checkpoint to a weights file, without running code in it.
@@ -101,32 +85,19 @@ def import_weights(
 
 
 def export_onnx(
-    weights: Annotated[
-        Path,
-        typer.Argument(
-            metavar="WEIGHTS", help="Weights file (.safetensors); default: that of the package."
-        ),
-    ],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="ONNX model to write (.onnx).")],
+    weights: Path = argument(
+        "Weights file (.safetensors); default: that of the package.", default=..., metavar="WEIGHTS"
+    ),
+    target: Path = argument("ONNX model to write (.onnx).", default=..., metavar="OUT"),
     *,
-    sensor: Annotated[
-        str | None, arguments.sensor_option(show_default="the sensor of the weights")
-    ] = None,
-    dynamic_width: Annotated[
-        bool,
-        typer.Option("--dynamic-width", help="Accept any width that is a multiple of 16 or 32."),
-    ] = False,
-    int8: Annotated[
-        bool, typer.Option("--int8", help="Quantise to bytes, with ranges from --calibrate.")
-    ] = False,
-    calibrate: Annotated[
-        Path | None,
-        typer.Option(metavar="SCANS", help="Scans for --int8, without labels: some tens."),
-    ] = None,
-    limit: Annotated[
-        int, typer.Option(help="At most this number of scans to calibrate, evenly spaced.")
-    ] = 40,
-    overwrite: arguments.Overwrite = False,
+    sensor: str | None = arguments.sensor_option(show_default="the sensor of the weights"),
+    dynamic_width: bool = option("Accept any width that is a multiple of 16 or 32.", default=False),
+    int8: bool = option("Quantise to bytes, with ranges from --calibrate.", default=False),
+    calibrate: Path | None = option(
+        "Scans for --int8, without labels: some tens.", metavar="SCANS"
+    ),
+    limit: int = option("At most this number of scans to calibrate, evenly spaced.", default=40),
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
     """Write weights as an ONNX model for OpenVINO, ONNX Runtime and TensorRT.

@@ -13,30 +13,27 @@ from salsanext_cli.cli.console import over_scans, print_line, progress
 from salsanext_cli.cli.expansion import Shown, Without
 from salsanext_cli.engines.settings import with_columns
 from salsanext_cli.errors import counted, printable, with_hint
-from salsanext_cli.option_fields import ScanSelection, option, option_group
+from salsanext_cli.option_fields import ScanSelection, argument, option, option_group
 from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import named_label_space
 
 
 def inspect(
-    scans: arguments.Scans = None,
+    scans: Path | None = arguments.SCANS,
     *,
-    fit: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write a sensor file (.toml) with field of view and statistics of the scans."
-        ),
-    ] = None,
-    height: Annotated[int | None, typer.Option(help="Rows of the range image of --fit.")] = None,
-    width: Annotated[int | None, typer.Option(help="Columns of the range image of --fit.")] = None,
-    dataset: arguments.DataSet = None,
+    fit: Path | None = option(
+        "Write a sensor file (.toml) with field of view and statistics of the scans."
+    ),
+    height: int | None = option("Rows of the range image of --fit."),
+    width: int | None = option("Columns of the range image of --fit."),
+    dataset: Path | None = arguments.DATASET,
     selection: ScanSelection,
-    topic: arguments.Topic = None,
-    label_space: arguments.LabelSpaceName = None,
-    sensor: arguments.SensorWithoutWeights = None,
-    columns: arguments.Columns = None,
+    topic: str | None = arguments.TOPIC,
+    label_space: str | None = arguments.LABEL_SPACE,
+    sensor: str | None = arguments.SENSOR,
+    columns: str | None = arguments.COLUMNS,
     running: arguments.Unsharded,
-    strict: arguments.Strict = False,
+    strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
     """Summarise scans: points, field of view, labels, warnings; fit a sensor file to them.
@@ -73,20 +70,16 @@ def inspect(
 
 
 def convert(
-    recording: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RECORDING",
-            help="ROS bag (.bag, .mcap, .db3, a folder) or Ouster recording (.pcap, .osf).",
-        ),
-    ],
-    folder: Annotated[
-        Path, typer.Argument(metavar="DATASET", help="Root of the data set to write.")
-    ],
+    recording: Path = argument(
+        "ROS bag (.bag, .mcap, .db3, a folder) or Ouster recording (.pcap, .osf).",
+        default=...,
+        metavar="RECORDING",
+    ),
+    folder: Path = arguments.NEW_DATASET,
     *,
-    topic: arguments.Topic = None,
-    every: Annotated[int, typer.Option(help="Take only every Nth scan.")] = 1,
-    limit: Annotated[int | None, typer.Option(help="Only the first N scans.")] = None,
+    topic: str | None = arguments.TOPIC,
+    every: int = option("Take only every Nth scan.", default=1),
+    limit: int | None = option("Only the first N scans."),
     running: Annotated[RunOptions, Without({"backend", "scheduler", "shard"})],
     output: console.Output,
 ) -> None:
@@ -102,29 +95,21 @@ def convert(
     summary.finish("convert", outcome, folder, output)
 
 
-@option_group
-class PickOptions:
-    """Number and kind of the scans that `pick` takes."""
-
-    count: int = option("Number of scans to pick.", default=10)
-    seed: int = option("Seed of the dropout masks.", default=0)
+def pick(
+    scans: Path = argument(arguments.SCANS_HELP, default=..., metavar="SCANS"),
+    out: Path = arguments.NEW_DATASET,
+    *,
+    count: int = option("Number of scans to pick.", default=10),
+    seed: int = option("Seed of the dropout masks.", default=0),
     labelled: list[Path] | None = option(
         "Data set of labelled scans, which the picked scans should differ from; may be given "
-        "several times.",
-        metavar="DATASET",
-    )
-
-
-def pick(
-    scans: arguments.RequiredScans,
-    out: Annotated[Path, typer.Argument(metavar="DATASET", help="Root of the data set to write.")],
-    *,
-    choice: PickOptions,
+        "several times."
+    ),
     selection: Annotated[ScanSelection, Shown(limit=arguments.SUBSET)],
-    topic: arguments.Topic = None,
+    topic: str | None = arguments.TOPIC,
     settings: arguments.Network,
     running: arguments.Unsharded,
-    strict: arguments.Strict = False,
+    strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
     """Pick the scans most worth labelling; write them as a data set with pre-labels to correct.
@@ -138,7 +123,9 @@ def pick(
         picking = stage(
             arguments.in_topic(scans, topic),
             out,
-            **asdict(choice) | {"labelled": choice.labelled or ()},
+            count=count,
+            seed=seed,
+            labelled=labelled or (),
             settings=settings,
             selection=selection,
             options=run,
@@ -159,34 +146,25 @@ def pick(
 
 
 def import_labels(
-    edited: Annotated[
-        Path,
-        typer.Argument(
-            metavar="EDITED",
-            help="Labelled point cloud (.ply, .pcd, .las, .laz), .label or .npy file, or a "
-            "folder of such files.",
-        ),
-    ],
-    dataset: Annotated[
-        Path, typer.Argument(metavar="DATASET", help="Data set of `pick`, or folder of scans.")
-    ],
+    edited: Path = argument(
+        "Labelled point cloud (.ply, .pcd, .las, .laz), .label or .npy file, or a "
+        "folder of such files.",
+        default=...,
+        metavar="EDITED",
+    ),
+    dataset: Path = argument(
+        "Data set of `pick`, or folder of scans.", default=..., metavar="DATASET"
+    ),
     *,
-    scalar: Annotated[
-        str | None,
-        typer.Option(help="Scalar field with the labels.", show_default="the only label"),
-    ] = None,
-    ids: Annotated[
-        Path | None,
-        typer.Option(
-            "--map",
-            help="YAML file that maps the ids of the tool to class names or raw ids, such as "
-            "3: car.",
-            show_default="raw ids of the label space",
-        ),
-    ] = None,
-    label_space: arguments.LabelSpaceName = None,
-    columns: arguments.Columns = None,
-    overwrite: arguments.Overwrite = False,
+    scalar: str | None = option("Scalar field with the labels.", show_default="the only label"),
+    ids: Path | None = option(
+        "YAML file that maps the ids of the tool to class names or raw ids, such as 3: car.",
+        "--map",
+        show_default="raw ids of the label space",
+    ),
+    label_space: str | None = arguments.LABEL_SPACE,
+    columns: str | None = arguments.COLUMNS,
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
     """Import the labels that a labelling tool wrote as the label files of a data set.
@@ -233,11 +211,11 @@ class Scenes:
 
 
 def synth(
-    out: Annotated[Path, typer.Argument(metavar="DATASET", help="Root of the data set to write.")],
+    out: Path = arguments.NEW_DATASET,
     *,
     scenes: Scenes,
-    jobs: arguments.Jobs = 1,
-    overwrite: arguments.Overwrite = False,
+    jobs: int = arguments.JOBS,
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
     """Simulate labelled scans of streets, in the layout of SemanticKITTI.
@@ -256,17 +234,15 @@ def synth(
 
 
 def submit(
-    out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Folder with the predictions of the test split.")
-    ],
-    target: Annotated[Path, typer.Argument(metavar="ZIP", help="File to write (.zip).")],
+    out: Path = argument(
+        "Folder with the predictions of the test split.", default=..., metavar="OUT"
+    ),
+    target: Path = argument("File to write (.zip).", default=..., metavar="ZIP"),
     *,
-    description: Annotated[
-        Path | None, typer.Option(help="Text file about the method, packed as description.txt.")
-    ] = None,
-    dataset: arguments.DataSetOfResults = None,
-    label_space: arguments.LabelSpaceName = None,
-    overwrite: arguments.Overwrite = False,
+    description: Path | None = option("Text file about the method, packed as description.txt."),
+    dataset: Path | None = arguments.DATASET_OF_RESULTS,
+    label_space: str | None = arguments.LABEL_SPACE,
+    overwrite: bool = arguments.OVERWRITE,
     output: console.Output,
 ) -> None:
     """Check the predictions of the test split and pack them for the benchmark of SemanticKITTI.

@@ -14,7 +14,7 @@ from salsanext_cli.cli.expansion import Without
 from salsanext_cli.engines.settings import AUTO, with_columns
 from salsanext_cli.errors import UsageError, counted
 from salsanext_cli.option_fields import KnnParameters, ScanSelection, option, option_group
-from salsanext_cli.parallel.run_options import RunOptions
+from salsanext_cli.parallel.run_options import RunOptions, running_option
 from salsanext_cli.results.query import ResultQuery, named_label_space
 
 if TYPE_CHECKING:
@@ -25,15 +25,15 @@ WAIT_S = 1.0  # Time between two checks whether another run has ended
 
 def project(
     context: typer.Context,
-    scans: arguments.SeveralScans = None,
-    out: arguments.Out = Path("out"),
+    scans: Path | None = arguments.SEVERAL_SCANS,
+    out: Path = arguments.OUT,
     *,
-    dataset: arguments.DataSet = None,
+    dataset: Path | None = arguments.DATASET,
     selection: ScanSelection,
-    topic: arguments.Topic = None,
+    topic: str | None = arguments.TOPIC,
     settings: Annotated[arguments.Network, Without({"device", "precision", "engine", "intensity"})],
     running: RunOptions,
-    strict: arguments.Strict = False,
+    strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
     """Project scans onto range images, for `predict` or your own programs.
@@ -98,34 +98,34 @@ class Extras:
         """Largest probability of error of an accepted point, as `predict_scans` takes it."""
         return "risk" if self.reject == "risk" else arguments.share("--reject", self.reject)
 
-    def require_fusable(self) -> None:
-        """Refuse options that fused labels do not support."""
+    def require_fusable(self, source: Path | list[Path], out: Path, running: RunOptions) -> None:
+        """Refuse scans and options that cannot be fused."""
+        from salsanext_cli.stages.fuse import require_fusable
+
         if self.objects or self.reject is not None:
             hint = "run `predict` a second time without --fuse"
             raise UsageError("--fuse", "given with --objects or --reject", "one of them", hint)
+        require_fusable(source, out, running)
 
 
 def predict(
     context: typer.Context,
-    scans: arguments.SeveralScans = None,
-    out: arguments.Out = Path("out"),
+    scans: Path | None = arguments.SEVERAL_SCANS,
+    out: Path = arguments.OUT,
     *,
     extras: Extras,
-    dataset: arguments.DataSet = None,
+    dataset: Path | None = arguments.DATASET,
     selection: ScanSelection,
-    topic: arguments.Topic = None,
-    classes: arguments.MergedInto = None,
+    topic: str | None = arguments.TOPIC,
+    classes: str | None = arguments.CLASSES,
     settings: arguments.Network,
     knn: KnnParameters,
-    batch: Annotated[
-        int | None,
-        arguments.running_option(
-            help="Scans computed together, halved if memory runs out.",
-            show_default="1 on a CPU, several on a GPU",
-        ),
-    ] = None,
+    batch: int | None = running_option(
+        "Scans computed together, halved if memory runs out.",
+        show_default="1 on a CPU, several on a GPU",
+    ),
     running: RunOptions,
-    strict: arguments.Strict = False,
+    strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
     """Predict the class of every point of every scan.
@@ -137,10 +137,7 @@ def predict(
 
     source, out = arguments.sources(context, scans, out, dataset, topic)
     if extras.fuse:
-        from salsanext_cli.stages.fuse import require_fusable
-
-        extras.require_fusable()
-        require_fusable(source, out, running)
+        extras.require_fusable(source, out, running)
     settings = replace(settings, classes=named_label_space(classes))
     with over_scans("predict", running, output.quiet) as run:
         if not isinstance(source, Path) or projected_sensor(source) is None:
@@ -209,28 +206,21 @@ def _refuse_options_of_points(extras: Extras, knn: KnnParameters, batch: int | N
 
 
 def knn_refine(
-    out: arguments.Results = Path("out"),
+    out: Path = arguments.RESULTS,
     *,
-    labels: Annotated[
-        Path | None,
-        typer.Option(help="Refine the .label files of this folder instead, of any program."),
-    ] = None,
-    dataset: arguments.DataSetOfResults = None,
+    labels: Path | None = option("Refine the .label files of this folder instead, of any program."),
+    dataset: Path | None = arguments.DATASET_OF_RESULTS,
     selection: ScanSelection,
-    label_space: arguments.LabelSpaceName = None,
-    sensor: Annotated[
-        str | None,
-        arguments.sensor_option(show_default="the sensor of the earlier commands, else hdl64"),
-    ] = None,
-    columns: Annotated[
-        str | None,
-        arguments.columns_option(
-            show_default="those of the earlier commands, else x,y,z,intensity"
-        ),
-    ] = None,
+    label_space: str | None = arguments.LABEL_SPACE,
+    sensor: str | None = arguments.sensor_option(
+        show_default="the sensor of the earlier commands, else hdl64"
+    ),
+    columns: str | None = arguments.columns_option(
+        show_default="those of the earlier commands, else x,y,z,intensity"
+    ),
     knn: KnnParameters,
     running: RunOptions,
-    strict: arguments.Strict = False,
+    strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
     """Assign labels of pixels to points, or correct labels of points, by nearest neighbours.
@@ -259,26 +249,24 @@ def knn_refine(
 
 def uncertainty(
     context: typer.Context,
-    scans: arguments.SeveralScans = None,
-    out: arguments.Out = Path("out"),
+    scans: Path | None = arguments.SEVERAL_SCANS,
+    out: Path = arguments.OUT,
     *,
-    samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan.")] = 30,
-    seed: Annotated[int, typer.Option(help="Random seed of dropout masks and noise.")] = 0,
-    aleatoric: Annotated[
-        Literal["copies", "paper", "none"],
-        typer.Option(
-            help="Method for aleatoric and total uncertainty: eight noisy copies of each scan, or "
-            "propagation of the noise through the network as in the paper."
-        ),
-    ] = "copies",
-    dataset: arguments.DataSet = None,
+    samples: int = option("Monte-Carlo passes per scan.", default=30),
+    seed: int = option("Random seed of dropout masks and noise.", default=0),
+    aleatoric: Literal["copies", "paper", "none"] = option(
+        "Method for aleatoric and total uncertainty: eight noisy copies of each scan, or "
+        "propagation of the noise through the network as in the paper.",
+        default="copies",
+    ),
+    dataset: Path | None = arguments.DATASET,
     selection: ScanSelection,
-    topic: arguments.Topic = None,
-    classes: arguments.MergedInto = None,
+    topic: str | None = arguments.TOPIC,
+    classes: str | None = arguments.CLASSES,
     settings: arguments.Network,
     knn: KnnParameters,
     running: RunOptions,
-    strict: arguments.Strict = False,
+    strict: bool = arguments.STRICT,
     output: console.Output,
 ) -> None:
     """Predict the class of every point and its epistemic, aleatoric and total uncertainty.

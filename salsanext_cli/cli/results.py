@@ -6,13 +6,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import typer
-
 from salsanext_cli.cli import arguments, console, summary
 from salsanext_cli.cli.console import over_scans
 from salsanext_cli.cli.expansion import Without
 from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.option_fields import FusionReach, names_in, option, option_group
+from salsanext_cli.option_fields import FusionReach, argument, names_in, option, option_group
 from salsanext_cli.parallel.run_options import RunOptions
 from salsanext_cli.results.query import ResultQuery
 from salsanext_cli.results.uncertainty_kinds import COLOUR_HELP
@@ -24,24 +22,17 @@ if TYPE_CHECKING:
 
 
 def fuse(
-    out: arguments.Results = Path("out"),
-    target: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="FUSED",
-            help="Folder to write the fused labels to.",
-            show_default="fused, in the folder OUT",
-        ),
-    ] = None,
+    out: Path = arguments.RESULTS,
+    target: Path | None = argument(
+        "Folder to write the fused labels to.",
+        metavar="FUSED",
+        show_default="fused, in the folder OUT",
+    ),
     *,
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            help="Poses of the scans of the sequence, from scan to world, in the format of KITTI "
-            "or TUM.",
-            show_default="poses.txt of the sequence, else computed from the scans",
-        ),
-    ] = None,
+    poses: Path | None = option(
+        "Poses of the scans of the sequence, from scan to world, in the format of KITTI or TUM.",
+        show_default="poses.txt of the sequence, else computed from the scans",
+    ),
     reach: FusionReach,
     query: Annotated[ResultQuery, Without({"label_space", "classes"})],
     running: RunOptions,
@@ -80,9 +71,9 @@ class PointChoice:
 
 
 def filter_command(
-    out: arguments.Results = Path("out"),
+    out: Path = arguments.RESULTS,
     *,
-    to: Annotated[Path, typer.Option(help="New folder to write to.")],
+    to: Path = option("New folder to write to.", default=...),
     points: PointChoice,
     query: Annotated[ResultQuery, Without({"split", "label_space", "classes"})],
     running: RunOptions,
@@ -100,10 +91,10 @@ def filter_command(
 
 
 def compare(
-    before: Annotated[Path, typer.Argument(metavar="OUT_A", help="Results of the first run.")],
-    after: Annotated[Path, typer.Argument(metavar="OUT_B", help="Results of the second run.")],
+    before: Path = argument("Results of the first run.", default=..., metavar="OUT_A"),
+    after: Path = argument("Results of the second run.", default=..., metavar="OUT_B"),
     *,
-    by_distance: arguments.ByDistance = False,
+    by_distance: bool = arguments.BY_DISTANCE,
     query: ResultQuery,
     running: arguments.Reading,
     output: console.Output,
@@ -131,9 +122,9 @@ def compare(
 
 
 def evaluate(
-    out: arguments.Results = Path("out"),
+    out: Path = arguments.RESULTS,
     *,
-    by_distance: arguments.ByDistance = False,
+    by_distance: bool = arguments.BY_DISTANCE,
     query: ResultQuery,
     running: arguments.Reading,
     output: console.Output,
@@ -195,43 +186,25 @@ def _evaluation_tables(evaluation: "Evaluation", above: float | None) -> "Group"
     return Group(*tables)
 
 
-@option_group
-class CloudOptions:
-    """Colours and format of the clouds of `export-ply`."""
-
-    colour: str = option(f"{COLOUR_HELP}.", "--colour", "--color", default="label")
-    scale: tuple[float, float] | None = option(
-        "Values at the ends of the colour map.",
-        metavar="LOW HIGH",
-        show_default="the range of most values; fixed for error",
-    )
+def export_ply(
+    out: Path = arguments.RESULTS,
+    *,
+    colour: str = option(f"{COLOUR_HELP}.", "--colour", "--color", default="label"),
+    scale: tuple[float, float] | None = arguments.SCALE,
     max_error: float | None = option(
         "Write points as unlabelled whose probability of error is above this."
-    )
-    form: str = option(
-        "Format; las and laz contain the classes of the ASPRS.",
-        "--format",
-        default="ply",
-        typed=Literal["ply", "las", "laz"],
-    )
-
-
-def export_ply(
-    out: arguments.Results = Path("out"),
-    *,
-    clouds: CloudOptions,
-    as_map: Annotated[
-        bool,
-        typer.Option("--map", help="Write one cloud for each drive, with the labels of `fuse`."),
-    ] = False,
-    voxel: Annotated[
-        float | None,
-        typer.Option(
-            "--map-voxel",
-            help="Edge of the voxels of --map, each with one point, in metres.",
-            show_default="0.1",
-        ),
-    ] = None,
+    ),
+    form: Literal["ply", "las", "laz"] = option(
+        "Format; las and laz contain the classes of the ASPRS.", "--format", default="ply"
+    ),
+    as_map: bool = option(
+        "Write one cloud for each drive, with the labels of `fuse`.", "--map", default=False
+    ),
+    voxel: float | None = option(
+        "Edge of the voxels of --map, each with one point, in metres.",
+        "--map-voxel",
+        show_default="0.1",
+    ),
     query: ResultQuery,
     running: RunOptions,
     output: console.Output,
@@ -246,5 +219,14 @@ def export_ply(
         raise UsageError("--map-voxel", "given without --map", "both or neither")
     with over_scans("export-ply", running, output.quiet) as run:
         map_voxel = (0.1 if voxel is None else voxel) if as_map else None
-        outcome = stage(out, **asdict(clouds), voxel=map_voxel, query=query, options=run)
-    summary.finish("export-ply", outcome, out, output, limit=clouds.max_error)
+        outcome = stage(
+            out,
+            colour=colour,
+            scale=scale,
+            max_error=max_error,
+            form=form,
+            voxel=map_voxel,
+            query=query,
+            options=run,
+        )
+    summary.finish("export-ply", outcome, out, output, limit=max_error)

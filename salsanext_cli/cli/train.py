@@ -4,15 +4,14 @@
 import shlex
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.console import progress
 from salsanext_cli.engines.settings import COLUMNS_DEFAULT, COLUMNS_HELP, weights_file, with_columns
 from salsanext_cli.errors import counted
-from salsanext_cli.option_fields import network_option, option_group
+from salsanext_cli.option_fields import argument, network_option, option_group
+from salsanext_cli.parallel.run_options import running_option
 from salsanext_cli.results.query import named_label_space
 
 if TYPE_CHECKING:
@@ -76,22 +75,17 @@ class Start:
 
 
 def train(
-    dataset: arguments.LabelledDataSet = Path(),
-    run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="Folder to write weights, log and curves to.")
-    ] = Path("run"),
+    dataset: Path = arguments.labelled_argument(default=Path(), show_default="the current folder"),
+    run: Path = argument(
+        "Folder to write weights, log and curves to.", default=Path("run"), metavar="RUN"
+    ),
     *,
     start: Start,
-    label_space: arguments.LabelSpaceName = None,
-    device: arguments.Device = "auto",
-    jobs: Annotated[
-        int | None, arguments.jobs_option(show_default="1; on a GPU one per core, up to 8")
-    ] = None,
-    overwrite: arguments.Overwrite = False,
-    strict: Annotated[
-        bool,
-        arguments.running_option("--strict", help="Do not train after a warning about a scan."),
-    ] = False,
+    label_space: str | None = arguments.LABEL_SPACE,
+    device: str = arguments.DEVICE,
+    jobs: int | None = arguments.jobs_option(show_default="1; on a GPU one per core, up to 8"),
+    overwrite: bool = arguments.OVERWRITE,
+    strict: bool = running_option("Do not train after a warning about a scan.", default=False),
     output: console.Output,
 ) -> None:
     """Train a network. After an interruption, the same command continues the training.

@@ -9,20 +9,35 @@ import typer
 
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.cli.console import guarded, progress
-from salsanext_cli.cli.expansion import Default, expanded
+from salsanext_cli.cli.expansion import Default, Shown, expanded
 from salsanext_cli.cli.help import Command, Group
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import counted
-from salsanext_cli.option_fields import ScanSelection
+from salsanext_cli.option_fields import ScanSelection, option, option_group
+from salsanext_cli.parallel.run_options import running_option
+
+
+@option_group
+class Fit:
+    """Labelled scans, network and weights file of a fit."""
+
+    selection: ScanSelection = ScanSelection()
+    settings: NetworkSettings = NetworkSettings()
+    overwrite: bool = running_option("Replace existing results.", default=False)
+
+
+FitOptions = Annotated[
+    Fit,
+    Shown(split={"show_default": "valid, and the sequences of no split"}, limit=arguments.SUBSET),
+    Default(precision="auto"),
+]
 
 
 def tune_temperature(
-    dataset: arguments.LabelledDataSet,
-    target: arguments.WeightsOut,
+    dataset: Path = arguments.labelled_argument(default=...),
+    target: Path = arguments.WEIGHTS_OUT,
     *,
-    selection: arguments.LabelledSelection,
-    settings: arguments.Network,
-    overwrite: arguments.Overwrite = False,
+    fit: FitOptions,
     output: console.Output,
 ) -> None:
     """Fit the temperature that calibrates the class probabilities, and write new weights.
@@ -31,19 +46,17 @@ def tune_temperature(
     """
     from salsanext_cli.report.tables import temperature_table
 
-    tuned = _tuned("temperature", dataset, target, settings, selection, overwrite, output)
+    tuned = _tuned("temperature", dataset, target, fit, output)
     output.result(tuned, temperature_table(tuned))
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     _end(output, f"tune temperature: {points} → {target}", target)
 
 
 def tune_error(
-    dataset: arguments.LabelledDataSet,
-    target: arguments.WeightsOut,
+    dataset: Path = arguments.labelled_argument(default=...),
+    target: Path = arguments.WEIGHTS_OUT,
     *,
-    selection: arguments.LabelledSelection,
-    settings: arguments.Network,
-    overwrite: arguments.Overwrite = False,
+    fit: FitOptions,
     output: console.Output,
 ) -> None:
     """Fit the estimate of the probability that a label is wrong, and write new weights.
@@ -52,7 +65,7 @@ def tune_error(
     """
     from salsanext_cli.report.tables import error_table
 
-    tuned = _tuned("error", dataset, target, settings, selection, overwrite, output)
+    tuned = _tuned("error", dataset, target, fit, output)
     output.result(tuned, error_table(tuned) if tuned["folds"] else None)
     points = f"{tuned['points']:,} points of {counted(tuned['scans'], 'scan')}"
     points += f", {100 * tuned['wrong']:.1f} % wrong"
@@ -62,33 +75,24 @@ def tune_error(
 
 
 def tune_risk(
-    dataset: arguments.LabelledDataSet,
-    target: arguments.WeightsOut,
+    dataset: Path = arguments.labelled_argument(default=...),
+    target: Path = arguments.WEIGHTS_OUT,
     *,
-    at_most: Annotated[
-        str,
-        typer.Option(
-            metavar="SHARE", help="Largest share of accepted, wrong points in a scan, such as 5%."
-        ),
-    ],
-    confidence: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SHARE",
-            help="Guarantee the limit for this share of scans, with this confidence, instead of on "
-            "average, such as 90%.",
-        ),
-    ] = None,
-    per_class: Annotated[
-        bool,
-        typer.Option(
-            "--per-class",
-            help="Also guarantee the limit for the points of every class, by one threshold each.",
-        ),
-    ] = False,
-    selection: arguments.LabelledSelection,
-    settings: arguments.Network,
-    overwrite: arguments.Overwrite = False,
+    at_most: str = option(
+        "Largest share of accepted, wrong points in a scan, such as 5%.",
+        default=...,
+        metavar="SHARE",
+    ),
+    confidence: str | None = option(
+        "Guarantee the limit for this share of scans, with this confidence, instead of on "
+        "average, such as 90%.",
+        metavar="SHARE",
+    ),
+    per_class: bool = option(
+        "Also guarantee the limit for the points of every class, by one threshold each.",
+        default=False,
+    ),
+    fit: FitOptions,
     output: console.Output,
 ) -> None:
     """Choose the threshold of `predict --reject risk`, and write new weights.
@@ -100,12 +104,12 @@ def tune_risk(
 
     from salsanext_cli.report.tables import kept_table
 
-    level, sure = (
-        arguments.share("--at-most", at_most),
-        arguments.share("--confidence", confidence),
-    )
-    numbers = {"at_most": level, "confidence": sure, "per_class": per_class}
-    tuned = _tuned("risk", dataset, target, settings, selection, overwrite, output, **numbers)
+    numbers = {
+        "at_most": arguments.share("--at-most", at_most),
+        "confidence": arguments.share("--confidence", confidence),
+        "per_class": per_class,
+    }
+    tuned = _tuned("risk", dataset, target, fit, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
     output.result(
         tuned, Group(kept_table(tuned["kept"]["classes"], tuned.get("classes", {})), *sentences)
@@ -115,19 +119,15 @@ def tune_risk(
 
 
 def tune_dropout(
-    dataset: arguments.LabelledDataSet,
-    target: arguments.WeightsOut,
+    dataset: Path = arguments.labelled_argument(default=...),
+    target: Path = arguments.WEIGHTS_OUT,
     *,
-    samples: Annotated[int, typer.Option(help="Monte-Carlo passes per scan and rate.")] = 30,
-    lowest: Annotated[float, typer.Option(help="Lowest rate to try.")] = 0.02,
-    highest: Annotated[float, typer.Option(help="Highest rate to try.")] = 0.5,
-    steps: Annotated[
-        int, typer.Option(help="Number of rates to try, evenly spaced on a log scale.")
-    ] = 10,
-    seed: Annotated[int, typer.Option(help="Random seed of the dropout masks.")] = 0,
-    selection: Annotated[arguments.LabelledSelection, Default(limit=20)],
-    settings: arguments.Network,
-    overwrite: arguments.Overwrite = False,
+    samples: int = option("Monte-Carlo passes per scan and rate.", default=30),
+    lowest: float = option("Lowest rate to try.", default=0.02),
+    highest: float = option("Highest rate to try.", default=0.5),
+    steps: int = option("Number of rates to try, evenly spaced on a log scale.", default=10),
+    seed: int = option("Random seed of the dropout masks.", default=0),
+    fit: Annotated[FitOptions, Default(limit=20)],
     output: console.Output,
 ) -> None:
     """Find the best dropout rate for `uncertainty`, and write new weights.
@@ -137,7 +137,7 @@ def tune_dropout(
     from salsanext_cli.report.tables import rate_table
 
     rates = {"samples": samples, "seed": seed, "lowest": lowest, "highest": highest, "steps": steps}
-    tuned = _tuned("dropout", dataset, target, settings, selection, overwrite, output, **rates)
+    tuned = _tuned("dropout", dataset, target, fit, output, **rates)
     best = tuned["best"]
     output.result(tuned, rate_table(tuned["rates"], tuned["objectives"], best))
     summary = f"tune dropout: {best:.4g}, was {tuned['before']:g} → {target}"
@@ -153,30 +153,15 @@ def _end(
 
 
 def _tuned(
-    part: str,
-    source: Path,
-    target: Path,
-    settings: NetworkSettings,
-    selection: ScanSelection,
-    overwrite: bool,
-    output: console.Output,
-    **numbers: float | None,
+    part: str, source: Path, target: Path, fit: Fit, output: console.Output, **numbers: Any
 ) -> dict[str, Any]:
     """Fit a part of the weights; return the result as plain data."""
     from salsanext_cli.stages.tune import tune
 
-    unit = "samplings" if part == "dropout" else "scans"
-    with progress(f"tune {part}", output.quiet, unit) as on_progress:
-        tuned = tune(
-            part,
-            source,
-            target,
-            settings=settings,
-            selection=selection,
-            overwrite=overwrite,
-            progress=on_progress,
-            **numbers,
-        )
+    settings, unit = fit.settings, "samplings" if part == "dropout" else "scans"
+    with progress(f"tune {part}", output.quiet, unit) as bar:
+        numbers |= {"selection": fit.selection, "overwrite": fit.overwrite, "progress": bar}
+        tuned = tune(part, source, target, settings=settings, **numbers)
     return tuned | {"weights": str(target)}
 
 

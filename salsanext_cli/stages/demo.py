@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.option_fields import ScanSelection
@@ -25,9 +26,6 @@ from salsanext_cli.uncertainty.method import UncertaintyMethod
 SEED = 2020  # No scene of the training of the default weights has it
 SPACING_M = 12.0
 
-StepProgress = Callable[[str], AbstractContextManager[Progress | None]]
-"""Function from the name of a step to a context with its progress callback."""
-
 
 @dataclass(frozen=True, slots=True)
 class Demonstration:
@@ -46,7 +44,7 @@ def demo(
     samples: int,
     settings: NetworkSettings,
     options: RunOptions,
-    bars: StepProgress,
+    bars: Callable[[str], AbstractContextManager[Progress | None]],
 ) -> Demonstration:
     """Run every stage on a simulated drive, in ``data/`` and ``out/`` of a folder.
 
@@ -54,10 +52,8 @@ def demo(
     ----------
     folder : Path
         Folder to write to.
-    scans : int
-        Number of scans of the drive.
-    samples : int
-        Monte-Carlo passes per scan.
+    scans, samples : int
+        Number of scans of the drive, and of Monte-Carlo passes per scan.
     settings : NetworkSettings
         Network that predicts.
     options : RunOptions
@@ -79,16 +75,14 @@ def demo(
             yield replace(options, progress=progress)
 
     with step("synth") as run:
-        synthesise(
-            data,
-            train=0,
-            valid=1,
-            scans=scans,
-            seed=SEED,
-            spacing=SPACING_M,
-            overwrite=run.overwrite,
-            progress=run.progress,
-        )
+        scene: dict[str, Any] = {
+            "train": 0,
+            "valid": 1,
+            "scans": scans,
+            "seed": SEED,
+            "spacing": SPACING_M,
+        }
+        synthesise(data, **scene, overwrite=run.overwrite, progress=run.progress)
     with step("predict") as run:
         extras = (ERROR,) if knows_error(settings.load()) else ()
         predicted = predict_scans(data, out, settings=settings, extras=extras, options=run)
