@@ -72,11 +72,6 @@ def expanded(command: Callable[..., None]) -> Callable[..., None]:
         else:
             parameters.append(parameter.replace(annotation=hint, kind=parameter.KEYWORD_ONLY))
 
-    for parameter in parameters:
-        kind, *marks = get_args(parameter.annotation) or (None,)
-        for mark in marks:
-            mark.metavar = mark.metavar or _metavar(kind)
-
     @functools.wraps(command)
     def run(**given: Any) -> None:
         # The last group is `Output`, which decides where messages about the others go.
@@ -95,7 +90,7 @@ def _group(kind: type, marks: list[Any]) -> Group:
     hidden: set[str] = set()
     for mark in marks:
         if isinstance(mark, Default):
-            defaults |= mark
+            defaults |= {name: mark[name] for name in fields.keys() & mark}
         elif isinstance(mark, Shown):
             changes |= mark
         elif isinstance(mark, Without):
@@ -103,15 +98,11 @@ def _group(kind: type, marks: list[Any]) -> Group:
     offered: dict[str, inspect.Parameter] = {}
     nested: dict[str, Group] = {}
     for name, field in fields.items():
-        if (
-            not field.metadata
-            and isinstance(field.type, type)
-            and dataclasses.is_dataclass(field.type)
-        ):
-            nested[name] = _group(field.type, marks)
-            offered |= nested[name].offered
         if field.metadata and name not in hidden:
             offered[name] = _offered(name, field.type, field, defaults[name], changes.get(name))
+        elif not field.metadata and isinstance(field.type, type):
+            nested[name] = _group(field.type, marks)
+            offered |= nested[name].offered
     return Group(kind, defaults, offered, nested)
 
 
@@ -121,13 +112,14 @@ def _offered(
     """Return the parameter that typer reads for a field of `option` or `argument`."""
     declared = field.metadata
     if "argument" in declared:
-        mark = typer.Argument(**declared["argument"])
+        mark = typer.Argument(**{"metavar": _metavar(kind)} | declared["argument"])
     else:
         # A flag of one name, without its contrary.
         flag = [f"--{name.replace('_', '-')}"] if kind is bool else []
-        shown = {"names": declared["names"] or flag} | declared["option"] | dict(changes or {})
-        mark = typer.Option(*shown.pop("names"), **shown)
         kind = declared["typed"] or kind
+        shown: dict[str, Any] = {"names": declared["names"] or flag, "metavar": _metavar(kind)}
+        shown |= declared["option"] | dict(changes or {})
+        mark = typer.Option(*shown.pop("names"), **shown)
         if declared["parse"]:
             default, kind = None, str | None
     default = inspect.Parameter.empty if default is ... else default
