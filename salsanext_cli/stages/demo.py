@@ -23,8 +23,8 @@ from salsanext_cli.stages.uncertainty import uncertainty
 from salsanext_cli.uncertainty.error_features import knows_error
 from salsanext_cli.uncertainty.method import UncertaintyMethod
 
-SEED = 2020  # No scene of the training of the default weights has it
-SPACING_M = 12.0
+# No scene of the training of the default weights has this seed.
+SCENE: dict[str, Any] = {"train": 0, "valid": 1, "seed": 2020, "spacing": 12.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +54,8 @@ def demo(
         Folder to write to.
     scans, samples : int
         Number of scans of the drive, and of Monte-Carlo passes per scan.
-    settings : NetworkSettings
-        Network that predicts.
-    options : RunOptions
-        Options of every stage.
+    settings, options : NetworkSettings and RunOptions
+        Network that predicts, and options of every stage.
     bars : callable
         Function from the name of a step to a context with its progress callback.
 
@@ -75,14 +73,7 @@ def demo(
             yield replace(options, progress=progress)
 
     with step("synth") as run:
-        scene: dict[str, Any] = {
-            "train": 0,
-            "valid": 1,
-            "scans": scans,
-            "seed": SEED,
-            "spacing": SPACING_M,
-        }
-        synthesise(data, **scene, overwrite=run.overwrite, progress=run.progress)
+        synthesise(data, scans=scans, **SCENE, overwrite=run.overwrite, progress=run.progress)
     with step("predict") as run:
         extras = (ERROR,) if knows_error(settings.load()) else ()
         predicted = predict_scans(data, out, settings=settings, extras=extras, options=run)
