@@ -12,6 +12,7 @@ REMOVED = {
     ("picture", "--fps"): "use ffmpeg on the pictures, as docs/picture.md shows",
     ("pick", "--strategy"): "use no option: picked scans are uncertain and unlike each other",
     ("pick", "--disagreement"): "use no option: the uncertainty is that of the network",
+    ("compare", "--by-distance"): "run `salsanext eval --by-distance` on both folders",
     ("", "--backend ray"): "use `--backend dask`, or `--shard I/N` for each machine",
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
 }

@@ -33,10 +33,6 @@ def comparison_tables(compared: RunComparison) -> Group:
         title = f"{counted(len(compared.sums), 'scan')} with truth, not trained on"
         caption = INTERVAL + (ACCEPTED if compared.rejecting else "score of a class: its IoU")
         tables.append(table_of(("score", *DIFFERENCE), rows, title=title, caption=caption))
-    if compared.bands:
-        rows = [(name, *_cells(mean)) for name, (_, mean) in compared.bands.items()]
-        title = "Risk" if compared.rejecting else "Mean IoU of the same classes"
-        tables.append(table_of(("distance", *DIFFERENCE), rows, title=title))
     if seen := sum(pair.trained_on for pair in compared.pairs):
         which = "all scans" if seen == len(compared.pairs) else counted(seen, "scan")
         tables.append(f"{which} not scored: the weights of a run were trained on them")

@@ -14,7 +14,7 @@ from rich.text import Text
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few, printable
 from salsanext_cli.labelling.label_records import ImportedScan, LabelImport
-from salsanext_cli.measures.risk_control import promise
+from salsanext_cli.measures.risk_control import guarantee
 from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores, band_rows
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import (
@@ -220,7 +220,7 @@ def card_table(file: DescribedWeights) -> Table:
         "sensor": f"{sensor.name}, {sensor.height}×{sensor.width}, {view}",
         "scores of the scans that chose the weights": _scores(card.scores) or ABSENT,
         "error model, on held-out scans": error and (_scores(error.scores) or ABSENT),
-        "threshold of risk": card.risk and promise(card.risk),
+        "threshold of risk": card.risk and guarantee(card.risk),
         "scans known from training": card.trained_on and f"{len(card.trained_on):,}",
         "size": f"{file.size / 1e6:.1f} MB",
         "SHA-256": file.sha256,

@@ -175,7 +175,7 @@ def _export_maps(
     scans = results.with_column("label", chosen.scans)
     for name, group in groupby(scans, lambda file: file.sequence):
         files, path = tuple(group), results.root / "sequences" / name / f"map.{form}"
-        folder.require_own([path])
+        folder.refuse_foreign([path])
         columns, added = map_of_drive(results, files, colours.space, voxel, options)
         failures, done = outcome.failures + added.failures, outcome.done + added.done
         seconds = outcome.seconds + added.seconds

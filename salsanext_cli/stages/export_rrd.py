@@ -42,7 +42,7 @@ def export_rrd(
         raise OutputError(out, found, hint="rename it") from error
     chosen = results.chosen(query)
     scans, space, sensor = chosen.scans, chosen.space, results.sensor()
-    OwnedFolder(out).require_own(_path(out, scan.sequence) for scan in scans)
+    OwnedFolder(out).refuse_foreign(_path(out, scan.sequence) for scan in scans)
     sweep_stale(out / FOLDER)
     known = [name for name in VIEWS if results.with_column(name, scans)]
     scales = common_scales(out, scans, known, space, sensor)
@@ -83,7 +83,7 @@ def _recording(
     with owned.writing(path, durable=True) as file:
         with recording(file, name, colourings, space) as log_scan:
             yield log_scan
-        owned.require_own([path])
+        owned.refuse_foreign([path])
     log.log(NOTICE, "recording: %s", path)
 
 

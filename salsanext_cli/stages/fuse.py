@@ -44,7 +44,7 @@ from salsanext_cli.option_fields import FusionReach
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.results.paths import (
     DISAGREEMENT,
     SCAN_FOLDER,
@@ -195,7 +195,7 @@ def fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
     if not space.fits(of_softmax):
         found = f"labels in the classes of {space.name}, softmax in those of {of_softmax.name}"
         raise OutputError(out, found, "the same for both", "predict both again")
-    compared = results.compared_space(known, own_ids=True)
+    compared = results.compared_space(known, other_ids=True)
     wanted, has_softmax = choose(present_scans, query.selection, compared, out), {*known}
     scans = [file for file in wanted if file in has_softmax]
     missing = results.missing_predictions({*wanted} - {*scans})
@@ -234,7 +234,7 @@ def fuse_results(
         output_run(
             target, "fuse", of_fused, (*kinds, "predictions"), scans, overwrite=overwrite
         ) as fused,
-        summary.kept_in(fused, scans),
+        summary.recorded_in(fused, scans),
     ):
 
         def drive_of(name: str) -> Drive:
@@ -355,7 +355,7 @@ def _drive_of(
         log.log(NOTICE, "sequence %s: no %s, computing poses of its scans", name, POSES)
         drive = register(_points(file, sensor) for file in files)
     if edited and not np.array_equal(read_fused_poses(used, stems, stems), drive.poses):
-        raise not_own(used)
+        raise foreign_file(used)
     recorded = drive.record(stems)
     with fused.locked_records():
         if read_json(record) != recorded:
@@ -363,7 +363,7 @@ def _drive_of(
             if any(paths for _, paths in results) and not fused.overwrite:
                 raise _other_drive(record, single)
             for run, paths in results:
-                run.remove_own(paths)
+                run.remove_written(paths)
             if not edited:
                 fused.write(used, encode_poses(drive.poses))
             # It comes last: without it, a run that was killed before begins anew.

@@ -143,6 +143,6 @@ def knn_refine_scans(
     summary = RunSummary.of_scans(scans, sensor, space)
     wanted, overwrite = (out, "knn-refine", settings, ("predictions",), scans), options.overwrite
     run = output_run(*wanted, overwrite=overwrite, record_scans=dataset is not None)
-    with run as output, summary.kept_in(output, scans):
+    with run as output, summary.recorded_in(output, scans):
         job = RefineJob(labels, space, sensor, knn, output)
         return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

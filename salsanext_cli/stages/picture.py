@@ -117,7 +117,7 @@ def _scans_alone(out: Path, query: ResultQuery) -> ChosenResults:
         raise NoInputError(out, found, "the output folder of an earlier stage", hint)
     found_scans = scans_of(dataset) if dataset else results.scans()
     own, classes = query.label_space, query.classes
-    space = results.compared_space(found_scans, own, classes, own_ids=True)
+    space = results.compared_space(found_scans, own, classes, other_ids=True)
     scans = choose(found_scans, query.selection, space, dataset or out)
     labels = space_of_labels(found_scans, space, own)
     return ChosenResults(scans, space, labels, MissingResults())

@@ -63,13 +63,13 @@ class Report:
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON; null stands for NaN."""
         counts, scores = self.run.counts, self.compared and self.compared.scores
-        best, kept = (c.uncertainty.kept, c.kept) if (c := self.compared) else (None, None)
+        best, kept = (c.uncertainty.accepted, c.kept) if (c := self.compared) else (None, None)
         return {
             "stage": "report",
             "page": str(self.page),
             "bytes": self.page.stat().st_size,
             "scans": len(self.run.rows),
-            "trained_on": counts.left_out if counts else 0,
+            "trained_on": counts.skipped if counts else 0,
             "on_training_scans": bool(counts and counts.trained_on),
             "shown": self.shown,
             "accuracy": plain(scores.accuracy) if scores and not kept else None,
@@ -86,7 +86,7 @@ class Report:
 def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice]) -> Report:
     """Write `OUT/report.html`: what was run, all numbers, and the scans that are named, or some."""
     page = out / PAGE
-    OwnedFolder(out).require_own([page])
+    OwnedFolder(out).refuse_foreign([page])
     run, unread = read_run(out, **choice)
     chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.reader.space)
     rows = {row.file.name: row for row in run.rows}
@@ -233,7 +233,7 @@ def _rows(
     outcome = run_over_scans(task, files, options, on_result=keep)
     if not rows:
         raise NoInputError(reader.out, f"no results can be read, as {outcome.failures[0].reason}")
-    if (scored := counts.scored()).left_out:
+    if (scored := counts.scored()).skipped:
         rows = [replace(row, confusion=None) if row in trained_on else row for row in rows]
     rows.sort(key=lambda row: row.file)  # Workers are done in any order.
     return rows, scored if scored.scans else None, outcome.failures

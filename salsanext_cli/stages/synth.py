@@ -134,10 +134,10 @@ def _begin(
             return
     folders = {folder for path in files for folder in path.parents if out in folder.parents}
     links = sorted(folder for folder in folders if folder.is_symlink())
-    owned.require_own([*links, *files])
+    owned.refuse_foreign([*links, *files])
     # The record stays until it is replaced, so that a run that is killed before may go on.
     if overwrite:
-        owned.remove_own([path for path in owned.written() if _is_generated(path, out)])
+        owned.remove_written([path for path in owned.written() if _is_generated(path, out)])
     owned.manifest.write(wanted)
 
 

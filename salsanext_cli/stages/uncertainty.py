@@ -129,7 +129,7 @@ def uncertainty(
     _require_network_of_labels(out, recorded)
     summary = RunSummary.of_scans(scans, network.sensor, network.space)
     run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
-    with run as output, summary.kept_in(output, scans):
+    with run as output, summary.recorded_in(output, scans):
         job = partial(UncertaintyJob, knn=knn, method=method, output=output)
         task = NetworkTask(job, settings.resolved(network), network, batch=1)
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)

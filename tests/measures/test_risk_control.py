@@ -9,8 +9,8 @@ import pytest
 
 from salsanext_cli import label_space
 from salsanext_cli.measures.risk_control import (
-    KEEPS_NONE,
-    KeptLabels,
+    ACCEPTS_NONE,
+    AcceptedLabels,
     RiskBoundCheck,
     allowed_scans,
     binomial,
@@ -145,7 +145,7 @@ def test_labels_that_are_kept_are_counted():
     predicted = np.array([car, car, 0, road, person, 0, road, person])
     confusion = confusion_matrix(truth, predicted, space.class_count)
     scans = {"a/0": (20, 4, 2), "a/1": (30, 1, 1), "a/2": (0, 0, 0)}
-    kept = KeptLabels.of_confusion(confusion, space, scans)
+    kept = AcceptedLabels.of_confusion(confusion, space, scans)
     assert (kept.points, kept.kept, kept.wrong) == (7, 5, 2)
     assert (kept.people, kept.missed_people) == (4, 1)
     assert list(kept.classes.items()) == [("person", (2, 1)), ("car", (1, 0)), ("road", (2, 1))]
@@ -184,6 +184,6 @@ def test_a_promise_names_what_it_holds_for():
     assert ": of another drive like those that it was chosen on (20 scans" in of_drives
     assert of_drives.endswith("; the same of the points labelled as each of car")
     # Classes of which nothing is kept are promised nothing.
-    some = {"car": 0.1, "person": KEEPS_NONE}
+    some = {"car": 0.1, "person": ACCEPTS_NONE}
     assert promise(replace(RISK, classes=some)).endswith("labelled as each of car")
-    assert promise(replace(RISK, classes={"person": KEEPS_NONE})) == promise(RISK)
+    assert promise(replace(RISK, classes={"person": ACCEPTS_NONE})) == promise(RISK)

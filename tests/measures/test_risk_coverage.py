@@ -26,7 +26,7 @@ from salsanext_cli.measures.histograms import (
 )
 from salsanext_cli.measures.risk_coverage import (
     COVERAGE,
-    kept_points,
+    accepted_points,
     ranking_scores,
     risk_coverage,
     spearman,
@@ -190,7 +190,7 @@ KEPT_POINTS = st.lists(
 def test_threshold_is_that_of_a_slow_loop(points):
     values, wrong = (np.array(column) for column in zip(*points, strict=True))
     values[values == KEPT_LEVELS[1]] = 0
-    found = kept_points("error", of(values, wrong, np.arange(len(values)) % 3, 3))
+    found = accepted_points("error", of(values, wrong, np.arange(len(values)) % 3, 3))
     assert found.points == len(points)
     assert found.risk_of_all == wrong.mean()
     coverages = [(values <= level).mean() for level in sorted(set(values))[:-1]]

@@ -33,7 +33,7 @@ def test_a_written_file_is_ours(written: OwnedFolder, name: str) -> None:
     assert path.read_bytes() == b"content"
     assert written.foreign_files([path]) == []
     assert written.written() == [path]
-    assert written.remove_own([path]) == []
+    assert written.remove_written([path]) == []
     assert not path.exists()
     assert written.written() == []
 
@@ -50,7 +50,7 @@ def test_files_of_others_are_kept(written: OwnedFolder) -> None:
     foreign = written.root / "foreign"
     foreign.write_bytes(b"mine")
     assert written.foreign_files([ours, *others, foreign]) == [*others, foreign]
-    assert written.remove_own([ours, *others, foreign]) == [*others, foreign]
+    assert written.remove_written([ours, *others, foreign]) == [*others, foreign]
     assert sorted(path.name for path in written.root.iterdir() if path.name[0] != ".") == [
         *("edited", "foreign", "replaced", "touched")
     ]
@@ -64,7 +64,7 @@ def test_nothing_is_removed_through_a_link_below_a_folder_that_may_be_one(tmp_pa
     assert written.foreign_files([path]) == []
     path.parent.rename(tmp_path / "elsewhere")
     path.parent.symlink_to(tmp_path / "elsewhere")
-    assert written.remove_own([path]) == [path]
+    assert written.remove_written([path]) == [path]
     assert path.read_bytes() == b"scan"
 
 
@@ -110,5 +110,5 @@ def test_records_that_name_files_elsewhere(written: OwnedFolder, tmp_path: Path,
     (written.root / FILE_LISTS).mkdir(parents=True)
     (written.root / FILE_LISTS / "machine.tsv").write_text(line)
     assert written.written() == []
-    written.remove_own(written.written())
+    written.remove_written(written.written())
     assert victim.exists()

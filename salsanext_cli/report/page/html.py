@@ -162,7 +162,7 @@ def _sentence(compared: Comparison | None) -> str:
     """Return the sentences on risk; none without labels and uncertainty."""
     if compared is None:
         return ""
-    kept, words = compared.uncertainty.kept, [*compared.sentences]
+    kept, words = compared.uncertainty.accepted, [*compared.sentences]
     words += [kept.sentence] if kept else []
     return "".join(f'<p class="sentence">{_text(w[:1].upper() + w[1:])}.</p>' for w in words)
 

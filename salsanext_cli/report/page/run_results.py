@@ -28,9 +28,9 @@ from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_
 from salsanext_cli.measures.histograms import lack_of_confidence
 from salsanext_cli.measures.risk_control import (
     RISK_BOUND_EXCEEDED,
-    KeptLabels,
+    AcceptedLabels,
     RiskBoundCheck,
-    promise,
+    guarantee,
 )
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanComparison, ScanCounts, read_softmax
 from salsanext_cli.measures.scores import Counts, Scores, accepted, scored_rows, scores
@@ -144,7 +144,7 @@ class Comparison:
     counts: ScanCounts  # Counts of their points; of a run that rejected labels, of accepted ones
     scores: Scores  # Scores of the labels
     uncertainty: UncertaintyEvaluation  # Results for the probabilities and uncertainties
-    kept: KeptLabels | None  # Coverage and risk of a run that rejected labels
+    kept: AcceptedLabels | None  # Coverage and risk of a run that rejected labels
     sentences: list[str]  # The same in words, and the promise of the run
 
 
@@ -174,8 +174,8 @@ class RunResults:
             return None
         counts, space, kept = self.counts, self.reader.space, None
         uncertainty = evaluate_uncertainty(counts, space)
-        if counts.kept:
-            kept = KeptLabels.of_confusion(counts.confusion, space, counts.kept)
+        if counts.accepted:
+            kept = AcceptedLabels.of_confusion(counts.confusion, space, counts.accepted)
             bands = tuple(map(accepted, counts.bands))
             counts = replace(counts, confusion=accepted(counts.confusion), bands=bands)
         sentences = [*(kept.sentences if kept else ())]
@@ -185,10 +185,10 @@ class RunResults:
     @property
     def promise(self) -> RiskBoundCheck | None:
         """Promise of the labels that are kept, beside what is found."""
-        promised = Provenance(self.reader.out).promised(self.reader.space)
+        promised = Provenance(self.reader.out).guarantee(self.reader.space)
         if self.counts is None or promised is None:
             return None
-        return RiskBoundCheck.of_scans(promised, self.counts.kept)
+        return RiskBoundCheck.of_scans(promised, self.counts.accepted)
 
     def warnings(self) -> list[str]:
         """Return every reason to doubt the page, a line each."""
@@ -274,8 +274,8 @@ def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
     stage, of_labels = records.owner("predictions"), records.settings_of("predictions")
     if stage and of_labels:
         yield "Labels", _labels(stage, of_labels)
-        if of_labels.promised:
-            yield "Promise", promise(of_labels.promised)
+        if of_labels.guarantee:
+            yield "Promise", guarantee(of_labels.guarantee)
         if of_labels.inherited:
             yield "Inherited", f"{shortened(of_labels.inherited, 200)}, not fitted to these weights"
     if settings := records.settings("uncertainty"):
