@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Accuracy to expect without labels: the interval, and the scans that it does not cover."""
+"""Estimated accuracy without labels: the interval, and the scans that it does not cover."""
 
 import math
 import re

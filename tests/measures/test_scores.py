@@ -104,7 +104,7 @@ def test_the_official_text_is_sorted_yaml_with_every_digit():
     assert yaml.safe_load(text)["iou_tree"] == 0
 
 
-def test_json_holds_null_for_what_is_absent():
-    found = json.loads(json.dumps(plain(of([(1, 1)])), allow_nan=False))
-    car, road, _ = found["classes"]
-    assert (car["name"], car["iou"], road["iou"], found["accuracy"]) == ("car", 1.0, None, 1.0)
+def test_json_has_null_for_absent_classes():
+    data = json.loads(json.dumps(plain(of([(1, 1)])), allow_nan=False))
+    car, road, _ = data["classes"]
+    assert (car["name"], car["iou"], road["iou"], data["accuracy"]) == ("car", 1.0, None, 1.0)

@@ -127,9 +127,7 @@ def test_clouds_hold_the_numbers_of_objects(world):
 
 def test_las_without_laspy_is_refused_before_anything_is_done(predicted, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(
-        MissingDependency, match=r"--format laz: LAS needs laspy\nhint: pip"
-    ):
+    with pytest.raises(MissingDependency, match=r"--format laz: LAS needs laspy\nhint: pip"):
         export(predicted, form="laz")
 
 
