@@ -208,41 +208,30 @@ class RiskBoundCheck:
     @property
     def sentence(self) -> str:
         """Guarantee and measured losses in words."""
-        level, worst = _percent(self.at_most), f"{100 * self.worst:.1f} % in the worst"
-        judged = counted(self.units, self.unit)
+        measured = f"{self.above} of {counted(self.units, self.unit)}"
         if self.confidence is None:
-            return (
-                f"guaranteed: on average at most {level} of the points of known classes of a new "
-                f"{self.unit} are accepted and wrong; measured: {100 * self.mean:.1f} % on average "
-                f"over {judged}, {worst}"
-            )
-        return (
-            f"guaranteed with {_percent(self.confidence)} confidence: at most "
-            f"{_percent(1 - self.confidence)} of {self.unit}s have more than {level} of their "
-            f"points of known classes accepted and wrong; measured: {self.above} of {judged}, "
-            f"{worst}"
-        )
+            measured = f"{100 * self.mean:.1f} % on average over {counted(self.units, self.unit)}"
+        bound = _bound(self.at_most, self.confidence, self.unit)
+        return f"guaranteed: {bound}; measured: {measured}, {100 * self.worst:.1f} % in the worst"
 
 
 def guarantee(risk: RiskThreshold) -> str:
     """Return the guarantee of the threshold of weights in words."""
-    level, unit = _percent(risk.at_most), risk.unit
     chosen = f"was chosen on ({counted(risk.scans, 'scan')} of {first_few(risk.sequences)})"
     scope = f"scans of the drives that the threshold {chosen}, not of other drives"
-    if unit == "drive":
+    if risk.unit == "drive":
         scope = f"drives like those that the threshold {chosen}"
-    if risk.confidence is None:
-        bound = f"on average at most {level} of the points of known classes are accepted and wrong"
-    else:
-        bound = (
-            f"with {_percent(risk.confidence)} confidence, at most "
-            f"{_percent(1 - risk.confidence)} of {unit}s have more than {level} of their points of "
-            "known classes accepted and wrong"
-        )
     classes = [name for name, above in risk.classes.items() if above > ACCEPTS_NONE]
     alike = f"; the same for the points labelled {first_few(classes)}" if classes else ""
+    bound = _bound(risk.at_most, risk.confidence, risk.unit)
     return f"{risk.kind} up to {risk.threshold:.4g} accepted: {bound}, for {scope}{alike}"
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.3g} %"
+def _bound(at_most: float, confidence: float | None, unit: str) -> str:
+    level = f"{100 * at_most:.3g} %"
+    if confidence is None:
+        return f"on average at most {level} of the points of known classes are accepted and wrong"
+    return (
+        f"with {100 * confidence:.3g} % confidence, at most {100 - 100 * confidence:.3g} % of "
+        f"{unit}s have more than {level} of their points of known classes accepted and wrong"
+    )

@@ -45,8 +45,8 @@ from salsanext_cli.measures.scores import (
 )
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Indices, Scan
+from salsanext_cli.results.manifest import Manifest, Rejection
 from salsanext_cli.results.paths import ScanFile, output_path
-from salsanext_cli.results.provenance import Provenance, Rejection
 from salsanext_cli.results.result_folder import read_kind
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
@@ -223,7 +223,7 @@ class ScanComparison:
 
     @classmethod
     def of_results(
-        cls, results: Provenance, space: LabelSpace, labels: LabelSpace, *, by_distance: bool
+        cls, results: Manifest, space: LabelSpace, labels: LabelSpace, *, by_distance: bool
     ) -> ScanComparison:
         """Return the settings that the records of an output folder imply."""
         return cls(

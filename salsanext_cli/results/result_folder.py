@@ -37,7 +37,6 @@ from salsanext_cli.results.paths import (
     require_unique_stems,
     with_outputs,
 )
-from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery
 from salsanext_cli.results.selection import (
     MissingResults,
@@ -123,7 +122,7 @@ class ChosenResults:
 
 
 @dataclass(frozen=True, slots=True)
-class ResultFolder(Provenance):
+class ResultFolder(Manifest):
     """Output folder of earlier stages."""
 
     dataset: Path | None = None  # Place of scans and labels, if not the recorded one

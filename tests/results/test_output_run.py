@@ -23,9 +23,9 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import RunOptions, run_over_scans
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ScanFile, find_scans
-from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.stages.predict import LabelWriter, PredictJob, predict_scans
 
@@ -62,7 +62,7 @@ def test_the_record_of_a_run(tmp_path: Path) -> None:
         "writes": ["predictions"],
         "scans": {"08": {"folder": str(scans[0].path.parent), "asked_for": ["a.bin", "b.bin"]}},
     }
-    records = Provenance(tmp_path / "out")
+    records = Manifest(tmp_path / "out")
     assert records.settings("predict") == StageSettings(weights="abc", knn=KnnParameters())
     assert records.settings("project") is None
     assert (records.owner("predictions"), records.owner("range")) == ("predict", None)
@@ -75,7 +75,7 @@ def test_runs_of_the_same_settings_may_write_more(tmp_path: Path) -> None:
     before = files_below(tmp_path)
     predict(tmp_path, scans=scans[1:])
     assert files_below(tmp_path) == before
-    record = Provenance(tmp_path).record("predict")
+    record = Manifest(tmp_path).record("predict")
     assert record is not None
     assert record.writes == ("pixel_labels", "predictions")
     assert {*record.scans["08"].suffixes} == {"a", "b"}
@@ -98,10 +98,10 @@ def test_other_settings_are_refused_and_named(tmp_path: Path, other, named: list
     assert all(difference in caught.value.problem for difference in named)
     assert "--overwrite" in caught.value.hint
     assert files_below(tmp_path) == before
-    first = Provenance(tmp_path).origins(["predict", "uncertainty"])
+    first = Manifest(tmp_path).origins(["predict", "uncertainty"])
     predict(tmp_path, other, overwrite=True)
     assert first.keys() == {"predict"}
-    assert Provenance(tmp_path).origins(["predict"]) != first
+    assert Manifest(tmp_path).origins(["predict"]) != first
     assert list(files_below(tmp_path)) == ["predict.json"]
 
 
@@ -113,7 +113,7 @@ def test_overwriting_removes_what_was_written_with_other_settings(tmp_path: Path
     assert all(path.exists() for path in paths)
     predict(tmp_path / "out", {"weights": "new"}, scans=scans[:1], overwrite=True)
     assert not any(path.exists() for path in paths)
-    record = Provenance(tmp_path / "out").record("predict")
+    record = Manifest(tmp_path / "out").record("predict")
     assert record is not None
     assert {*record.scans["08"].suffixes} == {"a"}
 
@@ -168,7 +168,7 @@ def test_results_of_another_stage_are_refused(tmp_path: Path) -> None:
         begin_and_end(*refine)
     assert path.exists()
     begin_and_end(*refine, overwrite=True)
-    assert Provenance(tmp_path).owner("predictions") == "knn-refine"
+    assert Manifest(tmp_path).owner("predictions") == "knn-refine"
     assert not path.exists()
 
 
@@ -192,7 +192,7 @@ def test_an_infinite_setting_is_recorded_as_text(tmp_path: Path) -> None:
     text = (tmp_path / "predict.json").read_text()
     settings = json.loads(text, parse_constant=pytest.fail)["settings"]
     assert settings == {"knn": KNN | {"cutoff": "Infinity"}}
-    assert Provenance(tmp_path).settings("predict").knn.cutoff == float("inf")
+    assert Manifest(tmp_path).settings("predict").knn.cutoff == float("inf")
 
 
 @pytest.mark.parametrize(
@@ -206,13 +206,13 @@ def test_an_infinite_setting_is_recorded_as_text(tmp_path: Path) -> None:
 )
 def test_damaged_records_are_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "predict.json").write_text(content)
-    for read in (predict, lambda folder: Provenance(folder).owner("predictions")):
+    for read in (predict, lambda folder: Manifest(folder).owner("predictions")):
         with refused(OutputError, tmp_path / "predict.json"):
             read(tmp_path)
 
 
 def test_label_space_and_sensor_are_those_of_the_stage_that_wrote(tmp_path: Path) -> None:
-    records, space, hdl32 = Provenance(tmp_path), label_space(), sensor("hdl32")
+    records, space, hdl32 = Manifest(tmp_path), label_space(), sensor("hdl32")
     assert (records.label_space(), records.sensor()) == (None, sensor("hdl64"))
     predict(tmp_path, {"label_space": space.to_dict(), "sensor": hdl32.to_dict()})
     recorded = records.label_space()
@@ -270,7 +270,7 @@ def test_records_contain_the_scans_of_all_runs(tmp_path: Path) -> None:
     stems = [f"{number:03d}" for number in range(40)]
     with ThreadPoolExecutor(8) as threads:
         list(threads.map(lambda s: predict(tmp_path, scans=scans_of(tmp_path, s)), stems))
-    record = Provenance(tmp_path).record("predict")
+    record = Manifest(tmp_path).record("predict")
     assert record is not None
     assert {*record.scans["08"].suffixes} == {*stems}
 
@@ -367,13 +367,13 @@ def test_records_of_older_versions_are_read(tmp_path: Path) -> None:
     content = {"stage": "predict", "version": "0.1", "settings": older, "writes": ["predictions"]}
     more = {"settings": {"promised": risk | {"sequences": ["00"]}}, "kept": ["a.label"]}
     (tmp_path / "predict.json").write_text(json.dumps(content | more))
-    assert Provenance(tmp_path).settings("predict").guarantee.threshold == 0.2
-    assert Provenance(tmp_path).record("predict").foreign == ("a.label",)
+    assert Manifest(tmp_path).settings("predict").guarantee.threshold == 0.2
+    assert Manifest(tmp_path).record("predict").foreign == ("a.label",)
     (tmp_path / "predict.json").write_text(json.dumps(content))
-    origins = Provenance(tmp_path).origins(["predict"])
+    origins = Manifest(tmp_path).origins(["predict"])
     predict(tmp_path)
-    assert Provenance(tmp_path).origins(["predict"]) == origins
-    assert Provenance(tmp_path).settings("predict") == TYPED
+    assert Manifest(tmp_path).origins(["predict"]) == origins
+    assert Manifest(tmp_path).settings("predict") == TYPED
 
 
 def test_digests_of_training_scans_come_last(tmp_path: Path) -> None:
@@ -382,7 +382,7 @@ def test_digests_of_training_scans_come_last(tmp_path: Path) -> None:
     content = json.loads((tmp_path / "predict.json").read_text())
     assert [*content] == ["stage", "version", "writes", "settings", "scans"]
     assert [*content["settings"]][-1] == "trained_on"
-    assert Provenance(tmp_path).trained_on() == {digest}
+    assert Manifest(tmp_path).trained_on() == {digest}
 
 
 @pytest.mark.parametrize(
@@ -401,4 +401,4 @@ def test_invalid_settings_are_refused(tmp_path: Path, settings) -> None:
     content = {"stage": "predict", "settings": settings, "writes": ["predictions"]}
     (tmp_path / "predict.json").write_text(json.dumps(content))
     with refused(OutputError, tmp_path / "predict.json"):
-        Provenance(tmp_path).settings("predict")
+        Manifest(tmp_path).settings("predict")

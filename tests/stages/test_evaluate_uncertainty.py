@@ -14,8 +14,8 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     evaluate_uncertainty,
 )
 from salsanext_cli.parallel.run import RunOptions
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import find_scans, output_path
-from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.stages.evaluate import evaluate
 
@@ -67,7 +67,7 @@ def uncertainty_of(world: World, by_distance: bool = False) -> UncertaintyEvalua
     """Count and divide without drawing anything."""
     counts = ScanCounts.none(SPACE, by_distance)
     comparison = ScanComparison.of_results(
-        Provenance(world.out), SPACE, SPACE, by_distance=by_distance
+        Manifest(world.out), SPACE, SPACE, by_distance=by_distance
     )
     for scan in find_scans(world.dataset):
         counts.add(comparison.count(scan))

@@ -39,9 +39,9 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     evaluate_uncertainty,
 )
 from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import ERROR, PREDICTION_STAGES, ScanFile, output_path
-from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
 from salsanext_cli.results.settings import StageSettings
@@ -185,7 +185,7 @@ class RunResults:
     @property
     def promise(self) -> RiskBoundCheck | None:
         """Promise of the labels that are kept, beside what is found."""
-        promised = Provenance(self.reader.out).guarantee(self.reader.space)
+        promised = Manifest(self.reader.out).guarantee(self.reader.space)
         if self.counts is None or promised is None:
             return None
         return RiskBoundCheck.of_scans(promised, self.counts.accepted)
@@ -267,7 +267,7 @@ def named(rows: Sequence[ScanRow], names: Sequence[str]) -> dict[str, str]:
 
 def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
     """Yield what was run and how, as pairs of a title and a text."""
-    records = Provenance(out)
+    records = Manifest(out)
     yield "Weights", _weights(records)
     for each in sensor.members:
         yield "Sensor", f"{each.name}, {each.height}×{each.width}, {view_text(each)}"
@@ -288,7 +288,7 @@ def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
 
 def expected_of_run(out: Path, rows: Sequence[ScanRow]) -> ExpectedAccuracy | None:
     """Estimate the accuracy of labels that `predict` wrote; None for those of other stages."""
-    records = Provenance(out)
+    records = Manifest(out)
     settings = records.settings("predict")
     if settings is None or records.owner("predictions") != "predict":
         return None
@@ -301,7 +301,7 @@ def expected_of_run(out: Path, rows: Sequence[ScanRow]) -> ExpectedAccuracy | No
     return expected_accuracy(settings.accuracy, confidences, warnings)
 
 
-def _weights(records: Provenance) -> str:
+def _weights(records: Manifest) -> str:
     """Describe the weights behind the labels, else those behind the uncertainty."""
     folders = ("predictions", "uncertainty/epistemic", "uncertainty/error", "pixel_labels")
     sha256 = next(filter(None, map(records.weights, folders)), None)
