@@ -164,13 +164,6 @@ def test_labels_of_other_raw_ids_count_where_the_names_of_the_classes_are_the_sa
     np.testing.assert_array_equal(cloud["scalar_wrong"][truth > 0], ~right[truth > 0])
 
 
-def test_uncertainty_is_that_of_the_merged_classes(coarse):
-    assert uncertainty(coarse.data, coarse.out, settings=coarse.network, method=FEW).done
-    values = np.load(coarse.result("uncertainty/entropy"))
-    assert 0 <= np.nanmin(values) <= np.nanmax(values) <= np.log(8) + 1e-5
-    assert {*np.unique(coarse.labels())} <= {0, *COARSE.learning_map_inv.values()}
-
-
 def test_uncertainty_beside_labels_has_their_classes(coarse, world):
     predict(coarse, selection=ONE)
     more = {"method": FEW, "selection": ONE}

@@ -88,7 +88,9 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     assert found.to_dict()["rejection"]["promise"] == numbers
     page = report(world.out).page.read_text("utf-8")
     assert f"<dd>{tuned['promise']}</dd>" in page
-    assert all(sentence[1:] in page for sentence in (found.guarantee.sentence, *found.accepted.sentences))
+    assert all(
+        sentence[1:] in page for sentence in (found.guarantee.sentence, *found.accepted.sentences)
+    )
     kept = found.accepted
     assert kept is not None
     assert plain(kept) == tuned["kept"]
