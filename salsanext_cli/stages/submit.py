@@ -110,10 +110,8 @@ def submit(
         Output folder with predictions.
     target : Path
         ZIP file to write.
-    dataset : Path, optional
-        Data set with the scans, by default the recorded one.
-    space : LabelSpace, optional
-        Label space of the labels, by default that of the data set.
+    dataset, space : optional
+        Data set with the scans, and label space of its labels, if not the recorded ones.
     description : Path, optional
         Text file about the method.
     overwrite : bool, optional
@@ -131,22 +129,15 @@ def submit(
     if not files:
         hint = f"run `salsanext predict DATASET {out} --split {SPLIT}` first"
         raise NoInputError(out, "contains no predictions", hint=hint)
-    texts = {} if description is None else {"description.txt": description}
     if description is not None and (is_folder(description) or not present(description)):
         raise UsageError(f"--description {description}", "no such file", "a text file")
     scans = _scans_at_hand(out, dataset, files)
-    root = data_set_of(scans[0]) if scans else None
-    space = with_splits(ResultFolder(out).compared_space(scans, space), root)
-    if full := unmerged(space, scans):
-        problem = f"has predictions in the merged classes of {space.name}"
-        hint = "predict without --classes"
-        raise LabelError(out, problem, f"the classes of {full.name}", hint)
+    space = _full_space(out, scans, space)
     expected = _expected(space, scans, files)
     if unseen := sorted(expected.keys() - {scan.sequence for scan in scans}):
         problem = f"no scans of sequence {first_few(unseen)}: numbers of labels not checked"
         log.warning("%s", with_hint(problem, "give --dataset"))
-    total = sum(map(len, expected.values()))
-    steps = count(1)
+    total, steps = sum(map(len, expected.values())), count(1)
 
     def advance() -> None:
         if progress:
@@ -154,17 +145,24 @@ def submit(
 
     problems: list[Problem] = []
     for sequence, stems in expected.items():
-        labels = {stem: path for (s, stem), path in files.items() if s == sequence}
-        points = {scan.stem: scan.path for scan in scans if scan.sequence == sequence}
-        problems += _problems(sequence, stems, labels, points, space, advance)
+        problems += _problems(sequence, stems, files, scans, space, advance)
     if not problems:
-        members = {
-            f"sequences/{sequence}/predictions/{stem}.label": files[sequence, stem]
-            for sequence, stems in sorted(expected.items())
-            for stem in stems
-        }
-        _write_zip(target, texts | members, advance)
+        members = {} if description is None else {"description.txt": description}
+        for path in (files[s, stem] for s, stems in sorted(expected.items()) for stem in stems):
+            members[path.relative_to(out).as_posix()] = path
+        _write_zip(target, members, advance)
     return Submission(total, not unseen, tuple(problems))
+
+
+def _full_space(out: Path, scans: Sequence[ScanFile], space: LabelSpace | None) -> LabelSpace:
+    """Return the label space of the predictions with its splits; refuse merged classes."""
+    root = data_set_of(scans[0]) if scans else None
+    space = with_splits(ResultFolder(out).compared_space(scans, space), root)
+    if full := unmerged(space, scans):
+        problem = f"has predictions in the merged classes of {space.name}"
+        expected = f"the classes of {full.name}"
+        raise LabelError(out, problem, expected, "predict without --classes")
+    return space
 
 
 def unmerged(space: LabelSpace, scans: Sequence[ScanFile] = ()) -> LabelSpace | None:
@@ -221,27 +219,26 @@ def _expected(
 def _problems(
     sequence: str,
     stems: Sequence[str],
-    files: Mapping[str, Path],
-    scans: Mapping[str, Path],
+    files: Predictions,
+    scans: Sequence[ScanFile],
     space: LabelSpace,
     advance: Callable[[], None],
 ) -> Iterator[Problem]:
-    """Yield the problems of the predictions of a sequence, one of each kind.
-
-    `stems`: names of the scans that must be there; `files`, `scans`: labels and scans by stem.
-    """
+    """Yield the problems of the required stems of a sequence, one of each kind."""
+    labels = {stem: path for (name, stem), path in files.items() if name == sequence}
+    clouds = {scan.stem: scan.path for scan in scans if scan.sequence == sequence}
     errors: dict[str, list[SalsanextError]] = {}
     for stem in stems:
-        if stem in files:
-            for code, error in _errors_of(files[stem], scans.get(stem), space):
+        if stem in labels:
+            for code, error in _errors_of(labels[stem], clouds.get(stem), space):
                 errors.setdefault(code, []).append(error)
         advance()
     if not stems:
         message = f"sequence {sequence}: no predictions, and no scans"
         yield Problem("missing", sequence, 0, message, "predict it")
-    if missing := [stem for stem in stems if stem not in files]:
+    if missing := [stem for stem in stems if stem not in labels]:
         share = f"{len(missing):,} of {len(stems):,} predictions are missing"
-        gone = sum(stem not in scans for stem in missing) if scans else 0
+        gone = sum(stem not in clouds for stem in missing) if clouds else 0
         hint = f"complete the data set: {gone} of their scans are missing too"
         message = f"sequence {sequence}: {share}: {first_few(missing)}"
         yield Problem("missing", sequence, len(missing), message, hint if gone else "predict them")
