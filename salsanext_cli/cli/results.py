@@ -173,7 +173,12 @@ def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
     from rich.console import Group
     from rich.text import Text
 
-    from salsanext_cli.report.tables import band_table, accepted_table, score_table, uncertainty_tables
+    from salsanext_cli.report.tables import (
+        accepted_table,
+        band_table,
+        score_table,
+        uncertainty_tables,
+    )
     from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
 
     of_training = ON_TRAINING_SCANS if found.counts.trained_on else ""

@@ -53,11 +53,6 @@ LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
 UNCERTAIN = (*dict.fromkeys(("error", *MEANT_BY_UNCERTAINTY, *UNCERTAINTY)),)
 """Values by which points can be hidden, in the order of the menu."""
 SCALARS = (*UNCERTAIN, "range", "intensity")  # Values with a scale
-DEFAULT_LIMITS = (
-    "On real scans they find fences where there are none, take trucks for fence, sidewalk, "
-    "building or car, hardly tell parking from road and sidewalk, and hardly ever find cyclists."
-)
-"""Failures of the default weights, from docs/model-card.md: a page may be read without it."""
 SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 on the page
 CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # Stages that record warnings about scans
 
@@ -302,7 +297,7 @@ def _weights(records: Provenance) -> str:
             card = read_card(path)
             text = re.sub(r"See docs/\S+ (.)", lambda rest: rest[1].upper(), card.description)
             name = card.named(path) if card.version else f"default weights, {name}"
-            return f"{name}. {text.replace('`', '')} {DEFAULT_LIMITS}"
+            return f"{name}. {text.replace('`', '')}"
     return f"{name}, not the default weights; salsanext models FILE describes them"
 
 
