@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,7 +47,6 @@ LINES = {
 """Colour and dashes of each kind of uncertainty."""
 PLOT_PX = 720, 560  # Size of the plots of uncertainty: text has one size on a page
 LEFT, TOP, WIDTH, HEIGHT = MAIN_PX = 80, 60, 600, 330  # Axes above a legend or other axes
-NAME_PX, LINE_PX = 90, 13  # Size of the name of a class
 BELOW_PX = 90  # Height of the axes below them, which show the distribution of the points
 
 
@@ -57,16 +56,16 @@ def evaluation_pictures(
     """Draw all results of an evaluation: PNG by name, in the order of `PICTURES`."""
     pictures = {"eval_iou.png": iou_bars(scores, space)}
     pictures["eval_confusion.png"] = confusion_picture(confusion, space)
-    return pictures | uncertainty_pictures(uncertainty, space)
+    return pictures | uncertainty_pictures(uncertainty)
 
 
-def uncertainty_pictures(uncertainty: UncertaintyEvaluation, space: LabelSpace) -> dict[str, bytes]:
+def uncertainty_pictures(uncertainty: UncertaintyEvaluation) -> dict[str, bytes]:
     """Draw the results for probabilities and uncertainty, as `evaluation_pictures`."""
     pictures = {}
     if uncertainty.calibration:
         pictures["eval_reliability.png"] = reliability_diagram(uncertainty.calibration)
     if error := uncertainty.kinds.get("error"):
-        pictures["eval_error.png"] = error_diagram(error, space)
+        pictures["eval_error.png"] = error_diagram(error)
     if uncertainty.kinds:
         pictures["eval_risk_coverage.png"] = risk_coverage(uncertainty.kinds)
     return pictures
@@ -141,21 +140,14 @@ def reliability_diagram(result: CalibrationResult) -> bytes:
     return canvas.png_of(figure)
 
 
-def error_diagram(result: RankingResult, space: LabelSpace) -> bytes:
-    """Draw the share of wrong points against the error, also by true class and scan, as a PNG."""
+def error_diagram(result: RankingResult) -> bytes:
+    """Draw the share of wrong points against the error, also of every scan, as a PNG."""
     title = f"Calibration of the error · {result.scores.points:,} points"
     figure, axes = _diagram(result.reliability, title, "error", "share of wrong points")
-    present = {i: scores for i, scores in result.classes.items() if scores.points}
-    dots = np.array([(100 * s.mean, 100 * s.wrong / s.points) for s in present.values()])
-    dots = dots.reshape(-1, 2)
-    colours = screen_colours(space)[[*present]] / 255
-    ring: dict[str, Any] = {"edgecolors": DARK, "linewidths": 0.8, "zorder": 3}
-    axes.scatter(dots[:, 0], dots[:, 1], s=40, c=colours, label="mean of a true class", **ring)
     scans = 100 * (np.empty((0, 2)) if result.by_scan is None else result.by_scan)
     cross: dict[str, Any] = {"marker": "x", "linewidths": 1, "zorder": 3}
     axes.scatter(scans[:, 0], scans[:, 1], s=22, c=DARK, label="mean of a scan", **cross)
-    axes.legend(loc="lower right", framealpha=0.9, fontsize=10)
-    _name_dots(axes, dots, [space.names[i] for i in present])
+    axes.legend(loc="upper left", frameon=False, fontsize=10)
     return canvas.png_of(figure)
 
 
@@ -219,17 +211,3 @@ def _best_orders(kinds: Mapping[str, RankingResult]) -> list[Ratios]:
     scores = [result.scores for result in kinds.values()]
     rates = sorted({s.wrong / s.points for s in scores if s.wrong})
     return [np.maximum(0, 1 - (1 - rate) / COVERAGE) for rate in rates]
-
-
-def _name_dots(axes: Axes, dots: Ratios, names: Sequence[str]) -> None:
-    """Write a name to the right of each dot (N, 2), above the names that it would cover."""
-    style: dict[str, Any] = {"size": 9, "color": DARK, "va": "center", "parse_math": False}
-    places, written = axes.transData.transform(dots), list[tuple[float, float]]()
-    for i in np.argsort(places[:, 1]):
-        x, y = places[i]
-        for other_x, other_y in written:  # From the lowest
-            if abs(x - other_x) < NAME_PX and y < other_y + LINE_PX:
-                y = other_y + LINE_PX
-        written = sorted([*written, (x, y)], key=lambda place: place[1])
-        offset = 10, y - places[i, 1]
-        axes.annotate(names[i], dots[i], offset, textcoords="offset pixels", **style)

@@ -116,10 +116,8 @@ def export_ply(
         One of `FORMATS`.
     voxel : float, optional
         Edge of the voxels of a map in metres; writes maps of fused drives instead of scans.
-    query : ResultQuery
-        Choice of scans, data set and classes.
-    options : RunOptions
-        Workers, progress and what to do about errors.
+    query, options
+        Choice of scans, data set and classes; workers and progress.
 
     Returns
     -------
@@ -253,16 +251,12 @@ def map_of_drive(
 
     Parameters
     ----------
-    results : ResultFolder
-        Folder with the fused labels.
-    files : tuple of ScanFile
-        Scans of a sequence.
-    space : LabelSpace
-        Classes of the labels.
+    results, files, space
+        Folder with the fused labels, scans of a sequence, and classes of the labels.
     voxel : float
-        Edge of the voxels, metres; each keeps one point.
+        Edge of the voxels, metres; a voxel has one point of the map.
     options : RunOptions
-        Workers, progress and what to do about errors.
+        Workers and progress.
 
     Returns
     -------

@@ -75,10 +75,8 @@ def picture(
         Some of `COLOURS`; by default every colour that a scan has.
     scale : tuple of float, optional
         Values at the ends of the colour map, for a single colour.
-    query : ResultQuery
-        Choice of scans, data set and classes.
-    options : RunOptions
-        Workers, progress and what to do about errors.
+    query, options
+        Choice of scans, data set and classes; workers and progress.
 
     Returns
     -------

@@ -244,12 +244,10 @@ def read_run(
     ----------
     out : Path
         Folder with results.
-    query : ResultQuery
-        Choice of scans, data set and classes.
     by_distance : bool
         Whether to score distance bands too, for which all scans are read.
-    options : RunOptions
-        Workers, progress and what to do about errors.
+    query, options
+        Choice of scans, data set and classes; workers and progress.
 
     Returns
     -------

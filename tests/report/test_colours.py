@@ -219,6 +219,6 @@ def test_plots_have_one_size_with_and_without_points(count):
     for picture in (
         risk_coverage({"epistemic": result}),
         reliability_diagram(calibration_result([])),
-        error_diagram(result, SPACE),
+        error_diagram(result),
     ):
         assert pixels(picture).shape[1::-1] == PLOT_PX

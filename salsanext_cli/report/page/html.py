@@ -207,7 +207,7 @@ def _comparison(compared: Comparison, space: LabelSpace) -> str:
     confusions = _confusions(compared.counts.confusion, space)
     parts = _bands(compared, space)
     parts += _listed("Largest confusions", '<ol class="confusions">', "</ol>", confusions)
-    pictures = uncertainty_pictures(compared.uncertainty, space)
+    pictures = uncertainty_pictures(compared.uncertainty)
     parts += _figures({PICTURES[name]: png for name, png in pictures.items()})
     return f'<section id="plots"><h2>Comparison with labels</h2>{parts}</section>' * bool(parts)
 
