@@ -119,7 +119,7 @@ def _calibration_table(softmax: CalibrationResult | None, error: RankingResult |
         counts = (f"{error.scans:,}", f"{points.points:,}")
         rows.append(("error", "", "", percent(error.ece, 2), "", "", *counts))
         mean, wrong = percent(points.mean), percent(points.wrong / max(points.points, 1))
-        caption = f"error: mean probability of a wrong label {mean} %; {wrong} % are wrong"
+        caption = f"error: the probability that a label is wrong; mean {mean} %, wrong {wrong} %"
     errors = ("ECE %", "ECE per\nscan %", "ACE %")
     headings = ("calibration", "NLL,\nnats", "Brier", *errors, "scans", "points")
     return table_of(headings, rows, caption=caption)

@@ -119,8 +119,8 @@ def picture(
 def _require_colouring(colours: Collection[str], scale: tuple[float, float] | None) -> None:
     require_colouring(colours, scale)
     if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
-        hint = "name one --colour of values, such as error"
-        raise UsageError("--scale", "needs a single colour of values", hint=hint)
+        problem = f"--colour is {', '.join(colours) or 'missing'}"
+        raise UsageError("--scale", problem, "a single colour of values, such as error")
 
 
 def _scans_alone(out: Path, query: ResultQuery) -> ChosenResults:
