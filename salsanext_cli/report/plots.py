@@ -12,7 +12,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.measures.calibration import Reliability
 from salsanext_cli.measures.risk_coverage import COVERAGE
-from salsanext_cli.measures.scores import Counts, Ratios, Scores, ratio, scored_rows
+from salsanext_cli.measures.scores import Counts, Scores, ratio, scored_rows
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
     RankingResult,
@@ -194,7 +194,10 @@ def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:
         risk = 100 * result.risk_coverage
         axes.plot(100 * COVERAGE, risk, color=colour, linestyle=dashes, label=label)
     dotted: dict[str, Any] = {"color": canvas.FAINT, "linestyle": (0, (1, 2)), "linewidth": 1.4}
-    for i, risk in enumerate(_best_orders(kinds)):
+    # Kinds may be known of different points, with different shares of wrong ones.
+    scores = [result.scores for result in kinds.values()]
+    for i, rate in enumerate(sorted({s.wrong / s.points for s in scores if s.wrong})):
+        risk = np.maximum(0, 1 - (1 - rate) / COVERAGE)
         axes.plot(100 * COVERAGE, 100 * risk, **dotted, label="" if i else "best order")
     axes.set_xlabel("coverage: least uncertain points that are accepted, in %")
     axes.set_ylabel("risk: wrong points among them, in %")
@@ -204,10 +207,3 @@ def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:
     axes.legend(frameon=False, fontsize=10, handlelength=2.6, **below)
     canvas.plain_frame(axes)
     return canvas.png_of(figure)
-
-
-def _best_orders(kinds: Mapping[str, RankingResult]) -> list[Ratios]:
-    """Return the risks of the best order for each set of points with some kind."""
-    scores = [result.scores for result in kinds.values()]
-    rates = sorted({s.wrong / s.points for s in scores if s.wrong})
-    return [np.maximum(0, 1 - (1 - rate) / COVERAGE) for rate in rates]
