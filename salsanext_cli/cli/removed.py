@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options of earlier versions, and what to use instead."""
+"""Commands and options of earlier versions, and what to use instead."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -17,6 +17,16 @@ REMOVED = {
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
 }
 """Remedy by command, "" for all commands, and option, with its value if other values remain."""
+
+
+REMOVED_COMMANDS = {"export-rrd": "use examples/rerun_recording.py"}
+
+
+@guarded
+def refuse_removed_command(command: str, *, json: bool) -> None:
+    """Refuse a command of earlier versions; `guarded` reads `json`."""
+    if hint := REMOVED_COMMANDS.get(command):
+        raise UsageError(command, "this command was removed", hint=hint)
 
 
 @guarded

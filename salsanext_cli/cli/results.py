@@ -172,7 +172,12 @@ def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
     from rich.console import Group
     from rich.text import Text
 
-    from salsanext_cli.report.tables import band_table, kept_table, score_table, uncertainty_tables
+    from salsanext_cli.report.tables import (
+        accepted_table,
+        band_table,
+        score_table,
+        uncertainty_tables,
+    )
     from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
 
     of_training = ON_TRAINING_SCANS if found.counts.trained_on else ""
@@ -185,7 +190,7 @@ def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
         missed = f"Points left unlabelled by predict --reject {reject:g} are missed in the scores."
         promised = [found.guarantee.sentence] if found.guarantee else []
         lines = [missed, *kept.sentences, *promised]
-        shown += [kept_table(kept.classes), Text("\n".join(lines))]
+        shown += [accepted_table(kept.classes), Text("\n".join(lines))]
     return Group(*shown)
 
 

@@ -76,7 +76,7 @@ def test_what_is_imported_and_what_is_not_is_said(run, data, edited):
     assert "without an edited file" not in done.stderr
     (edited / "000001_done.ply").unlink()
     again = run("import-labels", edited, data, "--scalar", "mine", "--json")
-    assert "without an edited file, as they were: 1 scan" in again.stderr
+    assert "unchanged, without an edited file: 1 scan" in again.stderr
     found = only_json(again)
     (row,) = found["scans"]
     assert row["points"] == 1500 == row["labelled"] + row["unlabelled"]

@@ -22,12 +22,8 @@ from salsanext_cli.stages.evaluate import evaluate
 C = SPACE.class_count
 CAR_ID, ROAD_ID = SPACE.names.index("car"), SPACE.names.index("road")
 PICTURES = {
-    "probabilities": {"eval_reliability.png", "eval_risk_coverage.png", "eval_sparsification.png"},
-    "uncertainty/epistemic": {
-        "eval_risk_coverage.png",
-        "eval_sparsification.png",
-        "eval_class_uncertainty.png",
-    },
+    "probabilities": {"eval_reliability.png", "eval_risk_coverage.png"},
+    "uncertainty/epistemic": {"eval_risk_coverage.png"},
 }
 ALWAYS = {"scores.txt", "eval.json", "eval_iou.png", "eval_confusion.png"}
 
