@@ -226,7 +226,7 @@ def card_table(file: DescribedWeights) -> Table:
         "sensor": f"{sensor.name}, {sensor.height}×{sensor.width}, {view}",
         "scores on the scans that chose the weights": _scores(card.scores) or ABSENT,
         "error model, on held-out scans": error and (_scores(error.scores) or ABSENT),
-        "risk threshold": card.risk and promise(card.risk),
+        "risk threshold": card.risk and guarantee(card.risk),
         "training scans": card.trained_on and f"{len(card.trained_on):,}",
         "size": f"{file.size / 1e6:.1f} MB",
         "SHA-256": file.sha256,

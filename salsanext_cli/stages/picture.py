@@ -131,7 +131,7 @@ def _scans_alone(out: Path, query: ResultQuery) -> ChosenResults:
         hint = f"run `salsanext predict SCANS {out}` first, or name scans with --dataset"
         raise NoInputError(out, problem, hint=hint)
     all_scans = scans_of(dataset) if dataset else results.scans()
-    space = results.compared_space(all_scans, query.label_space, query.classes, own_ids=True)
+    space = results.compared_space(all_scans, query.label_space, query.classes, other_ids=True)
     scans = choose(all_scans, query.selection, space, dataset or out)
     labels = space_of_labels(all_scans, space, query.label_space)
     return ChosenResults(scans, space, labels, MissingResults())

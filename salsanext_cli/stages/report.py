@@ -55,7 +55,7 @@ class Report:
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON, null for NaN."""
         counts, scores = self.run.counts, self.compared and self.compared.scores
-        best, labels = (c.uncertainty.kept, c.accepted) if (c := self.compared) else (None, None)
+        best, labels = (c.uncertainty.accepted, c.accepted) if (c := self.compared) else (None, None)
         return {
             "stage": "report",
             "page": str(self.page),
@@ -100,7 +100,7 @@ def report(
         The page and its numbers.
     """
     page = out / PAGE
-    OwnedFolder(out).require_own([page])
+    OwnedFolder(out).refuse_foreign([page])
     run, unread = read_run(out, query=query, by_distance=by_distance, options=options)
     chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.reader.space)
     rows = {row.file.name: row for row in run.rows}
@@ -285,7 +285,7 @@ def _rows(
     outcome = run_over_scans(task, files, options, on_result=add)
     if not rows:
         raise NoInputError(reader.out, f"no results can be read: {outcome.failures[0].reason}")
-    if (scored := counts.scored()).left_out:
+    if (scored := counts.scored()).skipped:
         rows = [replace(row, confusion=None) if row in trained_on else row for row in rows]
     rows.sort(key=lambda row: row.file)  # Workers finish in any order.
     return rows, scored if scored.scans else None, outcome.failures

@@ -145,10 +145,10 @@ def _begin(owned: OwnedFolder, new: StageRecord, files: list[Path], overwrite: b
             return
     folders = {folder for path in files for folder in path.parents if out in folder.parents}
     links = sorted(folder for folder in folders if folder.is_symlink())
-    owned.require_own([*links, *files])
+    owned.refuse_foreign([*links, *files])
     # The record stays until it is replaced, so that a killed run can continue.
     if overwrite:
-        owned.remove_own([path for path in owned.written() if _is_generated(path, out)])
+        owned.remove_written([path for path in owned.written() if _is_generated(path, out)])
     owned.manifest.write(new)
 
 

@@ -119,15 +119,15 @@ def test_other_weights_are_named_by_their_digest_if_it_is_recorded(tmp_path):
 def test_warnings_of_all_stages_are_one_line_for_each_code(tmp_path):
     dark, few = ("dark", "no intensity", "look"), ("few-points", "12 points", "drive on")
     warnings = {f"00/{i}": [dark] for i in range(5)}
-    OwnedFolder(tmp_path, "predict").keep_findings(warnings, set(warnings))
-    OwnedFolder(tmp_path, "uncertainty").keep_findings({"00/1": [dark, few]}, {"00/1"})
+    OwnedFolder(tmp_path, "predict").record_findings(warnings, set(warnings))
+    OwnedFolder(tmp_path, "uncertainty").record_findings({"00/1": [dark, few]}, {"00/1"})
     assert warnings_of_run(tmp_path, warnings) == [
         "dark in 5 scans (00/0, 00/1, 00/2 and 2 more): no intensity; look",
         "few-points in 1 scan (00/1): 12 points; drive on",
     ]
     assert warnings_of_run(tmp_path, {"00/3"}) == ["dark in 1 scan (00/3): no intensity; look"]
     assert warnings_of_run(tmp_path / "none", warnings) == []
-    OwnedFolder(tmp_path, "fuse").keep_findings({"00": [("apart", "two parts", "look")]}, {"00"})
+    OwnedFolder(tmp_path, "fuse").record_findings({"00": [("apart", "two parts", "look")]}, {"00"})
     assert warnings_of_run(tmp_path, {"00"}) == ["apart in 1 sequence (00): two parts; look"]
 
 

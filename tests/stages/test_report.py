@@ -74,7 +74,7 @@ def test_scores_are_the_same_as_in_eval(world):
     world.put("uncertainty/entropy", "000001", [0.1] * 4)
     result, page = made(world, by_distance=True)
     evaluated = world.evaluate()
-    numbers, sentence = result.to_dict(), evaluated.uncertainty.kept.sentence
+    numbers, sentence = result.to_dict(), evaluated.uncertainty.accepted.sentence
     assert numbers["accuracy"] == evaluated.scores.accuracy == 7 / 8
     assert numbers["iou_mean_present"] == evaluated.scores.iou_mean_present
     assert numbers["sentence"] == sentence

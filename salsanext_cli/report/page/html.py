@@ -161,7 +161,7 @@ def _sentence(compared: Comparison | None) -> str:
     """Return the sentences on risk; empty without labels and uncertainty."""
     if compared is None:
         return ""
-    best = compared.uncertainty.kept
+    best = compared.uncertainty.accepted
     sentences = [*compared.sentences, *([best.sentence] if best else [])]
     return "".join(f'<p class="sentence">{_text(s[:1].upper() + s[1:])}.</p>' for s in sentences)
 

@@ -139,7 +139,7 @@ class Comparison:
     counts: ScanCounts  # Counts of the points, of accepted points if the run rejected labels
     scores: Scores
     uncertainty: UncertaintyEvaluation
-    accepted: KeptLabels | None  # Coverage and risk of a run that rejected labels
+    accepted: AcceptedLabels | None  # Coverage and risk of a run that rejected labels
     sentences: list[str]  # Coverage, risk and the guarantee of the run in words
 
 
@@ -169,8 +169,8 @@ class RunResults:
             return None
         counts, space, labels = self.counts, self.reader.space, None
         uncertainty = evaluate_uncertainty(counts, space)
-        if counts.kept:
-            labels = KeptLabels.of_confusion(counts.confusion, space, counts.kept)
+        if counts.accepted:
+            labels = AcceptedLabels.of_confusion(counts.confusion, space, counts.accepted)
             bands = tuple(map(accepted, counts.bands))
             counts = replace(counts, confusion=accepted(counts.confusion), bands=bands)
         sentences = [*(labels.sentences if labels else ())]
@@ -180,10 +180,10 @@ class RunResults:
     @property
     def guarantee(self) -> RiskBoundCheck | None:
         """Guarantee of the accepted labels and their measured risk; None without either."""
-        bound = Provenance(self.reader.out).promised(self.reader.space)
+        bound = Manifest(self.reader.out).guarantee(self.reader.space)
         if self.counts is None or bound is None:
             return None
-        return RiskBoundCheck.of_scans(bound, self.counts.kept)
+        return RiskBoundCheck.of_scans(bound, self.counts.accepted)
 
     def warnings(self) -> list[str]:
         """Return a line for every reason to doubt the results."""
@@ -249,15 +249,15 @@ def named(rows: Sequence[ScanRow], names: Sequence[str]) -> dict[str, str]:
 
 def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
     """Yield titles and texts of the recorded settings of a run."""
-    records = Provenance(out)
+    records = Manifest(out)
     yield "Weights", _weights(records)
     for member in sensor.members:
         yield "Sensor", f"{member.name}, {member.height}×{member.width}, {view_text(member)}"
     stage, labels = records.owner("predictions"), records.settings_of("predictions")
     if stage and labels:
         yield "Labels", _labels(stage, labels)
-        if labels.promised:
-            yield "Guarantee", promise(labels.promised)
+        if labels.guarantee:
+            yield "Guarantee", guarantee(labels.guarantee)
         if labels.inherited:
             yield "Inherited", f"{shortened(labels.inherited, 200)}, not fitted to these weights"
     if settings := records.settings("uncertainty"):
@@ -270,7 +270,7 @@ def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
 
 def expected_of_run(out: Path, rows: Sequence[ScanRow]) -> ExpectedAccuracy | None:
     """Estimate the accuracy of labels of `predict`; None for labels of other stages."""
-    records = Provenance(out)
+    records = Manifest(out)
     settings = records.settings("predict")
     if settings is None or records.owner("predictions") != "predict":
         return None
