@@ -10,7 +10,6 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from sklearn.metrics import log_loss
 
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.training.cross_validation import expectation, folds
@@ -76,13 +75,6 @@ def test_the_best_is_the_lowest_of_a_dense_grid(temperature):
     losses = [negative_log_likelihood(logits, truth, value) for value in grid]
     assert grid[np.argmin(losses)] == pytest.approx(best, rel=0.007)
     assert negative_log_likelihood(logits, truth, best) <= min(losses)
-
-
-def test_the_loss_against_scikit_learn():
-    logits, truth = drawn(1.3)
-    shares = torch.softmax(logits.double() / 0.8, dim=1).numpy()
-    expected = log_loss(truth.numpy(), shares, labels=range(5))
-    assert negative_log_likelihood(logits, truth, 0.8) == pytest.approx(expected, rel=1e-12)
 
 
 def test_no_best_temperature_is_zero_or_infinite():
