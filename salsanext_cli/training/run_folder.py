@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.engines.device import PRECISIONS
 from salsanext_cli.files.atomic import require_writable
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import record_of
@@ -111,7 +110,7 @@ def recorded_precision(run: Path) -> str | None:
     """Return the number type of the training in a folder, None if it is not recorded."""
     settings = recorded_settings(run)
     precision = settings.recipe.precision if settings else None
-    return precision if precision in PRECISIONS and precision != "auto" else None
+    return None if precision == "auto" else precision
 
 
 def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:

@@ -110,7 +110,8 @@ def class_counts(
         log_recorded(cached.warnings)
         return cached
     of_validation, summaries, _ = count_classes(validation, jobs)
-    is_validated = [file in {*validated} for file in validation.files]
+    members = {*validated}
+    is_validated = [file in members for file in validation.files]
     of_training, of_scans, digests = count_classes(first, jobs)
     counts = of_training.sum(axis=0)
     scored = of_validation[is_validated].sum(axis=0)
