@@ -32,7 +32,7 @@ from salsanext_cli.training.data.sources import (
     scans_to_train_on,
     training_sources,
 )
-from salsanext_cli.training.distributed import ProcessGroup, process_group
+from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.log import Row
@@ -212,8 +212,8 @@ def train(
     -------
     TrainResult
     """
+    _require_batch(recipe.batch, group_of_environment())
     with process_group(device) as (group, chosen), ExitStack() as locks:
-        _require_batch(recipe.batch, group.size)
         roots, workers = (dataset, *also), _workers(jobs, chosen.type)
         new = NewTraining(roots, run, recipe, weights, workers, overwrite, strict)
         setup, scored = new.setup(locks, space, sensor, group, chosen, progress)
@@ -234,11 +234,13 @@ def _workers(jobs: int | None, kind: str) -> int:
     return usual if jobs is None else worker_count(jobs)
 
 
-def _require_batch(samples: int, workers: int) -> None:
-    if samples < workers:
-        expected = f"at least one sample for each of {workers} workers"
+def _require_batch(samples: int, group: ProcessGroup) -> None:
+    if samples < group.size:
+        expected = f"at least one sample for each of {group.size} workers"
         hint = "start fewer workers or set batch higher"
-        raise UsageError("recipe key batch", f"is {samples}", expected, hint)
+        error = UsageError("recipe key batch", f"is {samples}", expected, hint)
+        error.reported_elsewhere = not group.is_main
+        raise error
 
 
 def _simulated_scenes(

@@ -112,7 +112,9 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
     if chosen.type == "cuda":
         if chosen.index is not None:
             problem = f"names one GPU for {group.size} workers"
-            raise UsageError(f"device {device}", problem, "cuda, cpu or auto")
+            error = UsageError(f"device {device}", problem, "cuda, cpu or auto")
+            error.reported_elsewhere = not group.is_main
+            raise error
         gpu = chosen = torch.device(choose_device(f"cuda:{os.environ['LOCAL_RANK']}"))
         torch.cuda.set_device(gpu)
     store, rank, size = next(dist.rendezvous("env://", timeout=TIMEOUT))  # type: ignore[attr-defined]
@@ -127,21 +129,21 @@ def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
         left.set()
         # After a failure this would wait for the other workers for ever.
         dist.destroy_process_group()
-    except BaseException as error:
+    except BaseException as failed:
         if other_failed.is_set():
             os._exit(1)  # noqa: TID251 - this error follows from the other worker's
         left.set()
         # An interrupt reaches all workers, and so does an error of the main worker's call.
         if not (
-            isinstance(error, KeyboardInterrupt) or getattr(error, "reported_elsewhere", False)
+            isinstance(failed, KeyboardInterrupt) or getattr(failed, "reported_elsewhere", False)
         ):
-            cause = error_text(error)
+            cause = error_text(failed)
             failure = f"worker {rank} of {size} on {platform.node()}: {cause}"
             # The host of the store may be gone.
             with suppress(RuntimeError):
                 first = store.compare_set(FAILED, "", failure).decode()
-                if isinstance(error, SalsanextError):
-                    error.reported_elsewhere = first != failure and first.endswith(cause)
+                if isinstance(failed, SalsanextError):
+                    failed.reported_elsewhere = first != failure and first.endswith(cause)
         raise
     finally:
         # The others notice a failure. Threads of gloo that still free tensors abort a process
