@@ -26,8 +26,8 @@ def risk_curve(report: Mapping[str, Any]) -> bytes:
     scans = 100 * np.array(report["of_scans"])
     cross: dict[str, Any] = {"marker": "x", "linewidths": 1, "label": "scan at the threshold"}
     axes.scatter(scans[:, 0], scans[:, 1], s=22, c=DARK, **cross)
-    worst = 100 * np.array([(group["kept"], group["worst"]) for group in held_out]).reshape(-1, 2)
-    label = "worst scan of a held-out sequence"
+    worst = 100 * np.array([(each["accepted"], each["worst"]) for each in held_out]).reshape(-1, 2)
+    label = "sequence by the threshold of the others, worst scan"
     axes.scatter(worst[:, 0], worst[:, 1], s=46, facecolors="none", edgecolors=CHOSEN, label=label)
     axes.set_xlim(0, 100)
     axes.set_ylim(0, 1.1 * max(2 * level, *scans[:, 1], *worst[:, 1]))

@@ -8,7 +8,7 @@ import numpy as np
 import plyfile
 import pytest
 from scans import SMALL, files_below, write_array, write_bin
-from world import Kept, begin_and_end
+from world import Stored, begin_and_end
 
 from salsanext_cli import LabelSpace, Scan, label_space, read_labels, read_scan, write_labels
 from salsanext_cli.errors import (
@@ -41,13 +41,13 @@ def sample(world):
 
 @pytest.fixture(scope="module")
 def once_sampled(tmp_path_factory, weights):
-    return Kept(tmp_path_factory.mktemp("sampled"), weights, sample)
+    return Stored(tmp_path_factory.mktemp("sampled"), weights, sample)
 
 
 @pytest.fixture
 def sampled(once_sampled):
     """Return a world with predictions and uncertainties."""
-    return once_sampled.anew()
+    return once_sampled.restored()
 
 
 def export(world, **options):
@@ -131,8 +131,7 @@ def test_clouds_contain_the_numbers_of_objects(world):
 
 def test_las_without_laspy_is_refused_before_anything_is_done(predicted, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
-    before = files_below(predicted.out)
-    with pytest.raises(MissingDependency) as caught:
+    with pytest.raises(MissingDependency, match=r"--format laz: LAS needs laspy\nhint: pip"):
         export(predicted, form="laz")
     assert caught.value.subject == "--format laz"
     assert files_below(predicted.out) == before
