@@ -55,7 +55,9 @@ class Report:
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON, null for NaN."""
         counts, scores = self.run.counts, self.compared and self.compared.scores
-        best, labels = (c.uncertainty.accepted, c.accepted) if (c := self.compared) else (None, None)
+        compared = self.compared
+        best = compared and compared.uncertainty.accepted
+        labels = compared and compared.accepted
         return {
             "stage": "report",
             "page": str(self.page),

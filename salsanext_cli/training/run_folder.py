@@ -119,7 +119,7 @@ def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> N
     owned, recorded = OwnedFolder(run, STAGE), None if overwrite else recorded_settings(run)
     replaced = [run / name for name in (*RESULTS, CLASS_COUNTS, RECIPE)]
     replaced += [sample_path(run, epoch) for epoch in range(1, settings.recipe.epochs + 1)]
-    owned.require_own(replaced)
+    owned.refuse_foreign(replaced)
     has_results = any((folder / name).exists() for folder in _folders(run) for name in RESULTS)
     if recorded and has_results:
         before = _extended(recorded, settings).decisive
@@ -132,7 +132,7 @@ def begin(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
     if not recorded or _extended(recorded, settings).decisive != settings.decisive:
         for folder in _folders(run):
             results = [folder / name for name in RESULTS] + [*folder.glob(f"{SAMPLES}/epoch-*.png")]
-            OwnedFolder(folder).remove_own(results)
+            OwnedFolder(folder).remove_written(results)
     owned.manifest.write(StageRecord(STAGE, settings_json(settings)))
     owned.write(run / RECIPE, settings.recipe.to_toml().encode())
 

@@ -112,7 +112,7 @@ def judged_scan(
 
 def accepted_labels(
     scans: Sequence[JudgedScan], counts: Counts, space: LabelSpace, held: Counts
-) -> tuple[KeptLabels, dict[str, tuple[int, ...]]]:
+) -> tuple[AcceptedLabels, dict[str, tuple[int, ...]]]:
     """Return the labels that are accepted at the highest of the thresholds held by each label.
 
     The second value holds points, accepted and wrong ones of each scan.
@@ -123,7 +123,7 @@ def accepted_labels(
     labels = np.flatnonzero(held)
     shares = [scan.below[:, labels, held[labels] - 1].sum(axis=1).tolist() for scan in scans]
     of_scans = {s.file.name: (s.points, *share) for s, share in zip(scans, shares, strict=True)}
-    return KeptLabels.of_confusion(confusion, space, of_scans), of_scans
+    return AcceptedLabels.of_confusion(confusion, space, of_scans), of_scans
 
 
 def fit_risk(
@@ -153,7 +153,7 @@ def fit_risk(
         raise TrainingError(scans.source, problem, hint=hint)
     of_labels, has_threshold = _of_labels(judged, units, held, level)
     # A label for which none holds has the last.
-    highest = np.append(np.minimum(highest_of_bins(), 1.0), KEEPS_NONE)
+    highest = np.append(np.minimum(highest_of_bins(), 1.0), ACCEPTS_NONE)
     thresholds = highest[of_labels - 1].tolist()
     risk = RiskThreshold(
         kind=kind,
