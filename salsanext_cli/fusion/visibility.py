@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Visibility of places: scans see something there, or through them to what is behind."""
+"""Visibility of points from other scans: a scan sees something there, or farther away."""
 
 import math
 from collections.abc import Iterable
@@ -13,23 +13,23 @@ from salsanext_cli.records import MAX_RANGE_M, Float, Int
 
 COLUMNS, ROWS = 1024, 256  # Directions of a scan, 0.35° apart, up to 45° up and down
 SAME_PLACE_M, GRAZING = 0.3, 0.1
-"""Difference of ranges up to which two scans see the same thing, and the share of the range that
-must come to it until one sees through: that much it differs within a pixel on flat ground."""
+"""Largest difference of ranges of the same object, and the share of the range that is added before
+a scan sees through: ranges differ by this within a pixel on flat ground."""
 
 Places = npt.NDArray[np.float64]
 
 
 def nearest_ranges(points: Float) -> Float:
-    """Return the range of the nearest point (N, 3) of a scan in each direction, NaN without any."""
+    """Return the range of the nearest of points (N, 3) in each direction, float32, else NaN."""
     ranges = np.full(ROWS * COLUMNS, np.nan, np.float32)
     _keep_nearest(argument(points, np.float32), ranges)
     return ranges
 
 
 def seen_by(places: Places, scans: Iterable[tuple[Places, Places, Float]]) -> Int:
-    """Return how many scans see something in places (K, 3), and how many see through: (2, K).
+    """Return how many scans see something at places (K, 3), and how many see through: (2, K) int32.
 
-    `scans`: the rotation (3, 3) and the place (3,) of each, and its `nearest_ranges`.
+    A scan is its rotation (3, 3), its position (3,) and its `nearest_ranges`.
     """
     counts = np.zeros((2, len(places)), np.int32)
     for rotation, place, ranges in scans:

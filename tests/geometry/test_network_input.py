@@ -108,7 +108,7 @@ RINGS = np.round(np.degrees(np.arcsin(Z / RANGES)) + 25).astype(int)
 IDS = np.random.default_rng(1).permutation(64)
 
 
-def test_what_is_no_intensity():
+def test_values_that_are_not_intensities():
     for intensity, reason in (
         (STREET.intensity, "^$"),
         (np.floor(3 * STREET.intensity), "^$"),

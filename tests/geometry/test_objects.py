@@ -89,7 +89,7 @@ def test_objects_end_where_class_or_range_does_and_go_on_behind_the_sensor():
 
 
 def test_objects_that_no_16_bits_number_are_none(monkeypatch):
-    monkeypatch.setattr(objects, "MOST", 2)
+    monkeypatch.setattr(objects, "MAX_OBJECTS", 2)
     found = objects_of([thing(angle, 8) for angle in (0, 30, 60)], [CAR] * 3)
     assert sorted({number for each in found for number in each[each > 0].tolist()}) == [1, 2]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scans of several sensors in one folder: each is labelled as in a folder of its own."""
+"""Scans of several sensors in one folder are labelled as in separate folders."""
 
 from dataclasses import replace
 
@@ -70,7 +70,7 @@ def apart(tmp_path, mixed, network):
     return {f"sequences/mixed/{name.split('/', 2)[2]}": data for name, data in found.items()}
 
 
-def test_each_is_labelled_as_in_a_folder_of_its_own(mixed, network, apart, tmp_path, caplog):
+def test_labels_are_those_of_separate_folders(mixed, network, apart, tmp_path, caplog):
     out = tmp_path / "out"
     caplog.set_level("INFO")
     outcome = predict_scans(mixed, out, settings=network)
@@ -99,7 +99,7 @@ def test_parts_steps_workers_and_batches_give_the_same(mixed, network, apart, tm
     assert files_below(parts)[name] == files_below(batched)[name]
 
 
-def test_later_stages_see_each_scan_through_its_sensor(mixed, network, tmp_path):
+def test_later_stages_use_the_sensor_of_each_scan(mixed, network, tmp_path):
     """By their height: seen upright, hardly a point is below the ground."""
     predict_scans(mixed, tmp_path / "out", settings=network)
     results = ResultFolder(tmp_path / "out")
@@ -130,7 +130,7 @@ def test_one_sensor_is_recorded_as_before(network, tmp_path):
     assert (recorded.others, recorded.traits) == ((), ())
 
 
-def test_a_scan_that_no_fit_looked_at_is_named(tmp_path):
+def test_a_scan_of_another_sensor_outside_the_sample_is_named(tmp_path):
     for number in range(40):
         write_bin(tmp_path / f"many/{number:02}.bin", (leaning if number == 1 else level)(number))
     outcome = project_scans(tmp_path / "many", tmp_path / "out", sensor=SMALL, fit=True)
@@ -140,7 +140,7 @@ def test_a_scan_that_no_fit_looked_at_is_named(tmp_path):
 
 def test_a_sensor_file_of_scans_of_several_sensors_is_refused_before_the_survey(mixed, monkeypatch):
     monkeypatch.setattr("salsanext_cli.stages.inspect.run_over_scans", None)
-    with pytest.raises(NoInputError, match="scans of 2 sensors") as refused:
+    with pytest.raises(NoInputError, match="2 sensors") as refused:
         inspect(mixed, sensor=SMALL, fit=True)
     assert refused.value.subject == str(mixed)
 
@@ -148,11 +148,11 @@ def test_a_sensor_file_of_scans_of_several_sensors_is_refused_before_the_survey(
 def test_a_fit_is_not_advised_where_it_is_refused(mixed, tmp_path):
     write_bin(tmp_path / "one/1.bin", leaning(1))
     for folder, advised in ((mixed, False), (tmp_path / "one", True)):
-        found = {each.code: each for each in inspect(folder, sensor=SMALL).warnings}
-        assert ("--fit" in found["tilted"].hint) == advised
+        warnings = {warning.code: warning for warning in inspect(folder, sensor=SMALL).warnings}
+        assert ("--fit" in warnings["tilted"].hint) == advised
 
 
-def test_images_of_several_sensors_are_not_labelled_through_one(mixed, network, tmp_path, caplog):
+def test_images_of_several_sensors_need_all_sensors(mixed, network, tmp_path, caplog):
     caplog.set_level("INFO")
     project_scans(mixed, tmp_path / "out", sensor=SMALL, fit=True)
     caplog.clear()
@@ -160,9 +160,9 @@ def test_images_of_several_sensors_are_not_labelled_through_one(mixed, network, 
     assert caplog.text.count("such as mixed/") == 2
     assert "such as none" not in caplog.text
     for member in Provenance(tmp_path / "out").known_sensor().members:
-        told = replace(network, sensor=replace(member, others=(), traits=()))
-        with pytest.raises(UsageError, match="sensors was 2 and is 1"):
-            predict_range_images(tmp_path / "out", tmp_path / "told", settings=told)
+        single = replace(network, sensor=replace(member, others=(), traits=()))
+        with pytest.raises(UsageError, match="sensors"):
+            predict_range_images(tmp_path / "out", tmp_path / "single", settings=single)
 
 
 def test_inspect_writes_the_sensor_that_predict_fits(mixed, tmp_path, narrow_default):
