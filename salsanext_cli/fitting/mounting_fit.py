@@ -79,7 +79,9 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
         normals, offsets, low = normals[rising], offsets[rising], low[rising]
     if not len(normals):
         return None
-    heights = _heights(points, normals, offsets)
+    # The threads of a matrix product would take the processors from the network.
+    (x, y, z), (of_x, of_y, of_z) = np.ascontiguousarray(points.T), normals.T[:, :, None]
+    heights = of_x * x + of_y * y + of_z * z - offsets[:, None]
     on, below = (
         np.einsum("pn,n->p", part.view(np.int8), weights)
         for part in (np.abs(heights) < TOLERANCE_M, heights < -TOLERANCE_M)
@@ -102,15 +104,6 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
 def _triples() -> Double:
     """Return the indices of the points of each triple, (3, `TRIPLES`), as shares of the number."""
     return np.random.default_rng(0).random((3, TRIPLES))
-
-
-def _heights(points: Float, normals: Float, offsets: Float) -> Float:
-    """Return the heights of points (N, 3) above planes (P, 3) and (P,), (P, N)."""
-    # The threads of a matrix product would take the processors from the network.
-    x, y, z = np.ascontiguousarray(points.T)
-    of_x, of_y, of_z = normals.T[:, :, None]
-    heights: Float = of_x * x + of_y * y + of_z * z - offsets[:, None]
-    return heights
 
 
 def _axis_of_rotation(directions: Float) -> int | None:

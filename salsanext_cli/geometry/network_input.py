@@ -33,10 +33,7 @@ GAP_DIGITS = 4
 
 
 def network_input(channels: Float, sensor: Sensor, trained: Sensor) -> Float:
-    """Return channels (5, H, W) of a sensor as input of weights trained for another.
-
-    The input is (1, 5, H, W) float32.
-    """
+    """Return channels (5, H, W) as input, (1, 5, H, W) float32, of weights of another sensor."""
     source, target = sensor.intensity_quantiles, trained.intensity_quantiles
     if source and target:
         channels = match_intensity(channels, source, target)
@@ -65,9 +62,8 @@ def noise_of(sensor: Sensor) -> tuple[float, float]:
 def match_intensity(channels: Float, source: Sequence[float], target: Sequence[float]) -> Float:
     """Return a range image (5, H, W) with the quantiles of its intensity mapped to others.
 
-    The map is linear between quantiles. A value of several quantiles becomes the mean of their
-    targets. So `NO_INTENSITY` maps everything to the mean of the target; it replaces the source
-    for an image without intensity. Empty pixels stay 0.
+    A value of several quantiles becomes the mean of their targets. So `NO_INTENSITY`, the source of
+    an image without intensity, maps everything to the mean. Empty pixels stay 0.
     """
     occupied = np.flatnonzero(channels[0] > 0)
     if why_no_intensity(*_pixels(channels, occupied[sample_places(len(occupied), SAMPLE)])):
@@ -88,16 +84,11 @@ def on_other_scale(intensity: Float, source: Sequence[float], target: Sequence[f
 
 
 def intensity_quantiles(images: Iterable[Float]) -> tuple[float, ...]:
-    """Return the mean over range images (5, H, W) of the quantiles of their intensity.
+    """Return the mean over range images of the `INTENSITY_LEVELS` quantiles of their intensity.
 
-    Images of another scale than most, without intensity, or with fewer than `MIN_PIXELS` pixels
-    are skipped if there are others, so that a few odd scans do not change the result.
-
-    Returns
-    -------
-    tuple of float
-        `INTENSITY_LEVELS` rising values; `NO_INTENSITY` if no image has an intensity; empty if no
-        image has a pixel.
+    Images of another scale than most, without intensity or with fewer than `MIN_PIXELS` pixels are
+    skipped if there are others. Without intensity, the result is `NO_INTENSITY`; without pixels, it
+    is empty.
     """
     seen = [_pixels(channels, np.flatnonzero(channels[0] > 0)) for channels in images]
     if not any(len(values) for _, values in seen):
@@ -130,10 +121,7 @@ def bright_intensity(sensor: Sensor) -> float:
 
 
 def why_no_intensity(points: Float, intensity: Float) -> str:
-    """Return why values (N,) of points (N, 3), in the order of a file, are not intensities.
-
-    The text is empty for intensities.
-    """
+    """Return why values (N,) of points (N, 3) are not intensities; an empty text if they are."""
     places = sample_places(len(points), SAMPLE)
     points, intensity = points[places], intensity[places]
     ranges, measured = measured_ranges(points)
@@ -184,10 +172,7 @@ def dependence(ranks: npt.NDArray[np.int64], on: npt.NDArray[np.number]) -> floa
 
 
 def row_gaps(images: Iterable[Float]) -> float | None:
-    """Return the share of pixels in gaps: up to `MAX_GAP` empty ones within a column.
-
-    The share is of these and the occupied pixels of range images (5, H, W); None without pixels.
-    """
+    """Return the share of gaps, up to `MAX_GAP` empty pixels of a column; None without pixels."""
     gaps = occupied = 0
     for channels in images:
         full = channels[0] > 0

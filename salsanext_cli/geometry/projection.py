@@ -67,8 +67,7 @@ def project(scan: Scan, sensor: Sensor) -> RangeImage:
     up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
     height, width, count = sensor.height, sensor.width, len(scan)
     fov_down, fov = np.float32(down), np.float32(up - down)
-    size = (np.float32(height), np.float32(width))
-    drop = sensor.out_of_view == "drop"
+    view = (fov_down, fov, np.float32(height), np.float32(width), sensor.out_of_view == "drop")
     points = argument(scan.points, np.float32).reshape(-1)
     intensity = argument(scan.intensity, np.float32)
     pixel_of_point = np.empty(count, np.int32)
@@ -78,9 +77,7 @@ def project(scan: Scan, sensor: Sensor) -> RangeImage:
 
     def find(part: slice) -> None:
         coordinates = points[3 * part.start : 3 * part.stop]
-        find_pixels(
-            coordinates, fov_down, fov, *size, drop, pixel_of_point[part], point_range[part]
-        )
+        find_pixels(coordinates, *view, pixel_of_point[part], point_range[part])
 
     def fill(part: slice) -> None:
         fill_channels(
@@ -189,10 +186,7 @@ def fill_channels(
 def points_from_pixels(
     of_pixels: npt.NDArray[Value], pixel_of_point: Int, empty: npt.ArrayLike
 ) -> npt.NDArray[Value]:
-    """Return the value of the pixel of every point: (N,) of (H, W), or (N, C) of (C, H, W).
-
-    Points without a pixel have the value `empty`.
-    """
+    """Return the value of the pixel of every point, (N,) or (N, C) of (H, W) or (C, H, W)."""
     flat = of_pixels.reshape(*of_pixels.shape[:-2], -1)
     of_points: npt.NDArray[Value] = flat.T[pixel_of_point]
     of_points[pixel_of_point < 0] = empty
@@ -202,7 +196,7 @@ def points_from_pixels(
 def pixels_from_points(
     of_points: npt.NDArray[Value], point_of_pixel: Int, empty: npt.ArrayLike = 0
 ) -> npt.NDArray[Value]:
-    """Return the value of the nearest point of every pixel, (H, W, …) of (N, …), else `empty`."""
+    """Return the value of the nearest point of every pixel, (H, W, …) of (N, …)."""
     # Index -1 selects the value that is appended.
     last = np.full((1, *of_points.shape[1:]), empty, of_points.dtype)
     return np.concatenate([of_points, last])[point_of_pixel]
@@ -222,10 +216,8 @@ def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
 
 
 def sample_places(length: int, count: int) -> Indices:
-    """Return a random sample of `count` indices below a length in rising order, or all.
-
-    It is the same in every run. Every n-th point of a grid could be of few beams or directions.
-    """
+    """Return a random sample of indices below a length in rising order, the same in every run."""
+    # Every n-th point of a grid could be of few beams or directions.
     return np.arange(length) if length <= count else (_uniform(count) * length).astype(np.intp)
 
 
@@ -260,10 +252,7 @@ def without_ego(scan: Scan, sensor: Sensor) -> Scan:
 
 
 def ego_points(points: Float, sensor: Sensor) -> Indices:
-    """Return the indices of points (N, 3), in the frame of the sensor, on it or its vehicle.
-
-    They are nearer than `min_range` or in `ego_box`.
-    """
+    """Return the indices of points (N, 3) in the frame of the sensor, on it or its vehicle."""
     nearest, box = sensor.min_range or 0.0, np.array(sensor.ego_box or ()).reshape(2, -1)
     reach = max(nearest, float(np.linalg.norm(np.abs(box).max(axis=0, initial=0))))
     if not reach:

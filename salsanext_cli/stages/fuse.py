@@ -289,13 +289,12 @@ def require_fusable(source: Path | Sequence[Path], out: Path, options: RunOption
     out : Path
         Output folder, for the hint.
     options : RunOptions
-        Options of the run; a share of the scans is refused.
+        Options of the run.
 
     Raises
     ------
     SalsanextError
-        If no sequence can be fused: its file of poses is damaged, or the package that computes
-        poses is absent.
+        For a share of the scans, and if no sequence has usable poses or the package for them.
     """
     if options.shard.count > 1:
         hint = f"run `salsanext fuse {out}` when all shares are predicted"

@@ -80,11 +80,11 @@ def test_a_field_of_view_that_no_rotating_sensor_has_is_not_fitted(lowest, highe
     """As of an accumulated cloud; the warning stays."""
     random = np.random.default_rng(0)
     azimuth, elevation = random.uniform(-180, 180, 4000), random.uniform(lowest, highest, 4000)
-    seen = rays(azimuth[:1], elevation) * random.uniform(5, 30, (4000, 1))
-    x, y, z = seen.T
-    turn = np.radians(azimuth)
-    seen = [x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z]
-    scan = Scan(np.stack(seen, axis=1).astype(np.float32), random.random(4000, np.float32))
+    around, upwards = np.radians([azimuth, elevation])
+    flat = np.cos(upwards)
+    points = np.stack([flat * np.cos(around), flat * np.sin(around), np.sin(upwards)], axis=1)
+    points = (points * random.uniform(5, 30, (4000, 1))).astype(np.float32)
+    scan = Scan(points, random.random(4000, np.float32))
     found = fit_view([scan], SMALL)
     assert (found.fov_up, found.fov_down, found.origin) == (3, -25, (0, 0, 0))
     assert "out-of-view" in [f.code for f in check_scan(Path("s.bin"), scan, found, SMALL).findings]

@@ -30,14 +30,8 @@ def street_points(azimuth, elevation, height, farthest, noise):
     `farthest` bounds their ranges, in metres, and `noise` (N,) is added to these. The nearer of the
     walls has most of them.
     """
-    rays = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ],
-        axis=1,
-    )
+    flat = np.cos(elevation)
+    rays = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
     with np.errstate(divide="ignore"):
         ground = np.where(rays[:, 2] < 0, -height / rays[:, 2], np.inf)
         wall = np.where(rays[:, 1] > 0, 6, -9) / rays[:, 1]
@@ -91,12 +85,8 @@ def test_the_ground_in_any_orientation(up):
 
 
 def test_points_without_a_ground():
-    for points in (
-        np.zeros((0, 3)),
-        np.zeros((500, 3)),
-        np.random.default_rng(0).normal(size=(20, 3)) * 10,
-        np.full((500, 3), 5.0),
-    ):
+    few = np.random.default_rng(0).normal(size=(20, 3)) * 10
+    for points in (np.zeros((0, 3)), np.zeros((500, 3)), few, np.full((500, 3), 5.0)):
         assert find_ground(points.astype(np.float32)) is None
 
 

@@ -86,14 +86,6 @@ def test_doubtful_scans():
         assert code in codes(scan)
 
 
-def test_columns_are_advised_only_for_formats_that_do_not_name_them():
-    for scan in (moved(scale=30), mostly_missing()):
-        for suffix, advised in ((".bin", True), (".npy", True), (".pcd", False), (".las", False)):
-            found = check_scan(Path(f"s{suffix}"), scan, SMALL, TRAINED).findings
-            hints = [each.hint for each in found if each.code in ("units", "not-measured")]
-            assert [("--columns" in hint) for hint in hints] == [advised]
-
-
 def test_doubtful_fields_of_view():
     assert codes(STREET, replace(SMALL, fov_up=-8.0)) == ["out-of-view"]
     assert "wide-view" in codes(STREET, replace(SMALL, fov_up=75.0, fov_down=-75.0))
@@ -142,15 +134,24 @@ def test_no_hint_names_an_option_that_weights_refuse():
     assert "intensity_scale" not in hints(STREET, matched)["intensity-scale"]
 
 
-def test_the_hint_on_intensity_names_columns_of_unnamed_formats():
-    dark = Scan(STREET.points, np.zeros_like(STREET.intensity))
-    unnamed = ("s.bin", "s.pcd.bin", "s.npy", "s.txt")
-    named = ("s.pcd", "s.PLY", "s.laz", "s.feather", "drive.bag/points/0000000000000000001")
+UNNAMED = ("s.bin", "s.pcd.bin", "s.npy", "s.txt")
+NAMED = ("s.pcd", "s.PLY", "s.laz", "s.feather", "drive.bag/points/0000000000000000001")
+
+
+@pytest.mark.parametrize(
+    ("scan", "code"),
+    [
+        (Scan(STREET.points, np.zeros_like(STREET.intensity)), "no-intensity"),
+        (moved(scale=30), "units"),
+        (mostly_missing(), "not-measured"),
+    ],
+)
+def test_hints_name_columns_only_for_formats_without_names(scan, code):
     plain = replace(TRAINED, intensity_quantiles=())
-    for name in (*unnamed, *named):
-        (found,) = check_scan(Path(name), dark, SMALL, plain).findings
-        assert found.code == "no-intensity"
-        assert ("--columns" in found.hint) == (name in unnamed)
+    for name in (*UNNAMED, *NAMED):
+        findings = check_scan(Path(name), scan, SMALL, plain).findings
+        (hint,) = (finding.hint for finding in findings if finding.code == code)
+        assert ("--columns" in hint) == (name in UNNAMED)
 
 
 def test_matched_intensities_are_those_of_the_scans_matched_with():

@@ -159,19 +159,6 @@ def test_equals_the_slow_way_with_ties_and_beyond_the_ends(values):
     assert np.array_equal(matched[:4], image[:4])
 
 
-@pytest.mark.parametrize("scale", [1 / 255, 255, 65535])
-def test_the_scale_does_not_matter(scale):
-    random = np.random.default_rng(7).random(1500)
-    matched = [
-        match_intensity(image, intensity_quantiles([image]), TARGET)
-        for image in (image_of(random), image_of(random * scale))
-    ]
-    np.testing.assert_allclose(*matched, rtol=1e-3, atol=1e-5)
-    occupied = matched[0][0] > 0
-    found = np.quantile(matched[1][4][occupied], np.linspace(0, 1, INTENSITY_LEVELS))
-    np.testing.assert_allclose(found, TARGET, atol=2e-3)
-
-
 def image(share, height=24, width=30, seed=0):
     """Return a range image with a share of its pixels occupied."""
     random = np.random.default_rng(seed)

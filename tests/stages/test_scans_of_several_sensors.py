@@ -9,11 +9,10 @@ from command_line import only_json
 from scans import SMALL, files_below, labels_below, make_scan, write_bin, write_weights
 from typer.testing import CliRunner
 
-from salsanext_cli import Scan, project, read_scan
+from salsanext_cli import Scan, read_scan
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, UsageError
-from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges, upright_rotation
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
@@ -192,11 +191,3 @@ def test_images_unlike_those_of_training_are_named(tmp_path, narrow_default):
         result = CliRunner().invoke(app, [*line, "--sensor", str(file)])
         assert result.exit_code == 0, result.stderr
         assert ("(other-images)" in result.stderr) == is_named
-
-
-def test_images_of_a_mixed_folder_without_results_are_upright(mixed):
-    seen = fitted_view(find_scans(mixed), SMALL)
-    assert [each.name for each in seen.members] == ["small", "fitted"]
-    scan = read_scan(mixed / "1.bin")
-    heights = project(scan, seen.others[0]).channels[3]
-    assert heights.min() > -2.2
