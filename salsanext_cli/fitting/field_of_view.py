@@ -105,7 +105,7 @@ MIN_VIEW_POINTS = 1000
 
 
 def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor of weights, fitted to scans that differ much from its own.
+    """Return the sensor of weights, fitted to scans that differ much from it.
 
     `fit_mounting` and `fit_ego` fit the mounting and the vehicle. The field of view changes if more
     than `MAX_SHARE_OUTSIDE` of all points lie outside. Size and normalisation of the range images
@@ -133,7 +133,7 @@ def _sines(scan: Scan, sensor: Sensor) -> Double:
 def _field_of_view(elevations: Double, extent: float) -> tuple[float, float]:
     """Return lower and upper edge in degrees of the field of view of rising elevations (N,).
 
-    It holds all points if it then is about as large as `extent`, that of training. Else it is as
+    It holds all points if it then is about as large as `extent` in training. Else it is as
     large, or larger to hold `SHOWN` of the points.
     """
     lowest, highest = map(float, np.quantile(elevations, (OUTLIERS, 1 - OUTLIERS)))

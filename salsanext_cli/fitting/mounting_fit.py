@@ -16,7 +16,7 @@ from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 MAX_POINTS = 512  # Points near the sensor to find a plane among
 RANGES_M = (2.0, 25.0)  # Their ranges: nearer is the vehicle, farther the ground bends
 TRIPLES = 2048  # Triples of points that define planes
-PLANES = 256  # Planes that are compared, of those that may be the ground
+PLANES = 256  # Planes that are compared, among possible grounds
 MIN_AREA_M2 = np.float32(1e-3)  # Twice the least area of the triangle of a triple
 TOLERANCE_M = 0.15
 MIN_SHARE = 0.1  # Least share of the points on the ground
@@ -195,7 +195,7 @@ DIGITS = 3
 
 
 def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor with the direction up and the origin of scans instead of its own.
+    """Return the sensor with the direction up and the origin fitted to scans.
 
     The direction up changes if the ground of most scans is tilted by more than `MAX_TILT_DEG`. The
     origin changes if most scans show no ground at a height of `HEIGHTS_M`, as in the frame of a

@@ -80,7 +80,7 @@ SECTORS = 64
 MIN_SECTORS = 0.6  # Least share of the directions around with a point; revolutions had 0.89 or more
 FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors had 0.14 or more
 
-APART = "label it by itself, into a folder of its own"
+APART = "label it alone, into another folder"
 SCALE_IT = "set intensity_scale in a file for --sensor"
 NAME_IT = (
     "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or in the "

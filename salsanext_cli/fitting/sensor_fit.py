@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Fit of the network of a run to scans whose sensor differs from that of training."""
+"""Fit of a network to scans of another sensor than that of its training."""
 
 import logging
 from collections.abc import Callable, Iterable, Sequence

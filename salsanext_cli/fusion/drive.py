@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Drives: poses of the scans of a sequence, read, checked and recorded beside their labels."""
+"""Drives: poses of the scans of a sequence, read, checked and recorded with their labels."""
 
 import hashlib
 import logging
@@ -74,8 +74,8 @@ def poses_beside(files: Sequence[ScanFile]) -> Path | None:
 
 def readings_of(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
     """Return the possible poses (N, 4, 4) of scans in a file, as of `pose_readings`."""
-    beside = sorted(find_scans(files[0].path.parent, unique=False), key=drive_order)
-    stems, wanted = ([*dict.fromkeys(file.stem for file in group)] for group in (beside, files))
+    listed = sorted(find_scans(files[0].path.parent, unique=False), key=drive_order)
+    stems, wanted = ([*dict.fromkeys(file.stem for file in group)] for group in (listed, files))
     return pose_readings(path, stems, wanted)
 
 

@@ -123,7 +123,7 @@ def _checked_labels(image: RangeImage, labels: npt.NDArray[np.generic], count: i
 
 @compiled
 def mark_mixed(labels: TrainIds, first: int, offsets: Int, mixed: Mask) -> None:
-    """Write whether the window of a pixel holds a label above 0 other than that of the pixel."""
+    """Write whether the window of a pixel holds another label above 0."""
     size = len(mixed)
     for i in range(size):
         mixed[i] = False
@@ -149,7 +149,7 @@ def refine_points(
     cutoff: np.float32,
     refined: TrainIds,
 ) -> None:
-    """Write the label of each point: 0 without a pixel, else that of its pixel or of the vote."""
+    """Write the label of each point: 0 without a pixel, else of its pixel or of the vote."""
     frame = half * (width + 2 * half) + half
     chosen = np.empty(BLOCK, np.int32)
     centre = np.full(BLOCK, frame, np.int32)

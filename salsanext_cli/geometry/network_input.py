@@ -185,7 +185,7 @@ def row_gaps(images: Iterable[Float]) -> float | None:
 
 
 def fills_rows(sensor: Sensor, trained: Sensor) -> bool:
-    """Return whether a sensor has so many more gaps than that of training that they are filled."""
+    """Return whether a sensor has many more gaps than training, so that they are filled."""
     gaps, usual = sensor.row_gaps, trained.row_gaps
     return gaps is not None and usual is not None and gaps > usual + MORE_GAPS
 

@@ -32,7 +32,7 @@ MAX_FITTED = 128  # Points of an object that a box is fitted to
 
 
 def find_objects(image: RangeImage, labels: TrainIds, things: Mask) -> Objects:
-    """Return the number of the object of each point, (N,) uint16 from 1; 0 not of `things` (C,)."""
+    """Return the object number of each point, (N,) uint16 from 1; 0 outside `things` (C,)."""
     wanted = (np.arange(len(things), dtype=np.uint8) * things)[labels]
     seen = pixels_from_points(wanted, image.point_of_pixel)
     channels = argument(image.channels, np.float32)
@@ -96,7 +96,7 @@ def components(image: Float, labels: TrainIds) -> Int:
 def nearest_pixels(
     labels: TrainIds, pixel_of_point: Int, point_range: Float, image: Float, seen: TrainIds
 ) -> Int:
-    """Return the pixel near each point of its class, nearest in range: (N,) int32, else -1."""
+    """Return the pixel around each point of the same class and nearest range, (N,) int32, or -1."""
     height, width = seen.shape
     nearest = np.full(len(labels), -1, np.int32)
     for i in range(len(labels)):

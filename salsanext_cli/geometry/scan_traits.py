@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Traits of a scan that depend on its sensor and hardly on the location; sensors told by them."""
+"""Traits of a scan that depend on its sensor and hardly on the location."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class ScanTraits:
 
     @property
     def compared(self) -> tuple[float, ...]:
-        """Numbers (T,) that tell sensors apart."""
+        """Numbers (T,) that differ between sensors."""
         return *self.below, float(self.points), self.bright
 
     def __str__(self) -> str:

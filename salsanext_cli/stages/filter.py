@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `filter`: scans in their own format, without the points of some classes."""
+"""Stage `filter`: scans in their format, without the points of some classes."""
 
 import logging
 from collections.abc import Callable, Collection

@@ -66,7 +66,7 @@ from salsanext_cli.results.selection import MissingResults, choose, scans_of
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 
-FUSED = "fused"  # Folder of the fused labels in that of the labels of single scans
+FUSED = "fused"  # Folder of the fused labels in the folder of the labels of single scans
 SOFTMAX_FOLDERS = ("probabilities", "votes")
 OF_NETWORK = ("weights", "weights_version", "inherited", "trained_on", "temperature")
 """Settings of `predict` that the fused labels inherit."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError, counted
-from salsanext_cli.files.reading import is_folder, present
+from salsanext_cli.files.reading import present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array
@@ -81,9 +81,6 @@ def _given_labels(folder: Path, file: ScanFile) -> Path:
 
 def _require_some(folder: Path, scans: list[ScanFile]) -> None:
     """Refuse a folder without labels of any scan."""
-    if not is_folder(folder):
-        problem = "is not a folder" if present(folder) else "no such folder"
-        raise NoInputError(folder, problem, "the folder of the labels to refine")
     if not any(present(_given_labels(folder, scan)) for scan in scans):
         nested = output_path(Path(), scans[0].sequence, "predictions", scans[0].stem)
         problem = f"has labels of none of {counted(len(scans), 'scan')}"

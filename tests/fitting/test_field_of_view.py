@@ -62,7 +62,7 @@ def test_points_above_and_below_the_field_of_view_are_counted(out_of_view):
 
 @pytest.mark.parametrize("extent", [5.0, 15.0, 22.0])
 def test_the_field_of_view_is_no_larger_than_most_points_need(extent):
-    """Else objects would be lower in the image than those of training."""
+    """Else objects would be lower in the image than in training."""
     found = fit_view(SCANS, replace(SMALL, fov_up=30.0 + extent, fov_down=30.0))
     elevations = [
         np.degrees(np.arcsin(s.points[:, 2] / np.linalg.norm(s.points, axis=1))) for s in SCANS
@@ -159,7 +159,7 @@ def rays(azimuths_deg=tuple(range(360)), elevations_deg=tuple(range(-40, 8))) ->
 
 
 def hits(box: np.ndarray) -> np.ndarray:
-    """Return the ranges at which rays meet a box, infinite for those that miss it."""
+    """Return the ranges at which rays meet a box, infinite for a miss."""
     with np.errstate(divide="ignore", invalid="ignore"):
         planes = box[:, None] / rays()
     entry, end = planes.min(axis=0).max(axis=1), planes.max(axis=0).min(axis=1)

@@ -112,7 +112,7 @@ def test_the_origin_of_the_beams(beams, place):
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 1, 0)])
 def test_scans_in_the_frame_of_a_vehicle_make_the_images_of_their_sensor(up):
-    """In frames with z or y up; only the direction that is ahead is not told."""
+    """In frames with z or y up, up to the direction ahead."""
     turn = upright_rotation(np.array(up, float))
     scans = [
         Scan((moved(scan, (0.9, 0, HEIGHT)).points @ turn).astype(np.float32), scan.intensity)

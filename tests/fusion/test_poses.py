@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Poses that are read, and those that fit their scans or not."""
+"""Files of poses, and whether poses fit their scans."""
 
 import numpy as np
 import pytest
@@ -125,7 +125,7 @@ def street(poses):
 
 
 def moved(poses, start, by):
-    """Return poses of which those from a number on are elsewhere."""
+    """Return poses that are elsewhere from a number on."""
     return np.concatenate([poses[:start], by @ poses[start:]])
 
 

@@ -19,7 +19,7 @@ NEAR = 300
 
 @pytest.fixture
 def housed(world):
-    """Return the world; the first points of each scan are those of a housing at 0.3 m."""
+    """Return the world; the first points of each scan are on a housing at 0.3 m."""
     directions = np.random.default_rng(0).normal(size=(NEAR, 3))
     directions *= 0.3 / np.linalg.norm(directions, axis=1, keepdims=True)
     for path in world.data.rglob("*.bin"):

@@ -60,7 +60,7 @@ def network(tmp_path, weights):
 
 @pytest.fixture
 def apart(tmp_path, mixed, network):
-    """Return the labels of the same scans, those of each sensor labelled by themselves."""
+    """Return the labels of the same scans, predicted in a folder for each sensor."""
     for name, stems in (("level", "024"), ("leaning", "13")):
         for stem in stems:
             write_bin(tmp_path / name / f"{stem}.bin", read_scan(mixed / f"{stem}.bin"))
@@ -165,7 +165,7 @@ def test_images_of_several_sensors_need_all_sensors(mixed, network, tmp_path, ca
 
 
 def test_inspect_writes_the_sensor_that_predict_fits(mixed, tmp_path, narrow_default):
-    """So that labels with it are those without, byte by byte."""
+    """Labels with and without it have the same bytes."""
     folder, file = tmp_path / "leaning", tmp_path / "s.toml"
     for stem in "13":
         write_bin(folder / f"{stem}.bin", read_scan(mixed / f"{stem}.bin"))

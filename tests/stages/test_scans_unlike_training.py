@@ -26,7 +26,7 @@ TRAINED = tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2)
 
 @pytest.fixture
 def knowing(world, tmp_path):
-    """Return the world with weights that know the intensity of their training."""
+    """Return the world with weights that state the intensity of their training."""
     sensor = replace(SMALL, intensity_quantiles=TRAINED)
     weights = write_weights(tmp_path / "knowing.safetensors", sensor=sensor)
     return replace(world, network=replace(world.network, weights=weights, intensity="auto"))
@@ -176,7 +176,7 @@ def test_range_images_without_intensity_are_doubted_as_their_scans_are(knowing, 
 
 
 def test_the_network_sees_no_gaps(world, tmp_path):
-    """Of scans of fewer beams, with weights that know the gaps of their training."""
+    """Scans of fewer beams, with weights that state the gaps of their training."""
     weights = write_weights(tmp_path / "knowing.safetensors", sensor=replace(SMALL, row_gaps=0.1))
     for file in sorted(world.data.rglob("*.bin")):
         scan = read_scan(file)
