@@ -18,7 +18,7 @@ from salsanext_cli.fusion.visibility import GRAZING, SAME_PLACE_M
 from salsanext_cli.fusion.votes import keys_of
 from salsanext_cli.fusion.window import DriveWindow, in_drive
 from salsanext_cli.geometry.projection import measured_ranges, project
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Double, Float, Mask, Scan
 from salsanext_cli.results.paths import ScanFile, output_path
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
@@ -42,9 +42,7 @@ def drive_of_map(results: ResultFolder, files: Sequence[ScanFile]) -> Drive:
     return drive
 
 
-def one_per_voxel(
-    clouds: Sequence[Columns], size: float, origins: npt.NDArray[np.float64]
-) -> Columns:
+def one_per_voxel(clouds: Sequence[Columns], size: float, origins: Double) -> Columns:
     """Return the point of each voxel with the least range, of the first scan in a tie.
 
     Voxels belong to one part of the drive and are counted from its position in `origins` (P, 3).
@@ -103,9 +101,7 @@ class MapTask:
 
         return columns_of
 
-    def _static(
-        self, columns: Columns, others: Mapping[int, MapScan], sensor: Sensor
-    ) -> npt.NDArray[np.bool_]:
+    def _static(self, columns: Columns, others: Mapping[int, MapScan], sensor: Sensor) -> Mask:
         """Return which points (N,) are on static objects.
 
         No other scan sees through such a point, or for a movable class fewer than see something

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.fusion.poses import CALIBRATION, Points, Poses
+from salsanext_cli.records import Double
 
 Parts = npt.NDArray[np.int64]  # (N,): number of the part of a drive that each scan belongs to
 ReadPoints = Callable[[int], Points]  # From the number of a scan to its measured points (M, 3)
@@ -154,7 +155,7 @@ def best_reading(readings: Sequence[Poses], read: ReadPoints) -> int:
     return int(np.argmax(_mean_overlaps(readings, read)))
 
 
-def _mean_overlaps(readings: Sequence[Poses], read: ReadPoints) -> npt.NDArray[np.float64]:
+def _mean_overlaps(readings: Sequence[Poses], read: ReadPoints) -> Double:
     """Return the mean overlap, (R,), of a sample of neighbouring scans by R readings of poses."""
     firsts = np.unique(np.linspace(0, len(readings[0]) - 2, SAMPLED_PAIRS).astype(int))
     shares = np.zeros(len(readings))

@@ -5,14 +5,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.files.reading import present, reading
-from salsanext_cli.records import Float
+from salsanext_cli.records import Double, Float
 
-Points = npt.NDArray[np.float64] | Float  # (N, 3), metres
-Poses = npt.NDArray[np.float64]
+Points = Double | Float  # (N, 3), metres
+Poses = Double
 """(N, 4, 4), or (4, 4) for one scan: from the frame of the scan to that of the drive, metres."""
 POSES, CALIBRATION = "poses.txt", "calib.txt"
 KITTI_NUMBERS, TUM_NUMBERS = 12, 8

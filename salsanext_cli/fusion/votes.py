@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
-from salsanext_cli.records import Float
+from salsanext_cli.records import Double, Float, Mask
 
 VOXEL_SIZES_M = (0.3, 0.6)  # Edges of the voxels, whose shares of the votes are averaged
 KEY_BITS = 21  # Bits of a voxel index along each axis: 2²¹ voxels of 0.3 m are 629 km
@@ -43,9 +43,9 @@ class Tally:
 
 
 def votes_of_scan(
-    points: npt.NDArray[np.float64],
+    points: Double,
     probabilities: Float,
-    voting: npt.NDArray[np.bool_],
+    voting: Mask,
     size: float,
 ) -> VoxelVotes:
     """Return the votes of a scan in voxels with an edge of `size` metres.
@@ -65,7 +65,7 @@ def votes_of_scan(
     return VoxelVotes(keys[first], votes, voxel_of_point, rows[first])
 
 
-def keys_of(points: npt.NDArray[np.float64], size: float) -> Keys:
+def keys_of(points: Double, size: float) -> Keys:
     """Return the key (N,) int64 of the voxel of a size in metres around each point (N, 3).
 
     The key is -1 if the point is NaN, infinite, or `MAX_CELLS` voxels or more from the origin.

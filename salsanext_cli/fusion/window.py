@@ -24,7 +24,7 @@ from salsanext_cli.fusion.votes import (
     votes_of_scan,
 )
 from salsanext_cli.option_fields import FusionReach
-from salsanext_cli.records import Float
+from salsanext_cli.records import Double, Float, Mask
 
 MOVABLE_SHARE = 0.2  # Least share of votes for movable classes that needs a look by other scans
 SCAN_M = 500.0  # Least reach of the voxels around the farthest scan of a drive
@@ -41,13 +41,13 @@ def warn_without_movable_classes(space: LabelSpace) -> None:
         warn_once(log, f"{problem}: moving objects are fused as if they stood still")
 
 
-def in_drive(points: Float, rotation: Poses, place: Poses) -> npt.NDArray[np.float64]:
+def in_drive(points: Float, rotation: Poses, place: Poses) -> Double:
     """Return points (N, 3) turned by (3, 3) and moved by (3,); infinite ones become NaN."""
     with np.errstate(invalid="ignore"):
         return points.astype(np.float64) @ rotation.T + place
 
 
-def require_near(places: npt.NDArray[np.float64], size: float, subject: object, hint: str) -> None:
+def require_near(places: Double, size: float, subject: object, hint: str) -> None:
     """Refuse positions (…, 3) of scans, from the first of their part, beyond the voxel keys."""
     farthest, most = np.abs(places).max(initial=0), size * MAX_CELLS - SCAN_M
     if not farthest <= most:
@@ -83,7 +83,7 @@ class DriveWindow(Generic[Content]):
 class PlacedScan(NamedTuple):
     """Scan in the frame of the drive."""
 
-    points: npt.NDArray[np.float64]  # (N, 3)
+    points: Double  # (N, 3)
     votes: list[VoxelVotes]  # Votes for both sizes of voxels
     ranges: Float  # As of `nearest_ranges`
 
@@ -91,9 +91,7 @@ class PlacedScan(NamedTuple):
 class FusionWindow:
     """Votes of the scans around one of a drive; `movable` (C,): movable classes."""
 
-    def __init__(
-        self, drive: Drive, read: ReadScan, reach: FusionReach, movable: npt.NDArray[np.bool_]
-    ) -> None:
+    def __init__(self, drive: Drive, read: ReadScan, reach: FusionReach, movable: Mask) -> None:
         self.poses, self.read, self.reach = drive.poses, read, reach
         self.places = drive.poses[:, :3, 3] - drive.origins[drive.parts]
         self.window = DriveWindow(drive.parts, reach.reach, self._seen)

@@ -84,6 +84,7 @@ def _require_some(folder: Path, scans: list[ScanFile]) -> None:
     if not any(present(_given_labels(folder, scan)) for scan in scans):
         nested = output_path(Path(), scans[0].sequence, "predictions", scans[0].stem)
         problem = f"has labels of none of {counted(len(scans), 'scan')}"
+        problem = problem if present(folder) else "no such folder"
         raise NoInputError(folder, problem, f"files like {nested} or {nested.name}")
 
 
