@@ -42,12 +42,7 @@ class Tally:
     views: npt.NDArray[np.uint16]  # (N,): number of scans that see the location, 0 without a vote
 
 
-def votes_of_scan(
-    points: Double,
-    probabilities: Float,
-    voting: Mask,
-    size: float,
-) -> VoxelVotes:
+def votes_of_scan(points: Double, probabilities: Float, voting: Mask, size: float) -> VoxelVotes:
     """Return the votes of a scan in voxels with an edge of `size` metres.
 
     Points (N, 3) are float64 metres in the frame of the drive, probabilities (N, C) float32;
