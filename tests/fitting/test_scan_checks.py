@@ -154,7 +154,7 @@ def test_hints_name_columns_only_for_formats_without_names(scan, code):
         assert ("--columns" in hint) == (name in UNNAMED)
 
 
-def test_matched_intensities_are_those_of_the_scans_matched_with():
+def test_matched_intensities_are_compared_with_the_fitted_scans():
     bright = Scan(STREET.points, STREET.intensity * 255)
     matched = replace(SMALL, intensity_quantiles=tuple(255 * q for q in QUANTILES))
     assert codes(bright, matched) == []

@@ -71,7 +71,7 @@ def test_tum_is_read_as_kitti(tmp_path):
     np.testing.assert_allclose(read_poses(path, STEMS, STEMS), poses, atol=1e-12)
 
 
-def test_poses_of_the_camera_become_those_of_the_scans(tmp_path):
+def test_poses_of_the_camera_become_poses_of_the_scans(tmp_path):
     poses = along(0, 1, 2)
     of_camera = CAMERA @ poses @ np.linalg.inv(CAMERA)
     path = written(tmp_path, encode_poses(of_camera))

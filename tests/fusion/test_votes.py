@@ -120,7 +120,7 @@ def slowly(scans, softmax, poses, reach, movable):
 
 @settings(max_examples=max(8, settings().max_examples // 3))
 @given(st.integers(0, 10_000), st.integers(0, 4), st.integers(0, 4))
-def test_votes_are_those_of_a_slow_loop(seed, reach, movable_reach):
+def test_votes_equal_a_slow_loop(seed, reach, movable_reach):
     scans, softmax, poses = drive(seed)
     reaches = FusionReach(reach, min(reach, movable_reach))
     movable = label_space().movable
@@ -192,7 +192,7 @@ def test_a_stray_point_has_no_vote_and_does_no_harm():
         np.testing.assert_array_equal(one.views[:count], other.views)
 
 
-def test_parts_may_be_any_distance_apart_but_not_the_scans_of_one():
+def test_parts_may_be_far_apart_but_not_the_scans_of_a_part():
     scans, softmax, poses = drive(0)
     alone = [*fuse(scans[:3], softmax[:3], poses[:3]), *fuse(scans[3:], softmax[3:], poses[3:])]
     poses[3:, 0, 3] += 1e8
@@ -257,7 +257,7 @@ def test_each_voxel_keeps_its_nearest_point(counts):
         assert best[voxel] == (found["range"][i], found["scan"][i])
 
 
-def test_parts_of_a_drive_keep_their_own_voxels():
+def test_parts_of_a_drive_have_separate_voxels():
     alone = [columns(0, 300), columns(1, 300, part=1)]
     origins = np.stack([ORIGIN, ORIGIN + [0.1, 0, 0]])
     found = one_per_voxel(alone, 0.5, origins)

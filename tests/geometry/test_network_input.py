@@ -80,7 +80,7 @@ def bright(power=1, seed=0, scale=1.0, count=4000):
     return image, np.quantile(image[4][image[0] > 0], np.linspace(0, 1, INTENSITY_LEVELS))
 
 
-def test_quantiles_are_the_mean_of_those_of_the_images():
+def test_quantiles_are_the_mean_over_the_images():
     images, each = zip(*(bright(power) for power in (1, 3)), strict=True)
     np.testing.assert_allclose(intensity_quantiles(images), np.mean(each, axis=0), rtol=1e-5)
     empty = np.zeros_like(images[0])
@@ -178,7 +178,7 @@ def column_gaps(ranges):
 
 
 @pytest.mark.parametrize("share", [0.02, 0.2, 0.5, 0.9, 1.0])
-def test_gaps_are_those_of_each_column(share):
+def test_gaps_equal_a_loop_over_columns(share):
     images = [image(share, seed=seed) for seed in range(3)]
     gaps = sum(len(column_gaps(column)) for one in images for column in one[0].T)
     occupied = sum(int((one[0] > 0).sum()) for one in images)

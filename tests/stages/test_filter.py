@@ -149,7 +149,7 @@ def test_shards_workers_and_restarts_write_the_same(apply, tmp_path):
     assert apply(drop=["car"]).skipped == 2
 
 
-def test_other_settings_are_refused_or_replace_own_files_only(apply, world, tmp_path):
+def test_other_settings_are_refused_or_replace_written_files_only(apply, world, tmp_path):
     apply(drop=["car"])
     with pytest.raises(OutputError, match="classes"):
         apply(drop=["truck"])

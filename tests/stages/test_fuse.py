@@ -85,7 +85,7 @@ def fused_folder(world):
     return world.out / "fused/sequences/08"
 
 
-def test_labels_are_those_of_the_function(drive):
+def test_labels_equal_the_function(drive):
     single = {stem: drive.labels(stem=stem) for stem in STEMS}
     outcome = fuse_results(drive.out)
     assert (outcome.done, outcome.failures) == (3, ())

@@ -25,7 +25,7 @@ def tilted(tmp_path):
     return tmp_path / "scans", scan
 
 
-def test_a_fitted_sensor_is_measured_through_its_own_view(tilted, tmp_path):
+def test_a_fitted_sensor_is_normalised_through_its_field_of_view(tilted, tmp_path):
     folder, scan = tilted
     quiet = replace(SMALL, range_noise=None)
     fitted = inspect(folder, sensor=quiet, fit=True).fitted_sensor("mine")

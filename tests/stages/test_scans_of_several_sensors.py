@@ -181,7 +181,7 @@ def test_inspect_writes_the_sensor_that_predict_fits(mixed, tmp_path, narrow_def
     assert one == other
 
 
-def test_images_unlike_those_of_training_are_named(tmp_path, narrow_default):
+def test_images_unlike_training_are_named(tmp_path, narrow_default):
     """As of a file that `inspect --fit --height 8` wrote for weights to be trained."""
     write_bin(tmp_path / "one/0.bin", level(0))
     for height, is_named in ((8, True), (SMALL.height, False)):
