@@ -13,7 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 from salsanext_cli.cli import look, models, own_data, pipeline, results
 from salsanext_cli.cli.console import WRONG_USE, guarded, usage_errors
 from salsanext_cli.cli.expansion import expanded
-from salsanext_cli.cli.removed import refuse_removed
+from salsanext_cli.cli.removed import refuse_removed, refuse_removed_command
 from salsanext_cli.cli.train import train
 from salsanext_cli.cli.tune import tune
 from salsanext_cli.version import __version__
@@ -47,7 +47,6 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     },
     "Look": {
         "picture": look.picture,
-        "export-rrd": look.export_rrd,
         "demo": look.demo,
         "report": look.report,
         "view": look.view,
@@ -82,6 +81,11 @@ class Sections(TyperGroup):
             ctx.exit(WRONG_USE)
         with usage_errors(list(args)):
             return super().parse_args(ctx, args)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Refuse removed commands, then find the command."""
+        refuse_removed_command(args[0], json="--json" in args)
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Commands of the panel Look: pictures, recordings and pages of results."""
+"""Commands of the panel Look: pictures and pages of results."""
 
 import os
 import shlex
@@ -59,25 +59,6 @@ def picture(
             options=run,
         )
     summary.finish("picture", outcome, out, output)
-
-
-def export_rrd(
-    *,
-    results: arguments.Results,
-    query: ResultQuery,
-    running: Annotated[RunOptions, Without({"jobs", "backend", "scheduler", "shard", "overwrite"})],
-    output: console.Output,
-) -> None:
-    """Write recordings for the Rerun viewer that hold every known value of every point.
-
-    Example: salsanext export-rrd out/
-    """
-    from salsanext_cli.stages.export_rrd import export_rrd as stage
-
-    out = results.folder()
-    with over_scans("export-rrd", running, output.quiet) as run:
-        outcome = stage(out, query=query, options=run)
-    summary.finish("export-rrd", outcome, out, output)
 
 
 def demo(

@@ -287,7 +287,7 @@ def submit(
         )
     output.result(made.to_dict() | {"zip": str(target)})
     for problem in made.problems:
-        tell(f"error: {printable(problem.message)}")
+        tell(f"error: {problem.text}")
     if made.problems:
         tell(f"submit: {counted(len(made.problems), 'problem')}, {target} is not written")
         raise typer.Exit(console.FAILED)

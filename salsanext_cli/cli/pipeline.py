@@ -247,12 +247,12 @@ def knn_refine(
 
     Example: salsanext knn-refine out/
     """
-    from salsanext_cli.results.provenance import Provenance
+    from salsanext_cli.results.manifest import Manifest
     from salsanext_cli.stages.knn_refine import knn_refine_scans
 
     seen = arguments.sensor(sensor)
     if columns is not None:
-        seen = with_columns(seen or Provenance(out).sensor(), columns)
+        seen = with_columns(seen or Manifest(out).sensor(), columns)
     with over_scans("knn-refine", running, output.quiet) as run:
         outcome = knn_refine_scans(
             out,

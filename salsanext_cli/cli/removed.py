@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options of earlier versions, and what to use instead."""
+"""Commands and options of earlier versions, and what to use instead."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -12,10 +12,21 @@ REMOVED = {
     ("picture", "--fps"): "use ffmpeg on the pictures, as docs/picture.md shows",
     ("pick", "--strategy"): "use no option: picked scans are uncertain and unlike each other",
     ("pick", "--disagreement"): "use no option: the uncertainty is that of the network",
+    ("compare", "--by-distance"): "run `salsanext eval --by-distance` on both folders",
     ("", "--backend ray"): "use `--backend dask`, or `--shard I/N` for each machine",
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
 }
 """Remedy by command, "" for all commands, and option, with its value if other values remain."""
+
+
+REMOVED_COMMANDS = {"export-rrd": "use examples/rerun_recording.py"}
+
+
+@guarded
+def refuse_removed_command(command: str, *, json: bool) -> None:
+    """Refuse a command of earlier versions; `guarded` reads `json`."""
+    if hint := REMOVED_COMMANDS.get(command):
+        raise UsageError(command, "this command was removed", hint=hint)
 
 
 @guarded

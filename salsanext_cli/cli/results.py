@@ -101,7 +101,6 @@ def compare(
     before: Annotated[Path, typer.Argument(metavar="OUT_A", help="Results of the first run.")],
     after: Annotated[Path, typer.Argument(metavar="OUT_B", help="Results of the second run.")],
     *,
-    by_distance: arguments.ByDistance = False,
     query: ResultQuery,
     running: arguments.Reading,
     output: console.Output,
@@ -117,7 +116,7 @@ def compare(
     from salsanext_cli.stages.compare import compare as stage
 
     with over_scans("compare", running, output.quiet) as run:
-        found, failures = stage(before, after, by_distance=by_distance, query=query, options=run)
+        found, failures = stage(before, after, query=query, options=run)
     failed = [failure.to_dict() for failure in failures]
     output.result(
         {"stage": "compare", **found.to_dict(), "failures": failed}, comparison_tables(found)
@@ -173,20 +172,25 @@ def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
     from rich.console import Group
     from rich.text import Text
 
-    from salsanext_cli.report.tables import band_table, kept_table, score_table, uncertainty_tables
+    from salsanext_cli.report.tables import (
+        accepted_table,
+        band_table,
+        score_table,
+        uncertainty_tables,
+    )
     from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
 
     of_training = ON_TRAINING_SCANS if found.counts.trained_on else ""
     shown: list[Any] = [score_table(found.scores, of_training)]
     shown += [band_table(found.by_distance)] if found.by_distance else []
     shown += uncertainty_tables(found.uncertainty)
-    shown += [Text(found.uncertainty.kept.sentence)] if found.uncertainty.kept else []
+    shown += [Text(found.uncertainty.accepted.sentence)] if found.uncertainty.accepted else []
     shown += [Text(found.object_sentence)] if found.panoptic else []
-    if kept := found.kept:
+    if kept := found.accepted:
         missed = f"Points left unlabelled by predict --reject {reject:g} are missed in the scores."
-        promised = [found.promise.sentence] if found.promise else []
+        promised = [found.guarantee.sentence] if found.guarantee else []
         lines = [missed, *kept.sentences, *promised]
-        shown += [kept_table(kept.classes), Text("\n".join(lines))]
+        shown += [accepted_table(kept.classes), Text("\n".join(lines))]
     return Group(*shown)
 
 

@@ -23,7 +23,7 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Mask
 from salsanext_cli.results.manifest import StageRecord, require_same_settings, settings_json
 from salsanext_cli.results.output_run import encode_array
-from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.results.paths import (
     ERROR,
     PREDICTION_STAGES,
@@ -153,7 +153,7 @@ class PointFilter:
         parts, count = self.parts(file)
         absent = (self.path(file, part) for part in self.folders if part not in parts)
         if stale := [path for path in absent if present(path)]:
-            self.owned.remove_own(stale)
+            self.owned.remove_written(stale)
         encode: Callable[[Mask], bytes] = encode_array
         if not self.settings.indices:
             encode = subsets_of(file.path, self.sensor.columns)
@@ -161,7 +161,7 @@ class PointFilter:
             encode(np.zeros(count, bool))
         for part, mask in parts.items():
             if (path := self.path(file, part)) in self.foreign:
-                raise not_own(path)
+                raise foreign_file(path)
             self.owned.write(path, encode(mask))
         return file.name, count, sum(int(mask.sum()) for mask in parts.values())
 
@@ -276,5 +276,5 @@ def _begin(owned: OwnedFolder, settings: FilterSettings, overwrite: bool) -> Non
             require_same_settings(owned.record_path, recorded.settings, wanted.settings)
         if owned.is_shared():
             raise owned.busy()
-        owned.remove_own(replaced)
+        owned.remove_written(replaced)
     owned.manifest.write(wanted)

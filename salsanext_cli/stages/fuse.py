@@ -50,7 +50,7 @@ from salsanext_cli.option_fields import FusionReach
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
 from salsanext_cli.results.output_run import OutputRun, output_run
-from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.results.paths import (
     DISAGREEMENT,
     SINGLE_SCAN_STAGES,
@@ -188,7 +188,7 @@ def _fusible_results(out: Path, query: ResultQuery) -> FusibleResults:
     if not space.fits(of_softmax):
         problem = f"has labels of {space.name}, but softmax of {of_softmax.name}"
         raise OutputError(out, problem, "the same label space", "predict both again")
-    compared = results.compared_space(known, own_ids=True)
+    compared = results.compared_space(known, other_ids=True)
     wanted, has_softmax = choose(present_scans, query.selection, compared, out), {*known}
     scans = [file for file in wanted if file in has_softmax]
     missing = results.missing_predictions({*wanted} - {*scans})
@@ -242,7 +242,7 @@ def fuse_results(
     with (
         output_run(out, "fuse", of_single, kinds, scans, overwrite=overwrite) as single,
         output_run(*of_target, overwrite=overwrite) as fused,
-        summary.kept_in(fused, scans),
+        summary.recorded_in(fused, scans),
     ):
 
         def drive_of(name: str) -> Drive:
@@ -329,7 +329,7 @@ def _recorded_drive(
     folder = fused.root / "sequences" / name
     path, record = folder / POSES, folder / DRIVE
     if fused.foreign_files([path]):
-        raise not_own(path)
+        raise foreign_file(path)
     before = read_json(record)
     has_same_scans = before is not None and before.get("scans") == stems
     if before is not None and not has_same_scans and not fused.overwrite:
@@ -345,7 +345,7 @@ def _recorded_drive(
             if any(paths for _, paths in results) and not fused.overwrite:
                 raise _other_drive(record, single)
             for run, paths in results:
-                run.remove_own(paths)
+                run.remove_written(paths)
             fused.write(path, encode_poses(drive.poses))
             # Last: without the record, a run that was killed before begins again.
             fused.write(record, encode_json(content))

@@ -19,9 +19,9 @@ from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import RangeImage
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ScanFile, find_scans, output_path, with_outputs
-from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, space_of
 from salsanext_cli.results.settings import StageSettings
@@ -93,7 +93,7 @@ def _require_all_labels(out: Path, labels: Path | None) -> None:
     folder = "predictions" if labels else "pixel_labels"
     # Labels may lie in ROOT/sequences/<seq>/predictions, with the records in ROOT.
     roots = (labels, *labels.absolute().parents[2:3]) if labels else (out,)
-    if any(Provenance(root).rejection(folder) for root in roots):
+    if any(Manifest(root).rejection(folder) for root in roots):
         problem, hint = "has labels of which some were rejected", "predict without --reject"
         expected = "all labels, since the vote restores rejected ones"
         raise OutputError(labels or out, problem, expected, hint)
@@ -147,7 +147,7 @@ def knn_refine_scans(
     summary = RunSummary.of_scans(scans, sensor, space)
     wanted, overwrite = (out, "knn-refine", settings, ("predictions",), scans), options.overwrite
     run = output_run(*wanted, overwrite=overwrite, record_scans=dataset is not None)
-    with run as output, summary.kept_in(output, scans):
+    with run as output, summary.recorded_in(output, scans):
         job = RefineJob(labels, space, sensor, knn, output)
         return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)
 

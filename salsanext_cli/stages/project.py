@@ -80,6 +80,6 @@ def project_scans(
     sensor = fitted_view(listed, sensor, recorded.sensor if recorded else None, view=fit)
     settings, summary = StageSettings(sensor=sensor), RunSummary.of_scans(scans, sensor)
     run = output_run(out, "project", settings, FOLDERS, scans, overwrite=options.overwrite)
-    with run as output, summary.kept_in(output, scans):
+    with run as output, summary.recorded_in(output, scans):
         job = ProjectJob(sensor, output)
         return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

@@ -132,7 +132,7 @@ def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> N
     replaced += [sample_path(run, epoch) for epoch in range(1, settings.recipe.epochs + 1)]
     if not _holds_recipe(run, settings):
         replaced.append(run / RECIPE)
-    owned.require_own(replaced)
+    owned.refuse_foreign(replaced)
     results = (folder / name for folder in _folders(run) for name in RESULTS)
     if recorded is None or overwrite or not any(path.exists() for path in results):
         return
@@ -152,7 +152,7 @@ def begin(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
         for folder in _folders(run):
             results = [folder / name for name in RESULTS]
             results += [*folder.glob(f"{SAMPLES}/epoch-*.png"), *folder.glob(f"{EVENTS}/events.*")]
-            OwnedFolder(folder).remove_own(results)
+            OwnedFolder(folder).remove_written(results)
     owned.manifest.write(StageRecord(STAGE, settings_json(settings)))
     if not _holds_recipe(run, settings):
         owned.write(run / RECIPE, settings.recipe_file)

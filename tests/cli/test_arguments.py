@@ -128,3 +128,9 @@ def test_a_removed_option_is_one_line_that_names_what_to_use(run, line):
     assert result.stderr.startswith(f"error: {line[1].partition('=')[0]}")
     assert ": this option was removed\nhint: use " in result.stderr
     assert result.stderr.count("\n") == 1
+
+
+def test_a_removed_command_names_its_replacement(run):
+    result = run("export-rrd", "out/", "--json")
+    assert (result.exit_code, only_json(result)["code"]) == (2, "usage")
+    assert "examples/rerun_recording.py" in result.stderr

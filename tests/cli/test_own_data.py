@@ -22,10 +22,7 @@ def test_a_topic_of_a_recording_is_named(run, tmp_path):
     path = write_bag(tmp_path, ".mcap", [*messages(points[:1], "/a"), *messages(points[1:3], "/b")])
     refused = run("convert", path, tmp_path / "data")
     assert refused.exit_code == 2
-    assert (
-        "/a, /b (expected one of them)\nhint: --topic /a"
-        in refused.stderr
-    )
+    assert "/a, /b (expected one of them)\nhint: --topic /a" in refused.stderr
     done = run("convert", path, tmp_path / "data", "--topic", "/b", "--json")
     found = only_json(done)
     assert (found["done"], found["next"]) == (2, f"salsanext predict {tmp_path / 'data'}")
@@ -79,7 +76,7 @@ def test_what_is_imported_and_what_is_not_is_said(run, data, edited):
     assert "without an edited file" not in done.stderr
     (edited / "000001_done.ply").unlink()
     again = run("import-labels", edited, data, "--scalar", "mine", "--json")
-    assert "without an edited file, as they were: 1 scan" in again.stderr
+    assert "unchanged, without an edited file: 1 scan" in again.stderr
     found = only_json(again)
     (row,) = found["scans"]
     assert row["points"] == 1500 == row["labelled"] + row["unlabelled"]

@@ -2,7 +2,6 @@
 """End of a run: what comes next, what is said of scans left out, where a page is."""
 
 import shlex
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -128,10 +127,3 @@ def test_the_command_says_where_the_page_is(run, world):
     assert run("report", "nowhere").exit_code == 1
     result = run(*given, "--scans", "08/000001", "--quiet")
     assert (result.exit_code, result.output) == (0, "")
-
-
-def test_without_rerun_the_extra_is_named(run, world, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    result = run("export-rrd", world.out, "--dataset", world.dataset)
-    assert result.exit_code == 1
-    assert result.stderr == "error: rerun: not installed\nhint: pip install 'salsanext[rerun]'\n"

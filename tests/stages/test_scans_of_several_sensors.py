@@ -17,8 +17,8 @@ from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges, 
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.run_options import Shard
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.inspect import inspect
@@ -113,10 +113,10 @@ def test_later_stages_use_the_sensor_of_each_scan(mixed, network, tmp_path):
 def test_scans_that_come_later_are_of_one_of_the_sensors(mixed, network, tmp_path):
     out = tmp_path / "out"
     predict_scans(mixed, out, settings=network)
-    before = Provenance(out).known_sensor()
+    before = Manifest(out).known_sensor()
     write_bin(mixed / "9.bin", leaning(9))
     assert predict_scans(mixed, out, settings=network).done == 1
-    assert Provenance(out).known_sensor() == before
+    assert Manifest(out).known_sensor() == before
     (later,) = (file for file in find_scans(mixed) if file.stem == "9")
     assert ResultFolder(out).read(later, before).sensor == before.others[0]
 
@@ -125,7 +125,7 @@ def test_one_sensor_is_recorded_as_before(network, tmp_path):
     for number in range(3):
         write_bin(tmp_path / f"one/{number}.bin", level(number))
     predict_scans(tmp_path / "one", tmp_path / "out", settings=network)
-    recorded = Provenance(tmp_path / "out").settings("predict").sensor
+    recorded = Manifest(tmp_path / "out").settings("predict").sensor
     assert (recorded.others, recorded.traits) == ((), ())
 
 
@@ -158,7 +158,7 @@ def test_images_of_several_sensors_need_all_sensors(mixed, network, tmp_path, ca
     predict_range_images(tmp_path / "out", tmp_path / "auto", settings=network)
     assert caplog.text.count("such as mixed/") == 2
     assert "such as none" not in caplog.text
-    for member in Provenance(tmp_path / "out").known_sensor().members:
+    for member in Manifest(tmp_path / "out").known_sensor().members:
         single = replace(network, sensor=replace(member, others=(), traits=()))
         with pytest.raises(UsageError, match="sensors"):
             predict_range_images(tmp_path / "out", tmp_path / "single", settings=single)

@@ -13,7 +13,7 @@ from salsanext_cli.geometry.network_input import fill_rows, intensity_quantiles,
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.run_options import Shard
-from salsanext_cli.results.provenance import Provenance
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
@@ -69,14 +69,14 @@ def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, t
 def test_scans_that_come_later_are_matched_as_the_first_ones(knowing):
     run(knowing)
     images = [project(read_scan(p), SMALL).channels for p in sorted(knowing.data.rglob("*.bin"))]
-    before = Provenance(knowing.out).settings("predict").sensor
+    before = Manifest(knowing.out).settings("predict").sensor
     assert before.intensity_quantiles == intensity_quantiles(images)
     write_sequence(knowing.data / "sequences/09", ["000000"], seed=99)
     assert run(knowing).done == 1
-    assert Provenance(knowing.out).settings("predict").sensor == before
+    assert Manifest(knowing.out).settings("predict").sensor == before
     few = UncertaintyMethod(samples=2, aleatoric="none")
     uncertainty(knowing.data, knowing.out, settings=knowing.network, method=few)
-    assert Provenance(knowing.out).settings("uncertainty").sensor == before
+    assert Manifest(knowing.out).settings("uncertainty").sensor == before
 
 
 def changed(world, folder, scans, change):
@@ -162,7 +162,7 @@ def test_weights_without_the_intensity_of_training(world):
         predict_scans(world.data, world.out, settings=network)
     assert refused.value.subject == "--intensity"
     predict_scans(world.data, world.out, settings=replace(network, intensity="auto"))
-    recorded = Provenance(world.out).settings("predict").sensor
+    recorded = Manifest(world.out).settings("predict").sensor
     assert recorded.intensity_quantiles == ()
 
 
@@ -188,7 +188,7 @@ def test_the_network_sees_no_gaps(world, tmp_path):
     assert run(knowing).done == 3
     scans = [read_scan(path) for path in sorted(knowing.data.rglob("*.bin"))]
     images = [project(scan, SMALL) for scan in scans]
-    recorded = Provenance(knowing.out).settings("predict").sensor
+    recorded = Manifest(knowing.out).settings("predict").sensor
     assert recorded.row_gaps == row_gaps(image.channels for image in images) > 0.3
     network = knowing.network.load()
     space = network.card.space

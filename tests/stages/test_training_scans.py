@@ -62,7 +62,7 @@ def test_they_are_left_out_whatever_their_name_and_format(trained, caplog):
     caplog.clear()
     trained.network.path.unlink()
     found = judged(trained)
-    assert (found.counts.scans, found.counts.left_out, found.counts.trained_on) == (2, 1, 0)
+    assert (found.counts.scans, found.counts.skipped, found.counts.trained_on) == (2, 1, 0)
     np.testing.assert_array_equal(found.counts.confusion, counts_of(trained, *EVERY[:2]))
     assert caplog.messages == ["1 of 3 labelled scans was trained on: left out of the scores"]
     assert json.loads((trained.out / "eval.json").read_text())["trained_on"] == 1
@@ -74,7 +74,7 @@ def test_where_all_are_the_scores_are_said_to_be_that(trained, caplog):
     predict(trained)
     caplog.clear()
     found = judged(trained)
-    assert (found.counts.scans, found.counts.left_out, found.counts.trained_on) == (1, 0, 1)
+    assert (found.counts.scans, found.counts.skipped, found.counts.trained_on) == (1, 0, 1)
     np.testing.assert_array_equal(found.counts.confusion, counts_of(trained, EVERY[2]))
     assert caplog.messages[0].startswith("every labelled scan was trained on")
     heading = (trained.out / "scores.txt").read_text().splitlines()[0]
@@ -101,7 +101,7 @@ RISK = {"kind": "error", "threshold": 0.5, "at_most": 0.1, "confidence": None}
 RISK |= {"scans": 3, "sequences": ["00"], "digests": "all"}
 
 
-@pytest.mark.parametrize("change", [{"trained_on": "all"}, {"reject": 0.5, "promised": RISK}])
+@pytest.mark.parametrize("change", [{"trained_on": "all"}, {"reject": 0.5, "guarantee": RISK}])
 def test_a_record_that_was_changed_is_refused(trained, change):
     predict(trained)
     record = json.loads((trained.out / "predict.json").read_text())

@@ -17,8 +17,8 @@ from salsanext_cli.network.card import AccuracyLine, read_card, scan_digest
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.report.page.run_results import expected_of_run
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import LEAST_CONFIDENCE, find_scans, output_path
-from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate
 from salsanext_cli.stages.models import describe_weights
@@ -88,8 +88,10 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     assert found.to_dict()["rejection"]["promise"] == numbers
     page = report(world.out).page.read_text("utf-8")
     assert f"<dd>{tuned['promise']}</dd>" in page
-    assert all(sentence[1:] in page for sentence in (found.promise.sentence, *found.kept.sentences))
-    kept = found.kept
+    assert all(
+        sentence[1:] in page for sentence in (found.guarantee.sentence, *found.accepted.sentences)
+    )
+    kept = found.accepted
     assert kept is not None
     assert plain(kept) == tuned["kept"]
     # (3 R + 1) / 4 ≤ 0.3, with no finer step than a bin
@@ -97,10 +99,10 @@ def test_the_threshold_rejects_what_was_promised(unsure_is_wrong: World, target,
     assert "the threshold was chosen on 3 of 3 scans" in caplog.text
     # Nothing was promised of merged classes.
     scans, coarse = ResultFolder(world.out).predicted(ALL, classes=label_space("coarse"))
-    assert evaluate(scans, world.out, coarse).promise is None
+    assert evaluate(scans, world.out, coarse).guarantee is None
     # What is kept needs no uncertainty.
     world.result(LEAST_CONFIDENCE, file.sequence, file.stem).unlink()
-    assert evaluate(find_scans(world.data), world.out, space).promise == found.promise
+    assert evaluate(find_scans(world.data), world.out, space).guarantee == found.guarantee
     results = ResultFolder(world.out).read(find_scans(world.data)[0], truth_in=(space, space))
     assert results.rejected.sum() == doubts[0]
 
@@ -138,8 +140,8 @@ def test_each_class_has_a_threshold_that_holds_of_its_own_points(
     assert own == set(risk.classes)
     assert all((sum(losses[name]) + 1) / (len(losses[name]) + 1) <= 0.4 for name in own)
     found = evaluate(find_scans(world.data), world.out, space)
-    assert found.kept is not None
-    assert plain(found.kept) == tuned["kept"]
+    assert found.accepted is not None
+    assert plain(found.accepted) == tuned["kept"]
     results = [ResultFolder(world.out).read(file) for file in find_scans(world.data)]
     assert sum(each.rejected.sum() for each in results) == rejected > 0
 
@@ -153,7 +155,7 @@ def test_a_promise_that_does_not_hold_is_said(unsure_is_wrong: World, target, ca
     assert (losses[0] + losses[1:].mean() + 1) / 3 <= 0.6
     predict_scans(world.data, world.out, settings=network, reject="risk")
     assert "nothing is promised" not in caplog.text
-    found = evaluate(find_scans(world.data), world.out, label_space()).promise
+    found = evaluate(find_scans(world.data), world.out, label_space()).guarantee
     assert found is not None
     assert (found.unit, found.units) == ("drive", 2)
     assert RISK_BOUND_EXCEEDED not in caplog.messages
@@ -313,4 +315,4 @@ def test_a_run_says_how_many_labels_it_expects_to_be_right(world: World, tmp_pat
     assert plain is not None
     assert plain.expected_accuracy() is None
     # A key that older folders lack would refuse them.
-    assert Provenance(tmp_path / "plain").settings("predict").accuracy is None
+    assert Manifest(tmp_path / "plain").settings("predict").accuracy is None

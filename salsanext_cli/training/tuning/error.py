@@ -18,7 +18,7 @@ from salsanext_cli.errors import TrainingError, counted, first_few
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
-from salsanext_cli.measures.risk_coverage import kept_points, ranking_scores
+from salsanext_cli.measures.risk_coverage import accepted_points, ranking_scores
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.records import Float, Mask
@@ -262,5 +262,5 @@ def error_scores(error: Float, wrong: Mask) -> dict[str, float]:
         "aurc": ranking.aurc,
         "ece": reliability(counts).error,
         "nll": float(-np.log(np.clip(np.where(wrong, error, 1 - error), LEAST, 1)).mean()),
-        "risk_80": kept_points("error", histogram).risk,
+        "risk_80": accepted_points("error", histogram).risk,
     }

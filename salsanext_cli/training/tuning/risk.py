@@ -21,13 +21,13 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
 from salsanext_cli.measures.risk_control import (
-    KEEPS_NONE,
-    KeptLabels,
+    ACCEPTS_NONE,
+    AcceptedLabels,
     enough_drives,
+    guarantee,
     held_thresholds,
     means_of_units,
     needed_scans,
-    promise,
 )
 from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.network.card import RiskThreshold, scan_digest
@@ -121,7 +121,7 @@ def judged_scan(
 
 def kept_labels(
     scans: Sequence[JudgedScan], counts: Counts, space: LabelSpace, held: Counts
-) -> tuple[KeptLabels, dict[str, tuple[int, ...]]]:
+) -> tuple[AcceptedLabels, dict[str, tuple[int, ...]]]:
     """Return what is kept at the highest of so many thresholds that hold, of each label or of all.
 
     Then points, kept and wrong ones of each scan.
@@ -132,7 +132,7 @@ def kept_labels(
     labels = np.flatnonzero(held)
     kept = [each.below[:, labels, held[labels] - 1].sum(axis=1).tolist() for each in scans]
     of_scans = {s.file.name: (s.points, *of_scan) for s, of_scan in zip(scans, kept, strict=True)}
-    return KeptLabels.of_confusion(confusion, space, of_scans), of_scans
+    return AcceptedLabels.of_confusion(confusion, space, of_scans), of_scans
 
 
 def fit_risk(
@@ -142,8 +142,8 @@ def fit_risk(
 
     The drive is the unit if there are enough of them, else the scan.
     `per_class`: hold the level of the points of each label, too, by a threshold of its own, if so
-    many scans or drives have that label. Reports beside it `KeptLabels`, and what the threshold of
-    the other sequences keeps of each.
+    many scans or drives have that label. Reports beside it `AcceptedLabels`, and what the threshold
+    of the other sequences keeps of each.
     """
     level = RiskLevel(at_most, confidence)
     _require_scans(scans, level)
@@ -162,7 +162,7 @@ def fit_risk(
         raise TrainingError(scans.source, found, "a higher --at-most, or better weights")
     of_labels, own = _of_labels(judged, units, held, level)
     # Of none, the last.
-    highest = np.append(np.minimum(highest_of_bins(), 1.0), KEEPS_NONE)
+    highest = np.append(np.minimum(highest_of_bins(), 1.0), ACCEPTS_NONE)
     of_class = zip(space.names, highest[of_labels - 1].tolist(), strict=True)
     risk = RiskThreshold(
         kind=kind,
@@ -182,7 +182,7 @@ def fit_risk(
     labels, of_scans = kept_labels(judged, counts, space, of_labels)
     few = [space.names[i] for i in np.flatnonzero(counts.any(axis=(0, 2)) & ~own) if i]
     report = {
-        "promise": promise(risk),
+        "promise": guarantee(risk),
         **{name: value for name, value in plain(risk).items() if name != "classes" or per_class},
         "kept": plain(labels),
         "left_out": plain(left_out),
