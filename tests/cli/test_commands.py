@@ -121,7 +121,7 @@ def test_messages_go_to_stderr(predict, weights, tmp_path):
     assert lines[:3] == [
         f"{weights} on cpu by torch in float32",
         f"predict: 2 scans in T, T per scan → {out}",
-        "sensor: small, 16×128, view +3° to -25°",
+        "sensor: small, 16×128, field of view +3° to -25°",
     ]
     assert re.fullmatch(r"largest classes: (\S+ \d+\.\d %(, |$)){5}", lines[3])
     assert lines[4:] == [f"next: salsanext eval {out}"]

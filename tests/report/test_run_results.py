@@ -99,7 +99,7 @@ def test_the_default_weights_are_described(tmp_path):
     # A mailed page has no links to the documentation.
     assert "docs/" not in facts["Weights"]
     assert "Not for use on real roads." in facts["Weights"]
-    assert facts["Sensor"].startswith("small, 16×128, view +3° to -25°")
+    assert facts["Sensor"].startswith("small, 16×128, field of view +3° to -25°")
     assert "openvino in bfloat16, temperature 1.25" in facts["Labels"]
     assert facts["Labels"].endswith("rejected: error above 0.3")
     assert "Uncertainty" not in facts
