@@ -56,17 +56,16 @@ class World:
 
     def evaluate(self, *, by_distance=False, **options):
         scans = find_scans(self.dataset)
-        how = RunOptions(**options)
-        return evaluate(scans, self.out, SPACE, how, by_distance=by_distance)
+        return evaluate(scans, self.out, SPACE, RunOptions(**options), by_distance=by_distance)
 
     def put(self, folder, stem, values, dtype=None, sequence="08"):
-        """Write probabilities or one kind of uncertainty of a scan; the dtype is the usual one."""
+        """Write probabilities or one kind of uncertainty of a scan in its usual dtype."""
         dtype = dtype or (np.float16 if folder == "probabilities" else np.float32)
         write_array(output_path(self.out, sequence, folder, stem), np.asarray(values, dtype))
 
 
 def calibration_result(truth) -> CalibrationResult:
-    """Return the calibration of points of some classes, all called class 1 with 75 %, 2 with 25."""
+    """Return the calibration of points with 75 % of class 1 and 25 % of class 2."""
     rows = np.zeros((len(truth), SPACE.class_count), np.float16)
     rows[:, 1], rows[:, 2] = 0.75, 0.25
     errors = softmax_errors(rows, np.array(truth, int))
@@ -80,7 +79,7 @@ def calibration_result(truth) -> CalibrationResult:
 
 
 def ranking_result(uncertainty, wrong, truth=None) -> RankingResult:
-    """Return how well an uncertainty finds wrong points, all of class 1 unless it is said."""
+    """Return the scores of an uncertainty as a detector of wrong points, by default of class 1."""
     truth = np.ones(len(uncertainty), int) if truth is None else truth
     counts = ScanCounts.none(SPACE, by_distance=False)
     values = np.array(uncertainty, np.float32)

@@ -10,7 +10,7 @@ from salsanext_cli.fusion.drive import Drive
 from salsanext_cli.fusion.pose_checks import fitting_parts
 from salsanext_cli.fusion.poses import Poses
 from salsanext_cli.fusion.votes import Tally
-from salsanext_cli.fusion.window import FusionWindow, voting
+from salsanext_cli.fusion.window import FusionWindow
 from salsanext_cli.option_fields import FusionReach
 from salsanext_cli.records import Float
 
@@ -22,11 +22,11 @@ def fuse(
     reach: FusionReach = FusionReach(),
 ) -> list[Tally]:
     """Return the votes on the points of each scan, by softmax (N, C) and poses (S, 4, 4)."""
-    softmax = [np.asarray(each, np.float32) for each in probabilities]
+    softmax = [np.asarray(of_scan, np.float32) for of_scan in probabilities]
     parts, _ = fitting_parts(poses, lambda index: scans[index].points)
     window = FusionWindow(
         Drive(poses, parts),
-        lambda index: (scans[index].points, softmax[index], voting(softmax[index])),
+        lambda index: (scans[index].points, softmax[index]),
         reach,
         label_space().movable,
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from scans import write_weights
-from world import Kept, World
+from world import Stored, World
 
 from salsanext_cli.engines import loading
 from salsanext_cli.files.identity import fingerprint
@@ -59,12 +59,12 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def once_predicted(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> Kept:
+def once_predicted(tmp_path_factory: pytest.TempPathFactory, weights: Path) -> Stored:
     with narrow_salsanext():
-        return Kept(tmp_path_factory.mktemp("predicted"), weights, World.predict)
+        return Stored(tmp_path_factory.mktemp("predicted"), weights, World.predict)
 
 
 @pytest.fixture
-def predicted(once_predicted: Kept) -> World:
+def predicted(once_predicted: Stored) -> World:
     """Return a world with predictions, of which there is one in a session: no other is left."""
-    return once_predicted.anew()
+    return once_predicted.restored()

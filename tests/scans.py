@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: MIT
 """Small scans, data sets and networks that many tests need."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 import torch
 from torch import nn
 
 from salsanext_cli import LabelSpace, Scan, Sensor, label_space, write_labels
+from salsanext_cli.errors import SalsanextError
 from salsanext_cli.files.atomic import write_bytes
 from salsanext_cli.formats.kitti import encode_bin
 from salsanext_cli.formats.ply import write_ply
@@ -28,13 +31,21 @@ SMALL = Sensor(
     range_noise=0.02,
     intensity_noise=0.02,
 )
-"""Sees what an HDL-64 sees, in so few pixels that a network takes milliseconds."""
+"""Sensor with the field of view of an HDL-64 and few pixels, for networks in milliseconds."""
 IN_BYTES = replace(SMALL, intensity_scale=255.0)
-"""Writes intensities from 0 to 255."""
+"""Sensor with intensities from 0 to 255."""
+
+
+@contextmanager
+def refused(kind: type[SalsanextError], subject: object) -> Iterator[None]:
+    """Expect an error with a subject."""
+    with pytest.raises(kind) as caught:
+        yield
+    assert caught.value.subject == str(subject)
 
 
 def make_scan(count: int = 1500, seed: int = 0) -> Scan:
-    """Points on the ground and on walls around the sensor."""
+    """Return points on the ground and on walls around the sensor."""
     random = np.random.default_rng(seed)
     azimuth = random.uniform(-np.pi, np.pi, count)
     elevation = np.radians(random.uniform(-25, 3, count))
@@ -49,18 +60,18 @@ def make_scan(count: int = 1500, seed: int = 0) -> Scan:
 
 
 def write_bin(path: Path, scan: Scan) -> None:
-    """Write a scan as float32 x, y, z, intensity; folders are made."""
+    """Write a scan as float32 x, y, z, intensity, with its folders."""
     write_bytes(path, encode_bin(scan))
 
 
 def write_array(path: Path, array: npt.ArrayLike) -> None:
-    """Write an array as a `.npy` file; folders are made."""
+    """Write an array as a `.npy` file, with its folders."""
     path.parent.mkdir(parents=True, exist_ok=True)
     np.save(path, array)
 
 
 def replace_points(path: Path, points: npt.ArrayLike) -> Path:
-    """Put a PLY of these points, of which there may be none, in the place of a `.bin` scan."""
+    """Replace a `.bin` scan by a PLY of points (N, 3)."""
     table = np.array(points, np.float32).reshape(-1, 3)
     path.unlink()
     write_ply(path.with_suffix(".ply"), dict(zip("xyz", table.T, strict=True)))
@@ -75,7 +86,7 @@ def write_sequence(
     labels: bool = True,
     seed: int = 0,
 ) -> Path:
-    """Write scans, and labels of every scored class, as SemanticKITTI lays a sequence out."""
+    """Write a sequence of scans and labels of all classes in SemanticKITTI's layout."""
     space = label_space()
     for number, stem in enumerate(stems, start=seed):
         write_bin(folder / "velodyne" / f"{stem}.bin", make_scan(count, number))
@@ -86,7 +97,7 @@ def write_sequence(
 
 
 def lively(module: nn.Module, seed: int = 0) -> nn.Module:
-    """Give an untrained network the statistics and logits of one that tells classes apart."""
+    """Give an untrained network the statistics and logits of a trained one."""
     random = torch.Generator().manual_seed(seed)
     for name, values in module.state_dict().items():
         if name.endswith("running_var"):
@@ -120,7 +131,7 @@ def write_weights(
 def files_below(folder: Path) -> dict[str, bytes]:
     """Return the content of every file below a folder by its relative name.
 
-    The record of written files, which tells when each was written, is left out.
+    The lists of written files are skipped, since they contain times.
     """
     return {
         str(path.relative_to(folder)): path.read_bytes()
@@ -134,9 +145,9 @@ def labels_below(folder: Path) -> dict[str, bytes]:
     return {name: data for name, data in files_below(folder).items() if name.endswith(".label")}
 
 
-def share_alike(found: Path, expected: Path) -> float:
+def share_alike(folder: Path, expected: Path) -> float:
     """Return the share of points of two folders of results with the same label."""
-    one, other = labels_below(found), labels_below(expected)
-    assert one.keys() == other.keys()
-    pairs = [(np.frombuffer(one[n], "<u4"), np.frombuffer(other[n], "<u4")) for n in one]
+    labels, others = labels_below(folder), labels_below(expected)
+    assert labels.keys() == others.keys()
+    pairs = [(np.frombuffer(labels[n], "<u4"), np.frombuffer(others[n], "<u4")) for n in labels]
     return sum(int((a == b).sum()) for a, b in pairs) / sum(len(a) for a, _ in pairs)

@@ -6,15 +6,18 @@ import importlib
 import json
 import re
 import runpy
+import sys
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from evaluated import CAR, ROAD, World
 from scans import make_scan, write_array, write_bin, write_sequence
 
 from salsanext_cli import read_labels
@@ -174,6 +177,18 @@ def test_label_array(tmp_path, monkeypatch, capsys):
         exec(compile(body, f"cell {number}", "exec"), names)
     assert sum(int(line.split()[0]) for line in capsys.readouterr().out.splitlines()) == 1500
     assert names["figure"].axes[0].collections[0].get_offsets().shape == (1500, 2)
+
+
+def test_rerun_recording(tmp_path, monkeypatch):
+    """Without rerun-sdk, which is large: a stand-in lists the logged entities."""
+    world, logged = World(tmp_path), []
+    world.add("000000", [CAR, ROAD], [CAR, CAR])
+    world.put("uncertainty/entropy", "000000", [0.5, 1.5])
+    monkeypatch.setenv("SALSANEXT_DATASET", str(world.dataset))
+    rerun = MagicMock(log=lambda entity, *_, **__: logged.append(entity))
+    monkeypatch.setitem(sys.modules, "rerun", rerun)
+    load("rerun_recording")(str(world.out), "drive.rrd")
+    assert [*dict.fromkeys(logged)] == ["/", "name", "label", "uncertainty/entropy"]
 
 
 def test_every_example_has_a_command_line_and_a_test():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Work for workers of all kinds, which import it: light, and sometimes deadly."""
+"""Work for all kinds of workers: light, and sometimes deadly."""
 
 import os
 import signal

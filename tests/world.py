@@ -13,15 +13,18 @@ from scans import write_sequence
 from salsanext_cli import read_labels, write_labels
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.files.json_files import record_of
+from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import SUFFIX_OF_FOLDER, ScanFile
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.stages.predict import predict_scans
 
+EVERY = ScanSelection(sequences=("00", "08"))
+
 
 @dataclass
 class World:
-    """Two sequences of equal file names, of which the split "valid" names one."""
+    """Two sequences with equal file names, one of them in the split "valid"."""
 
     data: Path
     out: Path
@@ -49,6 +52,13 @@ class World:
         """Leave predictions for every scan."""
         predict_scans(self.data, self.out, settings=self.network)
 
+    def tune(self, part: str, target: Path, **changes: Any) -> dict[str, Any]:
+        """Tune a part of the weights on every scan."""
+        from salsanext_cli.stages.tune import tune  # it takes torch
+
+        given = {"settings": self.network, "selection": EVERY, **changes}
+        return tune(part, self.data, target, **given)
+
     def predict_by_hand(self, raw: int = 10, count: int = 1500) -> None:
         """Leave predictions of unknown origin for every scan."""
         for sequence, stem in (("00", "000000"), ("08", "000000"), ("08", "000001")):
@@ -56,10 +66,10 @@ class World:
             write_labels(path, np.full(count, raw, np.uint32))
 
 
-class Kept:
-    """A world with results that are made once; each test gets it at the same place as before.
+class Stored:
+    """A world with results that are made once; each test gets it in the same folder.
 
-    Records of results have absolute names, and times of modification, which copies keep.
+    Records of results hold absolute names and times of modification, which copies preserve.
     """
 
     def __init__(self, folder: Path, weights: Path, fill: Callable[[World], None]) -> None:
@@ -68,7 +78,7 @@ class Kept:
         fill(self.world)
         self.place.rename(self.kept)
 
-    def anew(self) -> World:
+    def restored(self) -> World:
         """Return the world as it was when its results were made."""
         shutil.rmtree(self.place, ignore_errors=True)
         shutil.copytree(self.kept, self.place)
@@ -84,7 +94,7 @@ def begin_and_end(
     *,
     overwrite: bool = False,
 ) -> OutputRun:
-    """Register a run in an output folder, as one does that finds nothing to do."""
+    """Register a run in an output folder that has nothing to do."""
     typed = record_of(StageSettings, settings, Path("settings"))
     with output_run(out, stage, typed, folders, scans, overwrite=overwrite) as output:
         return output

@@ -36,7 +36,6 @@ COMMANDS: dict[str, dict[str, Callable[..., None] | typer.Typer]] = {
     "Data": {
         "convert": own_data.convert,
         "export-ply": results.export_ply,
-        "export-rrd": look.export_rrd,
         "picture": look.picture,
         "filter": results.filter_command,
         "synth": own_data.synth,

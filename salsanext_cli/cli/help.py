@@ -17,7 +17,7 @@ HIDDEN = {
     "--knn-cutoff --knn-k --knn-sigma --knn-window --lowest --map-voxel --min-range --on-error "
     "--movable-reach --pixel-labels --precision --scheduler --shard --show-completion --steps",
     "pick": "--seed",
-    **dict.fromkeys(("export-ply", "export-rrd", "picture", "report", "view"), "--label-space"),
+    **dict.fromkeys(("export-ply", "picture", "report", "view"), "--label-space"),
 }
 """Options that only `--help-all` lists, by command, "" for all commands."""
 HELP = [("-h, --help", "Show this message."), ("--help-all", "Show all options.")]
@@ -52,6 +52,11 @@ class Group(TyperGroup):
             _print_whole_help(self, ctx, args)
         with usage_errors(args):
             return super().parse_args(ctx, args)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command, unless it was removed."""
+        refuse_removed(args[:1], [], json="--json" in args)
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Commands that show results: pictures, recordings, pages, and the demonstration."""
+"""Commands that show results: pictures, pages, and the demonstration."""
 
 import os
 import shlex
@@ -41,24 +41,6 @@ def picture(
     with over_scans("picture", running, output.quiet) as run:
         outcome = stage(out, colours=colour or (), scale=scale, query=query, options=run)
     summary.finish("picture", outcome, out, output)
-
-
-def export_rrd(
-    out: Path = arguments.RESULTS,
-    *,
-    query: ResultQuery,
-    running: Annotated[RunOptions, Without({"jobs", "backend", "scheduler", "shard", "overwrite"})],
-    output: console.Output,
-) -> None:
-    """Write recordings for the Rerun viewer that hold every known value of every point.
-
-    Example: salsanext export-rrd out/
-    """
-    from salsanext_cli.stages.export_rrd import export_rrd as stage
-
-    with over_scans("export-rrd", running, output.quiet) as run:
-        outcome = stage(out, query=query, options=run)
-    summary.finish("export-rrd", outcome, out, output)
 
 
 def demo(

@@ -263,7 +263,7 @@ def submit(
         )
     output.result(made.to_dict() | {"zip": str(target)})
     for problem in made.problems:
-        print_line(f"error: {printable(problem.message)}")
+        print_line(f"error: {problem.text}")
     if made.problems:
         print_line(f"submit: {counted(len(made.problems), 'problem')}, {target} is not written")
         raise typer.Exit(console.FAILED)

@@ -227,12 +227,12 @@ def knn_refine(
 
     Example: salsanext knn-refine out/
     """
-    from salsanext_cli.results.provenance import Provenance
+    from salsanext_cli.results.manifest import Manifest
     from salsanext_cli.stages.knn_refine import knn_refine_scans
 
     named = arguments.sensor(sensor)
     if columns is not None:
-        named = with_columns(named or Provenance(out).sensor(), columns)
+        named = with_columns(named or Manifest(out).sensor(), columns)
     with over_scans("knn-refine", running, output.quiet) as run:
         outcome = knn_refine_scans(
             out,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Options of earlier versions, and their replacements."""
+"""Commands and options of earlier versions, and their replacements."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -10,12 +10,14 @@ from salsanext_cli.errors import UsageError
 REMOVED = {
     ("", "--out"): "give the folder as the argument OUT",
     ("", "--backend ray"): "use `--shard I/N` on each machine",
+    ("compare", "--by-distance"): "use `eval --by-distance` on both folders",
     ("convert", "--backend"): "use `--jobs`",
     ("convert", "--scheduler"): "use `--jobs`",
     ("demo", "--engine"): "use `predict --engine` on your own scans",
     ("demo", "--intensity"): "use `predict --intensity` on your own scans",
     ("demo", "--precision"): "use `predict --precision` on your own scans",
     ("demo", "--weights"): "use `predict --weights` on your own scans",
+    ("export-rrd", ""): "use examples/rerun_recording.py",
     ("filter", "--split"): "use `--by-class`",
     ("fuse", "--strict"): "use the key `warnings` of `--json`",
     ("pick", "--disagreement"): "use no option: the uncertainty is that of the network",
@@ -29,14 +31,16 @@ REMOVED = {
     ("view", "--by-distance"): "use `report --by-distance`",
     ("view", "--scheduler"): "use `--jobs`",
 }
-"""Hint by command, "" for all commands, and option, with its value if other values remain."""
+"""Hint by command and option, with its value if other values remain; "" stands for all commands, or
+for the command itself."""
 
 
 @guarded
 def refuse_removed(commands: Sequence[str], words: Sequence[str], *, json: bool) -> None:
-    """Refuse an option that a command or its group no longer has; `guarded` reads `json`."""
+    """Refuse a removed command, or option of a command or its group; `guarded` reads `json`."""
     parts = [part for word in words for part in word.split("=", 1)]
     given = {*parts, *map(" ".join, pairwise(parts))}
     for (name, option), hint in REMOVED.items():
-        if name in ("", *commands) and option in given:
-            raise UsageError(option, "this option was removed", hint=hint)
+        if name in ("", *commands) and (option in given or not option):
+            kind = "option" if option else "command"
+            raise UsageError(option or name, f"this {kind} was removed", hint=hint)

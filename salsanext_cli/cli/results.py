@@ -94,7 +94,6 @@ def compare(
     before: Path = argument("Results of the first run.", default=..., metavar="OUT_A"),
     after: Path = argument("Results of the second run.", default=..., metavar="OUT_B"),
     *,
-    by_distance: bool = arguments.BY_DISTANCE,
     query: ResultQuery,
     running: arguments.Reading,
     output: console.Output,
@@ -110,9 +109,7 @@ def compare(
     from salsanext_cli.stages.compare import compare as stage
 
     with over_scans("compare", running, output.quiet) as run:
-        comparison, failures = stage(
-            before, after, by_distance=by_distance, query=query, options=run
-        )
+        comparison, failures = stage(before, after, query=query, options=run)
     failed = [failure.to_dict() for failure in failures]
     result = {"stage": "compare", **comparison.to_dict(), "failures": failed}
     output.result(result, comparison_tables(comparison))
@@ -168,21 +165,26 @@ def _evaluation_tables(evaluation: "Evaluation", above: float | None) -> "Group"
     from rich.console import Group
     from rich.text import Text
 
-    from salsanext_cli.report.tables import band_table, kept_table, score_table, uncertainty_tables
+    from salsanext_cli.report.tables import (
+        accepted_table,
+        band_table,
+        score_table,
+        uncertainty_tables,
+    )
     from salsanext_cli.stages.evaluate import ON_TRAINING_SCANS
 
     of_training = ON_TRAINING_SCANS if evaluation.counts.trained_on else ""
-    uncertainty, accepted = evaluation.uncertainty, evaluation.kept
+    uncertainty, accepted = evaluation.uncertainty, evaluation.accepted
     tables: list[Any] = [score_table(evaluation.scores, of_training)]
     tables += [band_table(evaluation.by_distance)] if evaluation.by_distance else []
     tables += uncertainty_tables(uncertainty)
-    tables += [Text(uncertainty.kept.sentence)] if uncertainty.kept else []
+    tables += [Text(uncertainty.accepted.sentence)] if uncertainty.accepted else []
     tables += [Text(evaluation.object_sentence)] if evaluation.panoptic else []
     if accepted:
         missed = f"The scores count points rejected by `predict --reject {above:g}` as misses."
-        guarantee = [evaluation.promise.sentence] if evaluation.promise else []
+        guarantee = [evaluation.guarantee.sentence] if evaluation.guarantee else []
         lines = [missed, *accepted.sentences, *guarantee]
-        tables += [kept_table(accepted.classes), Text("\n".join(lines))]
+        tables += [accepted_table(accepted.classes), Text("\n".join(lines))]
     return Group(*tables)
 
 

@@ -102,7 +102,7 @@ def tune_risk(
     from rich.console import Group
     from rich.text import Text
 
-    from salsanext_cli.report.tables import kept_table
+    from salsanext_cli.report.tables import accepted_table
 
     numbers = {
         "at_most": arguments.share("--at-most", at_most),
@@ -112,7 +112,7 @@ def tune_risk(
     tuned = _tuned("risk", dataset, target, fit, output, **numbers)
     sentences = (Text(sentence) for sentence in tuned["sentences"])
     output.result(
-        tuned, Group(kept_table(tuned["kept"]["classes"], tuned.get("classes", {})), *sentences)
+        tuned, Group(accepted_table(tuned["kept"]["classes"], tuned.get("classes", {})), *sentences)
     )
     summary = f"tune risk: {tuned['promise']} → {target}, {tuned['curve']}"
     _end(output, summary, target, "--reject risk ")

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Differences of a sensor from that of training, and the reasons to doubt a scan."""
+"""Fits of a sensor to its scans, and reasons to doubt a scan."""

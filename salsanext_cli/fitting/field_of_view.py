@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""View, mounting and own vehicle of a sensor from a few of its scans."""
+"""Field of view, mounting and vehicle of a sensor from a few of its scans."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,28 +13,28 @@ from salsanext_cli.records import MAX_RANGE_M, Double, Float, Indices, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 
 DIGITS = 2
-MIN_RANGE_M = 1.0  # Only housing and mount of four vehicles were nearer; the street began at 1.3
+MIN_RANGE_M = 1.0  # Only housing and mount of four vehicles were nearer; the road began at 1.3
 SHARE_OF_HEIGHT = 0.8  # Bound of the minimum range by the height: a low sensor sees its floor
-MIN_SENSOR_HEIGHT_M = 0.1  # Least height of a sensor above what can be the ground that it stands on
-FARTHEST_M = 3.0  # Farthest body of a vehicle that is sought
+MIN_SENSOR_HEIGHT_M = 0.1  # Least height of a sensor above the ground
+FARTHEST_M = 3.0  # Farthest point of the body of a vehicle
 MIN_SCANS = 5
 AZIMUTHS, ELEVATIONS = 120, 120  # Cells around, and from straight down to straight up
-MIN_CELLS = 5  # Fewest cells of a body; SemanticKITTI's car, which is not seen, had one by chance
+MIN_CELLS = 5  # Fewest cells of a body; scans of SemanticKITTI, without a body, had one by chance
 CENTRES = ((np.arange(ELEVATIONS) + 0.5) / ELEVATIONS - 0.5) * np.pi
-TOLERANCE_M = 0.1  # Largest difference of the nearest range of a cell that stays
-SEEN, STAYS = 0.9, 0.8  # Least shares of the scans in which a vehicle cell has a point, and stays
-MOVING = 0.15  # Largest share of farther cells whose range stays, if the vehicle moves
-ABOVE_GROUND_M = 0.4  # Height above the ground of what is not the ground
+TOLERANCE_M = 0.1  # Largest difference of the nearest range of a constant cell
+SEEN, CONSTANT = 0.9, 0.8  # Least shares of scans in which a body cell has a point, and is constant
+MOVING = 0.15  # Largest share of constant cells among farther ones if the vehicle moves
+ABOVE_GROUND_M = 0.4  # Least height of a body above the ground
 MARGIN_M = 0.05
-WIDEST_M = 2.6
-"""Largest width of a vehicle; what is wider, or begins beyond `MIN_RANGE_M`, is beside it."""
+WIDEST_M = 2.6  # Largest width of a vehicle
 
 
 def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor with `min_range` and `ego_box` where they are None: to be found."""
-    # The minimum range is `MIN_RANGE_M`, less where the sensor is lower than usual above the
-    # ground. The box is empty where the scans do not tell it: fewer than `MIN_SCANS` of one drive,
-    # or those of a vehicle that stands.
+    """Return the sensor with `min_range` and `ego_box` fitted to its scans where they are None.
+
+    The minimum range is `MIN_RANGE_M`, or less for a low sensor. The box is empty for fewer than
+    `MIN_SCANS` scans, and if the vehicle stands.
+    """
     least, box = sensor.min_range, sensor.ego_box
     if least is not None and box is not None:
         return sensor
@@ -51,34 +51,33 @@ def fit_ego(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
 
 
 def _ego_box(scans: Sequence[Scan], height: float) -> tuple[float, ...]:
-    """Return the box of upright scans of a sensor at a height in metres, empty without one."""
+    """Return the box of the vehicle in upright scans from a height in metres; empty without one."""
     least_z = ABOVE_GROUND_M - height
     nearest = np.full((len(scans), AZIMUTHS * ELEVATIONS), np.inf)
-    for scan, of_scan in zip(scans, nearest, strict=True):
-        np.minimum.at(of_scan, *_in_cells(scan.points))
+    for scan, ranges in zip(scans, nearest, strict=True):
+        np.minimum.at(ranges, *_in_cells(scan.points))
     seen = np.isfinite(nearest).mean(axis=0)
-    with np.errstate(invalid="ignore"):  # of a cell that no scan has a point in
+    with np.errstate(invalid="ignore"):  # A cell without a point in any scan
         usual = np.sort(nearest, axis=0)[(seen * len(scans) / 2).astype(int), np.arange(len(seen))]
-        stays = (np.abs(nearest - usual) < TOLERANCE_M).sum(axis=0) / (seen * len(scans))
+        constant = (np.abs(nearest - usual) < TOLERANCE_M).sum(axis=0) / (seen * len(scans))
         rises = usual * np.tile(np.sin(CENTRES), AZIMUTHS) > least_z
     always = seen >= SEEN
     far = always & rises & (usual > FARTHEST_M)
-    if not far.any() or (stays[far] >= STAYS).mean() > MOVING:
+    if not far.any() or (constant[far] >= CONSTANT).mean() > MOVING:
         return ()
-    body_cells = always & rises & (usual <= FARTHEST_M) & (stays >= STAYS)
+    body_cells = always & rises & (usual <= FARTHEST_M) & (constant >= CONSTANT)
     if body_cells.sum() < MIN_CELLS:
         return ()
     reach = np.where(body_cells, usual + TOLERANCE_M, 0)
     body = []
     for scan in scans:
         cells, ranges = _in_cells(scan.points)
-        own = (ranges < reach[cells]) & (scan.points[:, 2] > least_z)
-        body.append(scan.points[own])
+        body.append(scan.points[(ranges < reach[cells]) & (scan.points[:, 2] > least_z)])
     points = np.concatenate(body)
     lowest, highest = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
     gap = np.hypot(*np.maximum.reduce([lowest, -highest, np.zeros(3)])[:2])
     if (highest - lowest)[:2].min() > WIDEST_M or gap > MIN_RANGE_M:
-        return ()
+        return ()  # Something beside the vehicle
     return tuple(np.concatenate([lowest, highest]).astype(np.float64).round(DIGITS).tolist())
 
 
@@ -94,30 +93,30 @@ def _in_cells(points: Float) -> tuple[Indices, Double]:
     return cells, np.where(usable, ranges, np.inf)
 
 
-OUTLIERS = 0.001  # Share of the points above, and of those below, that no view needs to show
-SHOWN = 0.85
-"""Least share of points in a fitted view; a whole view would make objects too low in the image."""
-MAX_ENLARGED = 1.2  # Largest extent of a whole view, as a multiple of training's
-PLACES = 400  # Places of a view of given extent that are tried
-NEARLY = 0.999  # Share of the most points at which a view is as good; the middle one is taken
+OUTLIERS = 0.001  # Share of points above, and below, a complete field of view
+SHOWN = 0.85  # Least share of points in a fitted field of view; more makes objects too low
+MAX_ENLARGED = 1.2  # Largest extent of a complete field of view, as a multiple of training
+CANDIDATES = 400  # Fields of view of a given extent that are compared
+NEARLY = 0.999  # Share of the most points at which a candidate is as good; the middle one is taken
 MIN_VIEW_DEG = 1.0
 EDGE_DEG, BEYOND_DEG = 60.0, 5.0
-"""Farthest edges of a view, and of one beyond the horizon; rotating sensors had 52° and 0°."""
+"""Farthest edge, and farthest edge beyond the horizon; rotating sensors had 52° and 0°."""
 MIN_VIEW_POINTS = 1000
 
 
 def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor of weights with the view and mounting of scans where they differ much."""
-    # Points of housing and vehicle are left out, as `fit_ego` finds them. The mounting changes as
-    # `fit_mounting` says, the view where more than `MAX_SHARE_OUTSIDE` of all points lie
-    # outside. Size and normalisation of the range images stay. Of the labelled scans of three
-    # sensors, this was never worse than the view of the weights.
+    """Return the sensor of weights, fitted to scans that differ much from it.
+
+    `fit_mounting` and `fit_ego` fit the mounting and the vehicle. The field of view changes if more
+    than `MAX_SHARE_OUTSIDE` of all points lie outside. Size and normalisation of the range images
+    stay.
+    """
     sensor = fit_ego(scans, fit_mounting(scans, sensor))
     sines = np.concatenate([np.empty(0), *(_sines(scan, sensor) for scan in scans)])
     if share_outside(sines, sensor) <= MAX_SHARE_OUTSIDE or len(sines) < MIN_VIEW_POINTS:
         return sensor
     elevations = np.degrees(np.arcsin(np.sort(sines)))
-    lower, upper = _view(elevations, sensor.fov_up - sensor.fov_down)
+    lower, upper = _field_of_view(elevations, sensor.fov_up - sensor.fov_down)
     beyond = max(upper, -lower) > EDGE_DEG or max(lower, -upper) > BEYOND_DEG
     if beyond or upper - lower < MIN_VIEW_DEG:
         return sensor
@@ -125,23 +124,25 @@ def fit_view(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
 
 
 def _sines(scan: Scan, sensor: Sensor) -> Double:
-    """Return the sines of the elevations (M,) of the measured points."""
+    """Return the sines of elevation (M,) of the measured points outside the vehicle."""
     points = without_ego(scan, sensor).points
     ranges, measured = measured_ranges(points, float(MAX_RANGE_M))
     return points[measured, 2] / ranges[measured]
 
 
-def _view(elevations: Double, extent: float) -> tuple[float, float]:
-    """Return lower and upper edge in degrees of a view of elevations (N,) that rise."""
-    # Of all points, if it then is about as large as that of training; else as large, or larger
-    # until it shows `SHOWN` of the points.
+def _field_of_view(elevations: Double, extent: float) -> tuple[float, float]:
+    """Return lower and upper edge in degrees of the field of view of rising elevations (N,).
+
+    It holds all points if it then is about as large as `extent` in training. Else it is as
+    large, or larger to hold `SHOWN` of the points.
+    """
     lowest, highest = map(float, np.quantile(elevations, (OUTLIERS, 1 - OUTLIERS)))
     if highest - lowest <= MAX_ENLARGED * extent:
         return lowest, highest
     shown = int(SHOWN * len(elevations))
     narrowest = (elevations[shown:] - elevations[: len(elevations) - shown]).min()
     extent = max(narrowest, extent)
-    lower = np.linspace(lowest, highest - extent, PLACES)
+    lower = np.linspace(lowest, highest - extent, CANDIDATES)
     upper = np.searchsorted(elevations, lower + extent, "right")
     inside = upper - np.searchsorted(elevations, lower)
     best = np.flatnonzero(inside >= NEARLY * inside.max())
@@ -150,7 +151,7 @@ def _view(elevations: Double, extent: float) -> tuple[float, float]:
 
 
 def ego_text(sensor: Sensor) -> str:
-    """Describe where points are of the vehicle: ``nearer than 1 m, or in x -0.6…0.7, …``."""
+    """Describe the region of the vehicle: ``nearer than 1 m, or in x -0.6…0.7, …``."""
     box = sensor.ego_box or ()
     sides = (f"{axis} {a:g}…{b:g}" for axis, a, b in zip("xyz", box, box[3:], strict=False))
     near = f"nearer than {sensor.min_range or 0:g} m"
@@ -158,7 +159,7 @@ def ego_text(sensor: Sensor) -> str:
 
 
 def view_text(sensor: Sensor) -> str:
-    """Describe view and mounting: ``view +10.7° to -30.7°, origin (0.0, 0.0, 1.75)``."""
+    """Describe field of view and mounting: ``field of view +10.7° to -30.7°, up …``."""
     up = "" if sensor.up == UP else f", up {sensor.up}"
     origin = "" if sensor.origin == ORIGIN else f", origin {sensor.origin}"
-    return f"view {sensor.fov_up:+g}° to {sensor.fov_down:+g}°{up}{origin}"
+    return f"field of view {sensor.fov_up:+g}° to {sensor.fov_down:+g}°{up}{origin}"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The way of a scan: read, checked, projected, through the network, refined on the points."""
+"""Steps of a scan: read, check, project, predict the pixels, refine the labels of the points."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import starmap
 from pathlib import Path
 from typing import NamedTuple
@@ -31,8 +31,8 @@ class ProjectedScan:
     file: ScanFile
     scan: Scan  # N points
     image: RangeImage  # H × W pixels
-    check: ScanCheck  # Reasons to doubt the scan
-    sensor: Sensor  # Sensor that was fitted to the scan, and to others of its kind
+    check: ScanCheck
+    sensor: Sensor  # Member of a fitted sensor that the scan belongs to
 
 
 class PreparedScan(NamedTuple):
@@ -45,14 +45,14 @@ class PreparedScan(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledScan(ProjectedScan):
-    """Scan with the labels that a network gives it."""
+    """Scan with the labels of a network."""
 
     pixels: PixelPrediction
-    labels: TrainIds  # (N,) uint8: of the points, refined by kNN
+    labels: TrainIds  # (N,) uint8, refined by kNN
 
 
 def prepared_for(network: Network, file: ScanFile, scan: Scan | None = None) -> PreparedScan:
-    """Read, check and project a scan for a network; `scan`: if it was read."""
+    """Read, unless it is given, check and project a scan for a network."""
     projected = project_scan(file, network.sensor, network.card.sensor, scan)
     network = network.for_sensor(projected.sensor)
     return PreparedScan(projected, network, network.input(projected.image.channels))
@@ -61,7 +61,7 @@ def prepared_for(network: Network, file: ScanFile, scan: Scan | None = None) -> 
 def project_scan(
     file: ScanFile, sensor: Sensor, trained: Sensor | None = None, scan: Scan | None = None
 ) -> ProjectedScan:
-    """Read, check and project a scan; `trained` is the sensor of weights that are to label it."""
+    """Read, unless it is given, check and project a scan; `trained`: sensor of the weights."""
     scan = read_scan(file.path, sensor) if scan is None else scan
     sensor = sensor_of(scan, sensor)
     check = check_with_hint(file.path, scan, sensor, trained)
@@ -71,7 +71,7 @@ def project_scan(
 def check_with_hint(
     path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None, fit: str = ""
 ) -> ScanCheck:
-    """Check a scan as `check_scan`; advise a fit only where a fit to the scan is a hint."""
+    """Check a scan as `check_scan` does; advise a fit only if a fit to this scan helps."""
     check = check_scan(path, scan, sensor, trained, fit)
     if lasting := FIT_CODES & {finding.code for finding in check.findings}:
         alone = fit_view([scan], trained or sensor)
@@ -81,13 +81,12 @@ def check_with_hint(
 
 
 def labelled(scan: PreparedScan, pixels: PixelPrediction, knn: KnnParameters) -> LabelledScan:
-    """Return a scan with the labels that follow from the prediction for its pixels."""
-    given, network = scan.projected, scan.network
-    network.backend.require_finite(pixels.confidence, given.file.path)
-    labels = knn_refine(given.image, pixels.labels, network.space.class_count, knn)
-    return LabelledScan(
-        *(given.file, given.scan, given.image, given.check, given.sensor, pixels, labels)
-    )
+    """Return a scan with the labels of its points, refined from the prediction of its pixels."""
+    projected, network = scan.projected, scan.network
+    network.backend.require_finite(pixels.confidence, projected.file.path)
+    labels = knn_refine(projected.image, pixels.labels, network.space.class_count, knn)
+    parts = {field.name: getattr(projected, field.name) for field in fields(projected)}
+    return LabelledScan(**parts, pixels=pixels, labels=labels)
 
 
 def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> Float:
@@ -97,22 +96,22 @@ def range_image(file: ScanFile, folder: Path, sensor: Sensor) -> Float:
 
 
 def projected_sensor(folder: Path) -> Sensor | None:
-    """Return the sensor of the range images in an output folder, None if it holds none."""
+    """Return the sensor of the range images in an output folder, None without any."""
     projected = Manifest(folder).settings("project")
     return projected.sensor if projected else None
 
 
 def sensor_of_images(folder: Path, projected: Sensor | None, wanted: Sensor) -> Sensor:
-    """Return the network's sensor with the columns of the scans; refuse another geometry."""
+    """Return the sensor of a network for projected scans; refuse another geometry than theirs."""
     if projected is None:
-        raise UsageError(folder, "holds no range images", "the output folder of `project`")
-    fits = [replace(each, columns=projected.columns) for each in wanted.members]
-    images = [replace(each, means=wanted.means, stds=wanted.stds) for each in projected.members]
+        raise UsageError(folder, "has no range images", "the output folder of `project`")
+    fits = [replace(member, columns=projected.columns) for member in wanted.members]
+    images = [replace(other, means=wanted.means, stds=wanted.stds) for other in projected.members]
     pairs = ((a.view(), b.view()) for a, b in zip(images, fits, strict=False))
     counts = ({"sensors": len(images)}, {"sensors": len(fits)})
     if changed := next(filter(None, starmap(differences, (counts, *pairs))), ""):
         size = f"{projected.height}×{projected.width}"
-        found = f"range images of {projected.name}, {size}: {changed}"
-        hint = "project again, or give the sensor that was projected with"
-        raise UsageError(folder, found, "those that the weights or --sensor say", hint)
+        problem = f"has range images of {projected.name}, {size}: {changed}"
+        hint = "project again, or pass the sensor of `project` with --sensor"
+        raise UsageError(folder, problem, "the sensor of the weights or of --sensor", hint)
     return replace(fits[0], others=tuple(fits[1:]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Direction up and place of a sensor in the frame of its files, from a few of its scans."""
+"""Direction up and origin of a sensor in the frame of its files, from a few of its scans."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from salsanext_cli.geometry.projection import few_points, in_sensor_frame, uprig
 from salsanext_cli.records import Double, Float, Scan
 from salsanext_cli.sensors.sensor import FITTED_NAME, ORIGIN, UP, Sensor
 
-MAX_POINTS = 512  # Points that a plane is sought among, evenly taken from those near the sensor
-RANGES_M = (2.0, 25.0)  # Their ranges: nearer is the vehicle itself, farther the ground bends
-TRIPLES = 2048  # Triples of points that planes are put through
-PLANES = 256  # Planes that are tried, of those that may be the ground
+MAX_POINTS = 512  # Points near the sensor to find a plane among
+RANGES_M = (2.0, 25.0)  # Their ranges: nearer is the vehicle, farther the ground bends
+TRIPLES = 2048  # Triples of points that define planes
+PLANES = 256  # Planes that are compared, among possible grounds
 MIN_AREA_M2 = np.float32(1e-3)  # Twice the least area of the triangle of a triple
 TOLERANCE_M = 0.15
-MIN_SHARE = 0.1  # Least share of the points on a plane that is called the ground
+MIN_SHARE = 0.1  # Least share of the points on the ground
 MIN_GROUND_POINTS = 100
-MIN_HEIGHT_M = 0.4  # Least height of a sensor; lower, the origin is not the sensor's place
-MIN_COSINE = 0.8  # Least cosine of the angle between the ground's normal and the rotation axis
+MIN_HEIGHT_M = 0.4  # Least height of a sensor; a lower origin is not at the sensor
+MIN_COSINE = 0.8  # Least cosine of the angle between ground normal and rotation axis
 FLAT = 0.75  # Largest ratio of the two least mean coordinates if the sensor turns about an axis
 AXES, UPWARDS = range(3), 2  # Indices of x, y, z, and of z
 
@@ -31,26 +31,27 @@ AXES, UPWARDS = range(3), 2  # Indices of x, y, z, and of z
 class Ground:
     """Plane below the sensor."""
 
-    # (3,) float64: unit normal, from the ground to the sensor; where the origin is on it, along the
-    # nearest axis
+    # (3,) float64: unit normal from the ground to the sensor; along the nearest axis if the origin
+    # is on the ground
     up: Double
-    height: float  # Distance of the origin from it, in metres; just below 0 if it is on it
-    share: float  # Of the near points that lie on it, 0…1
+    height: float  # Height of the origin in metres; around 0 if it is on the ground
+    share: float  # Share of the near points on the ground, 0…1
 
     @property
     def tilt_deg(self) -> float:
-        """Angle between its normal and the z axis, 0° if z is up, 180° upside down."""
+        """Angle between the normal and the z axis, 0° if z is up, 180° upside down."""
         return float(np.degrees(np.arccos(np.clip(self.up[UPWARDS], -1, 1))))
 
 
 def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | None:
-    """Return the plane that most points near the sensor lie on and few below, None without one."""
-    # Planes through random triples of points, the same for every scan; the best is fitted to its
-    # points by least squares (Fischler & Bolles 1981). Points (N, 3) count by their range, since
-    # the rings near the sensor have most of them. `max_tilt_deg`: largest angle between normal and
-    # z. Without it the orientation is any, if the sensor turns about an axis of the frame; one that
-    # looks one way cannot tell ground from walls, so that the ground leans no more than that of a
-    # sensor that turns about z.
+    """Return the plane with most of the points (N, 3) near the sensor and few below, or None.
+
+    Planes through random triples, the same for every scan, are compared. The best is fitted to its
+    points by least squares (Fischler & Bolles 1981). A point counts by its range, since the rings
+    near the sensor have most points. `max_tilt_deg` limits the angle between normal and z. Without
+    it, the ground of a sensor that turns about an axis has any orientation. A sensor with a narrow
+    field of view cannot tell ground from walls, so its ground must be nearly level.
+    """
     ranges = np.sqrt(np.einsum("nk,nk->n", points, points))
     near = np.flatnonzero((ranges > RANGES_M[0]) & (ranges < RANGES_M[1]))
     if len(near) < MIN_GROUND_POINTS:
@@ -68,7 +69,7 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
     along_axis = np.abs(normals[UPWARDS if axis is None or upright else axis])
     tried = np.flatnonzero(along_axis > least * lengths)[:PLANES]
     normals, offsets = (normals[:, tried] / lengths[tried]).T, offsets[tried] / lengths[tried]
-    # The sensor is above; where it is on the plane, the largest coordinate of the normal rises.
+    # The sensor is above. If it is on the plane, the largest coordinate of the normal is positive.
     low = np.abs(offsets) < MIN_HEIGHT_M
     largest = normals[np.arange(len(tried)), np.abs(normals).argmax(axis=1)]
     turn = np.where(low, np.sign(largest), -np.sign(offsets))
@@ -78,7 +79,9 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
         normals, offsets, low = normals[rising], offsets[rising], low[rising]
     if not len(normals):
         return None
-    heights = _heights(points, normals, offsets)
+    # The threads of a matrix product would take the processors from the network.
+    (x, y, z), (of_x, of_y, of_z) = np.ascontiguousarray(points.T), normals.T[:, :, None]
+    heights = of_x * x + of_y * y + of_z * z - offsets[:, None]
     on, below = (
         np.einsum("pn,n->p", part.view(np.int8), weights)
         for part in (np.abs(heights) < TOLERANCE_M, heights < -TOLERANCE_M)
@@ -99,21 +102,12 @@ def find_ground(points: Float, max_tilt_deg: float | None = None) -> Ground | No
 
 @cache
 def _triples() -> Double:
-    """Return places of the points of each triple, (3, `TRIPLES`), as shares of their number."""
+    """Return the indices of the points of each triple, (3, `TRIPLES`), as shares of the number."""
     return np.random.default_rng(0).random((3, TRIPLES))
 
 
-def _heights(points: Float, normals: Float, offsets: Float) -> Float:
-    """Return the heights of points (N, 3) above planes (P, 3) and (P,), (P, N)."""
-    # A matrix product would leave threads behind that take the processors from the network.
-    x, y, z = np.ascontiguousarray(points.T)
-    of_x, of_y, of_z = normals.T[:, :, None]
-    heights: Float = of_x * x + of_y * y + of_z * z - offsets[:, None]
-    return heights
-
-
 def _axis_of_rotation(directions: Float) -> int | None:
-    """Return the axis, 0 to 2, that a sensor turns about, None for one that looks one way."""
+    """Return the axis, 0 to 2, that a sensor turns about; None for a narrow field of view."""
     mean = np.abs(directions).mean(axis=0)
     flattest, other = np.argsort(mean)[:2]
     return int(flattest) if mean[flattest] < FLAT * mean[other] else None
@@ -121,24 +115,22 @@ def _axis_of_rotation(directions: Float) -> int | None:
 
 BIN_DEG = 0.02
 FINE_BINS, COARSE_BINS = 3, 51  # Widths of histogram averages: within a tooth, over several
-DISTANCES_M = (2.0, 60.0)  # Nearest and farthest points: a place's error turns far ones less
-FAR_M = 15.0  # Least distance of points that tell the height whatever the place in the plane is
-ABOVE_M = (-1.0, 5.0)
-AHEAD_M = (-3.0, 3.0)
-ASIDE_M = (-1.5, 1.5)
-"""Box in which the sensor is sought, above the origin of the files, ahead of it and to its left."""
+DISTANCES_M = (2.0, 60.0)  # Distances of points that show the origin of the beams
+FAR_M = 15.0  # Least distance of points that show its height at any position in the plane
+AHEAD_M, ASIDE_M, ABOVE_M = (-3.0, 3.0), (-1.5, 1.5), (-1.0, 5.0)
+"""Bounds of the sensor ahead of the origin of the files, to its left and above it."""
 STEP_OF_HEIGHT_M, STEP_M, LAST_STEP_M = 0.05, 0.25, 0.01
 MIN_SHARPNESS = 1.4
 """Least sharpness of a comb: sensors of 32 to 128 beams had 1.8 to 20; a Livox had 1.1."""
 MIN_SHARPNESS_ELSEWHERE, MIN_GAIN = 1.6, 1.5
-"""The same at another place than the origin, and the least factor between it and that at the
-origin. Of clouds of no single sensor, some place had up to 1.4, and 1.1 times the origin's; sensors
-had 2.4 or more, and twice as much."""
+"""Least sharpness elsewhere than at the origin, and least factor to that at the origin.
+
+Accumulated clouds had up to 1.4 and 1.1; sensors had at least 2.4 and 2."""
 MIN_POINTS_OF_ORIGIN = 1000
 
 
 def find_origin(points: Float) -> tuple[float, float, float] | None:
-    """Return the place that upright points (N, 3) but the ground are seen from, or None."""
+    """Return the origin of the beams by upright points (N, 3) without the ground, or None."""
     doubles: Double = points.astype(np.float64)
     distances = np.hypot(doubles[:, 0], doubles[:, 1])
     near, far = (
@@ -151,7 +143,8 @@ def find_origin(points: Float) -> tuple[float, float, float] | None:
     if len(far) < MIN_POINTS_OF_ORIGIN:
         return None
     place = _sharpest(far, _grid((0,), (0,), np.arange(*ABOVE_M, STEP_OF_HEIGHT_M)))
-    place = _sharpest(near, place + _grid(_steps(AHEAD_M), _steps(ASIDE_M), (0,)))
+    ahead, aside = (np.arange(low, high + STEP_M / 2, STEP_M) for low, high in (AHEAD_M, ASIDE_M))
+    place = _sharpest(near, place + _grid(ahead, aside, (0,)))
     step = STEP_M / 2
     while step > LAST_STEP_M:
         place = _sharpest(near, place + step * _grid(*[(-1, 0, 1)] * 3))
@@ -162,12 +155,8 @@ def find_origin(points: Float) -> tuple[float, float, float] | None:
     return (x, y, z) if inside and sharp else None
 
 
-def _steps(edges: tuple[float, float]) -> Double:
-    return np.arange(edges[0], edges[1] + STEP_M / 2, STEP_M)
-
-
 def _grid(*axes: Sequence[float] | Double) -> Double:
-    """Return all places with coordinates on three axes, (N, 3)."""
+    """Return all points with coordinates on three axes, (N, 3) float64."""
     mesh = np.meshgrid(*axes)
     return np.stack(mesh, axis=-1, dtype=np.float64).reshape(-1, 3)
 
@@ -177,7 +166,7 @@ def _sharpest(points: Double, places: Double) -> Double:
 
 
 def sharpness(points: Double, place: Double) -> float:
-    """Return the mean height of the comb of elevations over that around; about 1 without a comb."""
+    """Return how clearly elevations from a place form a comb of beams; about 1 without one."""
     x, y, z = (points - place).T
     elevations = np.degrees(np.arctan2(z, np.hypot(x, y)))
     bins = ((elevations + 90) / BIN_DEG).astype(np.intp)
@@ -194,25 +183,25 @@ def _averaged(histogram: Double, width: int) -> Double:
 MAX_TILT_DEG = 8.0
 """Largest angle between ground normal and z of an upright sensor; real ones had up to 5°."""
 UPSIDE_DOWN_DEG = 155.0  # Least angle of a ground above the sensor
-SUPPORT = 1.5  # Factor by which a tilted ground must have more points than the best level one
+SUPPORT = 1.5  # Least factor between the points of a tilted ground and of the best level one
 SUPPORT_OF_CEILING = 4.0
-"""The same of a ground above the sensor with a level one below it: ceilings of simulated rooms had
-up to 3.7 times the points of the floor; below sensors that hang over a street was none."""
+"""The same for a ground above the sensor; ceilings of simulated rooms had up to 3.7."""
 HEIGHTS_M = (1.0, 2.6)  # Usual heights of a sensor on a vehicle; real scans had 1.4 to 2.1
-USUAL_HEIGHT_M = 1.75  # Assumed where the origin is on the ground and the scans do not show it
-MIN_THICKNESS_M = 1.0  # Least upward extent of points above the ground, else from one plane
-MIN_OFFSET_M = 0.3  # Least distance from the origin that counts; optical centres lie 0.2 m off
+USUAL_HEIGHT_M = 1.75  # Assumed if the origin is on the ground and the beams do not show it
+MIN_THICKNESS_M = 1.0  # Least height of the points above the ground of a sensor of several beams
+MIN_OFFSET_M = 0.3  # Least distance from the origin that counts; optical centres are 0.2 m off
 SCANS_OF_ORIGIN, POINTS_OF_ORIGIN = 4, 8192  # Scans that show the origin, and points of each
 DIGITS = 3
 
 
 def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
-    """Return the sensor with the direction up and the origin of scans where they differ much."""
-    # Its own mounting, of other scans, is forgotten. The direction up changes where the ground of
-    # most scans is tilted by more than `MAX_TILT_DEG`, the heading as little as that allows. The
-    # origin changes where most scans show no ground at a height of `HEIGHTS_M`, as in the frame of
-    # a vehicle: to the place that the beams come from, if that is seen; else to the usual height if
-    # the ground passes through the origin, where no sensor can be.
+    """Return the sensor with the direction up and the origin fitted to scans.
+
+    The direction up changes if the ground of most scans is tilted by more than `MAX_TILT_DEG`. The
+    origin changes if most scans show no ground at a height of `HEIGHTS_M`, as in the frame of a
+    vehicle. It becomes the origin of the beams, if the scans show it. Else it becomes the usual
+    height if the ground passes through the origin.
+    """
     sensor = replace(sensor, up=UP, origin=ORIGIN)
     grounds = [ground for scan in scans if (ground := ground_of(scan))]
     tilted = [ground.up for ground in grounds if ground.tilt_deg > MAX_TILT_DEG]
@@ -234,9 +223,9 @@ def fit_mounting(scans: Sequence[Scan], sensor: Sensor) -> Sensor:
 def _place(
     scans: Sequence[Scan], sensor: Sensor, height: float | None
 ) -> tuple[float, float, float] | None:
-    """Return the place of the sensor in upright scans whose origin is at a height, if known."""
+    """Return the position of the sensor in upright scans whose origin is at a height, if known."""
     upright = [in_sensor_frame(scan, sensor) for scan in scans[:SCANS_OF_ORIGIN]]
-    # The ground is left out before points are drawn: near it, it has most of them.
+    # Without the ground, which has most points near the sensor.
     above = -np.inf if height is None else MIN_HEIGHT_M - height
     rest = [scan.take(np.flatnonzero(scan.points[:, 2] > above)) for scan in upright]
     points = np.concatenate([_finite(few_points(scan, POINTS_OF_ORIGIN)) for scan in rest])
@@ -249,7 +238,7 @@ def _place(
 
 
 def ground_of(scan: Scan) -> Ground | None:
-    """Find the ground in a scan; if tilted, it must be likelier than the best level one."""
+    """Return the ground in a scan, if any; a tilted one must be likelier than a level one."""
     points = _finite(few_points(scan))
     ground = find_ground(points)
     if ground is None or ground.tilt_deg <= MAX_TILT_DEG:

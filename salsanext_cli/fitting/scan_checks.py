@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Checks of scans: units, mounting, view, intensity, from some of their points, and one sensor.
+"""Checks of scans, by a sample of their points: units, mounting, field of view, intensity, sensor.
 
-A check that fails for certain is an error of the scan; one that only makes its labels doubtful is a
-finding, which becomes a warning of the run. docs/checks.md says where the thresholds come from.
+A certain mistake is an error of the scan. A reason to doubt the labels is a finding, which becomes
+a warning of the run. docs/checks.md explains the thresholds.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ from salsanext_cli.sensors.sensor import FITTED_NAME, OF_IMAGES, Sensor, presets
 class Finding(NamedTuple):
     """Reason to doubt the labels of a scan."""
 
-    code: str  # Name of the check, which stays; see docs/checks.md
-    problem: str  # What is doubtful about this scan
+    code: str  # Name of the check, as in docs/checks.md
+    problem: str
     hint: str
 
 
@@ -59,35 +59,34 @@ class ScanCheck:
     """Result of a check: reasons to doubt the scan, and traits of its sensor."""
 
     findings: tuple[Finding, ...] = ()
-    # None of a scan of fewer than `MIN_TRAIT_POINTS` points with a measurement
-    traits: ScanTraits | None = None
+    traits: ScanTraits | None = None  # None for fewer than `MIN_TRAIT_POINTS` measured points
     ego_share: float = 0.0  # Share of the points on the housing of the sensor or its vehicle, 0…1
 
 
 UNCHECKED = ScanCheck()
 
 MAX_USUAL_INTENSITY = 2.0  # Upper intensity of the scale 0…1, if that of training is unknown
-APART = "label it by itself, into a folder of its own"
+MAX_SHARE_OUTSIDE = 0.2  # Most points outside without a warning; a matching sensor has 0.07
+MEDIAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan in metres; real scans had 4 to 32
+USUAL_RANGES_M = (60.0, 300.0)
+"""Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
+MIN_FAR_M = 15.0  # Least usual 99 % quantile of ranges; roads had 27 m, a room and a hall 8 and 9
+MAX_VIEW_DEG = 120.0  # Largest usual field of view; that of sensors was 90° or less
+MIN_MEASURED = 0.4  # Least usual share of measured points; organised clouds had 0.55 or more
+MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
+"""Least usual share of rows with more than a tenth of the mean points; scans had 0.47 or more."""
+MIN_SHARE_OF_GROUND = 0.15  # Least share of near points on a ground that gives reason to doubt
+SECTORS = 64
+MIN_SECTORS = 0.6  # Least share of the directions around with a point; revolutions had 0.89 or more
+FEW_SECTORS = 0.1  # The same for a narrow field of view; solid-state sensors had 0.14 or more
+
+APART = "label it alone, into another folder"
 SCALE_IT = "set intensity_scale in a file for --sensor"
 NAME_IT = (
     "if the files hold one, name its column, --columns x,y,z,_,intensity for example, or in the "
     "first line of text files; or set its scale, intensity_scale in a file for --sensor"
 )
 RENAME_IT = "if the files hold one of another name, rename that field to intensity"
-
-MAX_SHARE_OUTSIDE = 0.2  # Most points outside without a warning; a matching sensor has 0.07
-MEDIAN_RANGES_M = (0.3, 250.0)  # Possible median ranges of a scan in metres; real scans had 4 to 32
-USUAL_RANGES_M = (60.0, 300.0)
-"""Largest usual median range and 99 % quantile of ranges; real scans had up to 32 and 104."""
-MIN_FAR_M = 15.0  # Least usual 99 % quantile of ranges; streets had 27 m, a room and a hall 8 and 9
-MAX_VIEW_DEG = 120.0  # Largest usual field of view; that of sensors was 90° or less
-MIN_MEASURED = 0.4  # Least usual share of measured points; organised clouds had 0.55 or more
-MIN_ROWS, FEW_OF_ROW = 0.35, 0.1
-"""Least usual share of the rows with points, more than a tenth of the average; those had 0.47."""
-MIN_SHARE_OF_GROUND = 0.15  # Least share of the near points on a ground that gives reason to doubt
-SECTORS = 64
-MIN_SECTORS = 0.6  # Least share of the directions around with a point; revolutions had 0.89 or more
-FEW_SECTORS = 0.1  # Least share of a sensor that looks one way; solid-state ones had 0.14 or more
 FIT = "`salsanext inspect SCANS --fit sensor.toml`, then --sensor sensor.toml"
 AUTO = "--sensor auto"
 WRONG = "expect wrong labels"
@@ -95,48 +94,50 @@ ALONE = f"{WRONG}; if the other scans are of another sensor or mounting, {APART}
 FIT_CODES = frozenset({"out-of-view", "tilted", "upside-down"})  # Findings that a fit may remove
 METRES = "convert them to metres"
 COLUMNS = "name the columns: --columns x,y,z,intensity"  # For formats that do not name them
-TRAIN = "expect worse labels, or `salsanext train` weights on scans of this sensor"
-TRAIN_HERE = "expect worse labels, or `salsanext train` weights on scans of such places"
-ORIGIN = "expect worse labels, or write the sensor's place as `origin` into a file for --sensor"
+TRAIN = "expect worse labels, or `salsanext train` weights on such scans"
+ORIGIN = "expect worse labels, or write the position of the sensor as `origin` in a sensor file"
 
 
 def training_findings(
     bright: float, reason: str, sensor: Sensor, trained: Sensor, name_it: str = NAME_IT
 ) -> Iterator[Finding]:
-    """Compare images and their upper intensity with those of training; `reason`: why it is none."""
+    """Compare images and their upper intensity `bright` with training.
+
+    `reason` states why the values are not intensities, if they are not.
+    """
     if any(getattr(sensor, key) != getattr(trained, key) for key in OF_IMAGES):
-        found = "the sensor file changes the size or normalisation of the images"
+        problem = "the sensor file changes the size or normalisation of the images"
         hint = "accuracy drops: leave height, width, means and stds out of the file"
-        yield Finding("other-images", found, hint)
+        yield Finding("other-images", problem, hint)
     matched = sensor.intensity_quantiles
     can_match = trained.intensity_quantiles and not matched
     if reason:
-        found = reason if matched else f"{reason}; the network takes it as it is"
-        yield Finding("no-intensity", found, "--intensity none" if can_match else name_it)
+        problem = reason if matched else f"{reason}; the network takes it as it is"
+        yield Finding("no-intensity", problem, "--intensity none" if can_match else name_it)
         return
     if matched == NO_INTENSITY:
         return
     if bright < 0 and not matched:
-        found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}: negative"
+        problem = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}: negative"
         hint = "name another column: --columns" + ", or --intensity none" * bool(can_match)
-        yield Finding("intensity-scale", found, hint)
+        yield Finding("intensity-scale", problem, hint)
         return
     quantiles = matched or trained.intensity_quantiles
     if quantiles:
         usual = quantiles[round(BRIGHT * (len(quantiles) - 1))]
         near = usual / INTENSITY_FACTOR <= bright <= usual * INTENSITY_FACTOR
-        doubtful = usual > 0 and not near  # Those below 0 have no factors.
-        of = f"and {usual:.2g} in {'the scans fitted to' if matched else 'training'}"
+        doubtful = usual > 0 and not near  # Factors have no meaning below 0.
+        expected = f"and {usual:.2g} in {'the scans fitted to' if matched else 'training'}"
     else:
-        doubtful, of = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
+        doubtful, expected = bright > MAX_USUAL_INTENSITY, "where 0 to 1 is usual"
     if doubtful:
-        found = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {of}"
+        problem = f"{BRIGHT:.0%} of the intensities are below {bright:.3g}, {expected}"
         scale = "--intensity auto, or " * bool(can_match) + SCALE_IT
-        yield Finding("intensity-scale", found, APART if matched else scale)
+        yield Finding("intensity-scale", problem, APART if matched else scale)
 
 
 def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
-    """Compare a range image (5, H, W) with training; its view was checked by `project`."""
+    """Compare a range image (5, H, W) with training; `project` checked its field of view."""
     occupied = channels[:, channels[0] > 0]
     if occupied.shape[1] < MIN_TRAIT_POINTS:
         return UNCHECKED
@@ -145,7 +146,7 @@ def check_image(channels: Float, sensor: Sensor, trained: Sensor) -> ScanCheck:
 
 
 def share_outside(sines: npt.NDArray[np.floating[Any]], sensor: Sensor) -> float:
-    """Return the share of sines of elevation (N,) above or below the field of view; 0 of none."""
+    """Return the share of sines of elevation (N,) outside the field of view, 0 without any."""
     lowest, highest = np.sin(np.radians((sensor.fov_down, sensor.fov_up)))
     outside = (sines < lowest) | (sines > highest)
     return float(outside.mean()) if len(sines) else 0.0
@@ -154,11 +155,10 @@ def share_outside(sines: npt.NDArray[np.floating[Any]], sensor: Sensor) -> float
 def check_scan(
     path: Path, scan: Scan, sensor: Sensor, trained: Sensor | None = None, fit: str = ""
 ) -> ScanCheck:
-    """Check a scan that is projected for a sensor, from some of its points.
+    """Check a sample of the points of a scan that is projected for a sensor.
 
-    `path`: for errors; `trained`: sensor of the weights, if a network is to label the scan or to
-    learn from it, so that the intensity matters; without quantiles it stands for 0 to 1; `fit`:
-    advice for findings that a fit may remove.
+    `path` is for errors and the format. `trained` is the sensor of the weights, if the intensity
+    matters; without quantiles it stands for 0 to 1. `fit` is the hint of `FIT_CODES`.
     """
     some = in_sensor_frame(few_points(scan), sensor)
     ranges, measured = measured_ranges(some.points)
@@ -166,20 +166,20 @@ def check_scan(
         some = in_sensor_frame(scan, sensor)
         ranges, measured = measured_ranges(some.points)
     _require_metres(path, len(scan), ranges[measured])
-    own = ego_points(some.points, sensor)
-    ego_share = len(own) / max(len(some), 1)
-    if len(own):
-        some = some.take(np.delete(np.arange(len(some)), own))
+    ego = ego_points(some.points, sensor)
+    ego_share = len(ego) / max(len(some), 1)
+    if len(ego):
+        some = some.take(np.delete(np.arange(len(some)), ego))
         ranges, measured = measured_ranges(some.points)
     if (count := int(measured.sum())) < MIN_TRAIT_POINTS:
-        few = f"{counted(count, 'point')} with a measurement, too few to check"
-        return ScanCheck((Finding("few-points", few, "give whole scans"),), None, ego_share)
+        problem = f"has {counted(count, 'point')} with a measurement, too few to check"
+        return ScanCheck((Finding("few-points", problem, "give whole scans"),), None, ego_share)
     share, ranges = count / len(some), ranges[measured]
     some = Scan(some.points[measured], some.intensity[measured])
     sines = sines_of(some.points)
     reason = why_no_intensity(some.points, some.intensity)
     form = format_of(path.name)
-    is_named = form is None or form.names_columns  # Recordings name their columns too.
+    is_named = form is None or form.names_columns  # A recording has names.
     fit = fit or (FIT if sensor is trained else ALONE)
     if sensor.name not in (FITTED_NAME, *presets(), trained and trained.name):
         fit = AUTO
@@ -199,15 +199,15 @@ def check_scan(
 
 def _require_metres(path: Path, count: int, ranges: Double) -> None:
     if count >= MIN_TRAIT_POINTS and not len(ranges):
-        found = f"none of its {count} points is a measurement"
-        raise FormatError(path, found, "finite coordinates around the sensor")
+        problem = f"none of its {count} points is a measurement"
+        raise FormatError(path, problem, "finite coordinates around the sensor")
     if len(ranges) < MIN_TRAIT_POINTS:
         return
     median, (least, most) = float(np.median(ranges)), MEDIAN_RANGES_M
     if not least <= median <= most:
         expected = "coordinates in metres, with the sensor at the origin"
-        hint = "convert millimetres or centimetres; take the sensor's place off map coordinates"
-        raise FormatError(path, f"a median range of {median:.3g} m", expected, hint)
+        hint = "convert other units; subtract the position of the sensor from map coordinates"
+        raise FormatError(path, f"has a median range of {median:.3g} m", expected, hint)
 
 
 def _of_units(
@@ -215,38 +215,37 @@ def _of_units(
 ) -> Iterator[Finding]:
     median, far = np.quantile(ranges, (0.5, 0.99))
     if median > USUAL_RANGES_M[0] or far > USUAL_RANGES_M[1]:
-        found = f"a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
-        yield Finding("units", found, METRES if is_named else f"{METRES}, or {COLUMNS}")
+        problem = f"has a median range of {median:.0f} m, and 1% of the points beyond {far:.0f} m"
+        yield Finding("units", problem, METRES if is_named else f"{METRES}, or {COLUMNS}")
     if far < MIN_FAR_M:
-        found = f"99% of the points lie within {far:.0f} m, as in a room"
-        yield Finding("indoor", found, TRAIN_HERE)
+        yield Finding("indoor", f"99% of the points lie within {far:.0f} m, as in a room", TRAIN)
     if (view := sensor.fov_up - sensor.fov_down) > MAX_VIEW_DEG:
-        found = f"the sensor has a field of view of {view:.0f}°"
-        yield Finding("wide-view", found, "correct fov_up and fov_down, or --sensor auto")
+        problem = f"the sensor has a field of view of {view:.0f}°"
+        yield Finding("wide-view", problem, f"correct fov_up and fov_down, or {AUTO}")
     if measured < MIN_MEASURED:
-        found = f"{1 - measured:.0%} of the points are no measurements"
+        problem = f"{1 - measured:.0%} of the points are not measurements"
         hint = "they stay unlabelled" if is_named else f"if they should be, {COLUMNS}"
-        yield Finding("not-measured", found, hint)
+        yield Finding("not-measured", problem, hint)
 
 
 def _of_view(scan: Scan, sines: Float, sensor: Sensor, fit: str) -> Iterator[Finding]:
     outside = share_outside(sines, sensor)
     if outside > MAX_SHARE_OUTSIDE:
         view = f"{sensor.name}, {sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
-        found = f"{outside:.0%} of the points lie outside the view of {view}"
-        yield Finding("out-of-view", found, fit)
+        problem = f"{outside:.0%} of the points lie outside the field of view of {view}"
+        yield Finding("out-of-view", problem, fit)
     turns = np.arctan2(scan.points[:, 1], scan.points[:, 0]) / (2 * np.pi) + 0.5
     around = float((np.bincount((turns * SECTORS).astype(int) % SECTORS) > 0).sum()) / SECTORS
     if around < MIN_SECTORS:
         code = "part-of-circle" if around >= FEW_SECTORS else "few-directions"
-        yield Finding(code, f"points in {around:.0%} of the directions around", TRAIN)
+        yield Finding(code, f"has points in {around:.0%} of the directions around", TRAIN)
     downwards = sensor.fov_up - np.degrees(np.arcsin(sines))
     rows = (downwards * (sensor.height / (sensor.fov_up - sensor.fov_down))).astype(int)
     per_row = np.bincount(rows.clip(0, sensor.height - 1), minlength=sensor.height)
     occupied = float((per_row > FEW_OF_ROW * per_row.mean()).mean())
     if occupied < MIN_ROWS and outside <= MAX_SHARE_OUTSIDE:
-        found = f"points in {occupied:.0%} of the {sensor.height} rows of the image"
-        yield Finding("sparse", found, TRAIN)
+        problem = f"has points in {occupied:.0%} of the {sensor.height} rows of the image"
+        yield Finding("sparse", problem, TRAIN)
 
 
 def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
@@ -261,5 +260,4 @@ def _of_ground(scan: Scan, fit: str) -> Iterator[Finding]:
         where = "above" if ground.height > 0 else "below"
         on_it = abs(ground.height) < TOLERANCE_M
         height = "on" if on_it else f"{abs(ground.height):.1f} m {where}"
-        found = f"the origin of the points is {height} the ground"
-        yield Finding("height", found, ORIGIN)
+        yield Finding("height", f"the origin of the points is {height} the ground", ORIGIN)

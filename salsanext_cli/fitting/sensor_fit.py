@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Network of a run, fitted to its scans: what their sensor does otherwise than that of training."""
+"""Fit of a network to scans of another sensor than that of its training."""
 
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -41,7 +41,7 @@ Result = TypeVar("Result")
 MAX_SCANS = 16  # Scans that a fit reads, evenly spaced among all of a source
 VIEW_TOLERANCES = {"fov_up": 5.0, "fov_down": 5.0, "up": 0.1, "origin": 0.5}
 """Largest differences, in degrees, of a unit vector, in metres, of fits to scans of one sensor."""
-EGO = ("min_range", "ego_box")  # Fields that it finds unless they are told
+EGO = ("min_range", "ego_box")  # Fields that are always fitted where they are None
 INTENSITIES = ("auto", "match", "raw", "none")
 
 
@@ -52,26 +52,32 @@ def fit_network(
     view: bool = True,
     intensity: str = "auto",
 ) -> Network:
-    """Return the network with view and intensity of its sensor fitted to scans, as `predict` does.
+    """Return the network with its sensor fitted to scans, as `predict` does.
 
     Parameters
     ----------
     network : Network
+        Network with the sensor of its weights.
     scans : Path, str or sequence of Scan
-        A scan, a folder of scans, a sequence or a data set; or scans that were read. Up to 16 of
-        them count, evenly spaced.
+        A scan, a folder of scans, a sequence or a data set, or scans in memory. The fit reads up
+        to 16 of them, evenly spaced.
     view : bool
-        Whether a view and a mounting that differ much from the sensor's are those of the scans;
-        what the sensor does not tell of housing and vehicle is found either way.
+        Whether to fit the field of view and the mounting; unknown bounds of housing and vehicle are
+        always fitted.
     intensity : {"auto", "match", "raw", "none"}
-        Whether the intensity is to be matched to that of training; "auto": if the weights know it.
+        Whether to match the intensity to that of training; "auto" does if the weights state it.
+
+    Returns
+    -------
+    Network
+        Network for the sensor of the scans.
 
     Raises
     ------
     NoInputError
         If there are no scans at the path.
     UsageError
-        If there is no such way, or the weights do not know the intensity of their training.
+        If `intensity` is another word, or the weights do not state the intensity of training.
     """
     files = find_scans(Path(scans)) if isinstance(scans, Path | str) else scans
     settings = NetworkSettings(fit=view, intensity=intensity)
@@ -79,51 +85,45 @@ def fit_network(
 
 
 class ScanSample:
-    """Up to 16 scans of a source, evenly spaced; each is read and projected once for all fits.
+    """Up to 16 scans of a source, evenly spaced, each of which is read once for all fits.
 
-    They are of all scans of the source, whichever of them a run is about, so that runs over parts
-    of it agree; unreadable ones do not count, since the run itself names them. `image_of` returns
-    the range image (5, H, W) of a scan, of those that were projected before.
+    They are a sample of all scans of the source, so that runs over parts of it agree. Unreadable
+    scans are skipped, since the run reports them. `image_of` returns the range image (5, H, W) of a
+    scan that was projected before.
     """
 
     def __init__(
         self, files: Scans, sensor: Sensor, image_of: Callable[[ScanFile], Float] | None = None
     ) -> None:
         self.files, self.sensor, self.image_of = evenly_spaced(files, MAX_SCANS), sensor, image_of
-        self._view: object = None
-        self._images: list[Float] = []
 
     @cached_property
     def read(self) -> list[tuple[ScanFile | Scan, Scan]]:
-        """Files that could be read, each with its scan."""
+        """Readable files, each with its scan."""
         return _usable(self._read, self.files)
 
     @property
     def scans(self) -> list[Scan]:
-        """Scans that could be read; none if there are range images instead."""
+        """Readable scans; none if there are range images instead."""
         return [] if self.image_of else [scan for _, scan in self.read]
 
     def _read(self, file: ScanFile | Scan) -> tuple[ScanFile | Scan, Scan]:
         return file, file if isinstance(file, Scan) else read_scan(file.path, self.sensor)
 
     def images(self, sensor: Sensor) -> list[Float]:
-        """Range images (5, H, W) float32, for a view, of the scans that would get labels."""
-        if (view := sensor.view()) != self._view:
-            if self.image_of:
-                self._images = _usable(self.image_of, self.files)
-            else:
-                self._images = _usable(lambda scan: _checked_image(scan, sensor), self.scans)
-            self._view = view
-        return self._images
+        """Return the range images (5, H, W) float32 for a sensor of the scans that pass checks."""
+        if self.image_of:
+            return _usable(self.image_of, self.files)
 
+        def checked_image(scan: Scan) -> Float:
+            check_scan(Path(), scan, sensor)
+            return project(scan, sensor).channels
 
-def _checked_image(scan: Scan, sensor: Sensor) -> Float:
-    check_scan(Path(), scan, sensor)
-    return project(scan, sensor).channels
+        return _usable(checked_image, self.scans)
 
 
 def _usable(function: Callable[[Any], Result], items: Iterable[Any]) -> list[Result]:
-    """Return the results of a function, but for the items that are no good."""
+    """Return the results of a function for the items that it accepts."""
     results = []
     for item in items:
         with suppress(SalsanextError):
@@ -134,7 +134,7 @@ def _usable(function: Callable[[Any], Result], items: Iterable[Any]) -> list[Res
 def fit_scans(
     settings: NetworkSettings, network: Network, sample: ScanSample, earlier: Sensor | None = None
 ) -> Network:
-    """Return the network, as loaded, for the scans; what was fitted for `earlier` results stays."""
+    """Return a loaded network fitted to scans; the fit for `earlier` results stays."""
 
     def fit(part: ScanSample, sensor: Sensor, before: Sensor | None) -> Sensor:
         return _fit_of_network(settings, network.for_sensor(sensor), part, before)
@@ -145,68 +145,67 @@ def fit_scans(
 def _fit_of_network(
     settings: NetworkSettings, network: Network, sample: ScanSample, earlier: Sensor | None
 ) -> Sensor:
-    """Return the sensor of a network with what is fitted to scans of one sensor."""
+    """Return the sensor of a network, fitted to scans of one sensor."""
     method, trained, sensor = _method(settings, network), network.card.sensor, network.sensor
     if sample.image_of is None:
         sensor = _fitted_view(sample, sensor, earlier, view=settings.fits_view)
-    known = [each for each in (earlier, settings.named_sensor()) if each]
+    images = cache(lambda: sample.images(sensor))
+    known = [given for given in (earlier, settings.named_sensor()) if given]
     quantiles: tuple[float, ...] = ()
     if method == "none":
         quantiles = NO_INTENSITY
     elif method:
-        # Earlier results without intensity tell nothing about that of the scans; nor does the
-        # sensor of the weights, which was named for its columns, say.
+        # Neither earlier results without intensity nor the sensor of the weights, which was named
+        # for its columns, show the intensity of the scans.
         others = ((), NO_INTENSITY, trained.intensity_quantiles)
-        told = [
-            each.intensity_quantiles for each in known if each.intensity_quantiles not in others
-        ]
-        quantiles = told[0] if told else intensity_quantiles(sample.images(sensor))
+        stated = [s.intensity_quantiles for s in known if s.intensity_quantiles not in others]
+        quantiles = stated[0] if stated else intensity_quantiles(images())
     gaps = None
     if trained.row_gaps is not None:
-        shares = [each.row_gaps for each in known if each.row_gaps not in (None, trained.row_gaps)]
-        gaps = shares[0] if shares else row_gaps(sample.images(sensor))
-    seen = replace(sensor, intensity_quantiles=quantiles, row_gaps=gaps)
-    if fills_rows(seen, trained):
+        shares = [s.row_gaps for s in known if s.row_gaps not in (None, trained.row_gaps)]
+        gaps = shares[0] if shares else row_gaps(images())
+    fitted = replace(sensor, intensity_quantiles=quantiles, row_gaps=gaps)
+    if fills_rows(fitted, trained):
         log.log(NOTICE, "gaps between rows, %.0f %% of their pixels, are filled", 100 * (gaps or 0))
-    return seen
+    return fitted
 
 
 Fit = Callable[[ScanSample, Sensor, Sensor | None], Sensor]
-"""Fits a sensor to a sample of its scans; what was fitted for earlier results stays."""
+"""Function that fits a sensor to a sample of its scans, with the fit for earlier results."""
 
 
 def _by_sensor(fit: Fit, sample: ScanSample, sensor: Sensor, earlier: Sensor | None) -> Sensor:
-    """Return the sensor that is fitted to the scans of most, with the others, each to its own."""
+    """Return the fit to the scans of the most frequent sensor, with the fits to the others."""
     known = earlier if earlier and earlier.others else sensor
     if not known.others and (earlier or sample.image_of or len(sample.files) < 2):
         return fit(sample, sensor, earlier)
-    if known.others:  # Those of earlier results, or of range images
-        usual = [each.traits for each in known.members]
+    if known.others:  # Sensors of earlier results or of range images
+        usual = [member.traits for member in known.members]
         kinds = [known.members.index(sensor_of(scan, known)) for _, scan in sample.read]
     else:
         kinds, usual = kinds_of([scan for _, scan in sample.read])
     if len(usual) < 2:
         return fit(sample, sensor, earlier)
     fits = []
-    for kind, of_kind in enumerate(usual):
-        files = [file for (file, _), each in zip(sample.read, kinds, strict=True) if each == kind]
+    for kind, traits in enumerate(usual):
+        files = [file for (file, _), k in zip(sample.read, kinds, strict=True) if k == kind]
         if files:
             scans, name = counted(len(files), "scan"), getattr(files[0], "name", "none")
             log.log(NOTICE, "sensor %d of %d: %s, such as %s", kind + 1, len(usual), scans, name)
         part = ScanSample(files, sample.sensor, sample.image_of)
-        own = sensor.members[kind] if sensor.others else sensor
+        member = sensor.members[kind] if sensor.others else sensor
         before = earlier.members[kind] if earlier and earlier.others else earlier
-        fits.append(replace(fit(part, own, before), traits=of_kind))
-    alike = len({replace(each, traits=()) for each in fits}) == 1
+        fits.append(replace(fit(part, member, before), traits=traits))
+    alike = len({replace(fitted, traits=()) for fitted in fits}) == 1
     return replace(fits[0], traits=()) if alike else replace(fits[0], others=tuple(fits[1:]))
 
 
 def fitted_view(
     scans: Scans, sensor: Sensor, earlier: Sensor | None = None, *, view: bool = True
 ) -> Sensor:
-    """Return the sensor as `fit_view` fits it to scans, evenly spaced, and say so.
+    """Return the sensor fitted to a sample of scans by `fit_view`, and log the fit.
 
-    Without `view`, only as `fit_ego` does. That of earlier results in the same folder stays.
+    Without `view`, `fit_ego` fits it. The fit for `earlier` results in the same folder stays.
     """
     return _by_sensor(partial(_fitted_view, view=view), ScanSample(scans, sensor), sensor, earlier)
 
@@ -215,11 +214,11 @@ def _fitted_view(
     sample: ScanSample, sensor: Sensor, earlier: Sensor | None, *, view: bool
 ) -> Sensor:
     """Do what `fitted_view` does for the scans of one sensor."""
-    sought = [name for name in EGO if getattr(sensor, name) is None]
-    if not (view or sought):
+    unknown = [name for name in EGO if getattr(sensor, name) is None]
+    if not (view or unknown):
         return sensor
     if earlier is not None:
-        names = [*((f.name for f in fields(FittedView)) if view else ()), *sought]
+        names = [*((f.name for f in fields(FittedView)) if view else ()), *unknown]
         return replace(sensor, **{name: getattr(earlier, name) for name in names})
     fitted = fit_view(sample.scans, sensor) if view else fit_ego(sample.scans, sensor)
     if replace(fitted, **{name: getattr(sensor, name) for name in EGO}) != sensor:
@@ -229,42 +228,42 @@ def _fitted_view(
 
 
 def with_image_statistics(sensor: Sensor, images: Sequence[Float]) -> Sensor:
-    """Return the sensor with what its range images, (5, H, W) each, say of intensity and gaps."""
+    """Return the sensor with the intensity and the gaps of its range images, (5, H, W) each."""
     quantiles = intensity_quantiles(images)
     return replace(sensor, intensity_quantiles=quantiles, row_gaps=row_gaps(images))
 
 
 def _method(settings: NetworkSettings, network: Network) -> str:
-    """Return "match" or "none", or nothing where the intensity stays as it is."""
-    method, known = settings.intensity, bool(network.card.sensor.intensity_quantiles)
+    """Return "match" or "none", or an empty text if the intensity stays."""
+    method, is_known = settings.intensity, bool(network.card.sensor.intensity_quantiles)
     if method not in INTENSITIES:
-        raise UsageError("--intensity", method, ", ".join(INTENSITIES))
-    if method in ("match", "none") and not known:
-        found = f"{method}, but these weights do not know the intensity of their training"
-        raise UsageError("--intensity", found, "auto or raw")
-    if method == "raw" or not known:
+        raise UsageError("--intensity", f"{method!r} is not possible", ", ".join(INTENSITIES))
+    if method in ("match", "none") and not is_known:
+        problem = f"{method!r}, but the weights do not state the intensity of training"
+        raise UsageError("--intensity", problem, "auto or raw")
+    if method == "raw" or not is_known:
         return ""
     return "none" if method == "none" else "match"
 
 
 def labels_depend_on(settings: NetworkSettings, network: Network) -> dict[str, object]:
-    """Return by option what labels depend on besides weights and scans, before any fit."""
+    """Return, by option, the settings that labels depend on besides weights and scans."""
     view = (settings.named_sensor() or network.card.sensor).view() | {"fit": settings.fits_view}
-    asked = {
+    options = {
         "--min-range": view.pop("min_range", None),
         "--ego": view.pop("ego_box", None),
         "--intensity": _method(settings, network),
         "--precision": network.backend.precision,
         "--sensor": {key: value for key, value in view.items() if key != "columns"},
     }
-    return dict(as_json(asked))
+    return dict(as_json(options))
 
 
 def is_other_view(view: FittedView, sensor: Sensor) -> bool:
-    """Return whether a sensor is fitted otherwise than a view, or far away from it."""
-    own = FittedView.of(sensor)
-    return own.name != view.name or any(
-        np.abs(np.subtract(getattr(own, name), getattr(view, name))).max() > tolerance
+    """Return whether a sensor differs from a fitted one by more than `VIEW_TOLERANCES`."""
+    other = FittedView.of(sensor)
+    return other.name != view.name or any(
+        np.abs(np.subtract(getattr(other, name), getattr(view, name))).max() > tolerance
         for name, tolerance in VIEW_TOLERANCES.items()
     )
 
@@ -278,15 +277,15 @@ def network_of_run(
     overwrite: bool = False,
     image_of: Callable[[ScanFile], Float] | None = None,
 ) -> Network:
-    """Return a network fitted to a run's scans, as earlier results in its folder were made."""
-    made = [] if overwrite else map(Manifest(out).settings, ("predict", "uncertainty"))
-    earlier = next((s for s in made if s and s.weights == network.backend.sha256), None)
+    """Return a network fitted to the scans of a run, or as for earlier results in its folder."""
+    recorded = [] if overwrite else map(Manifest(out).settings, ("predict", "uncertainty"))
+    earlier = next((s for s in recorded if s and s.weights == network.backend.sha256), None)
     sample = ScanSample(files, network.sensor, image_of)
     return fit_scans(settings, network, sample, earlier.sensor if earlier else None)
 
 
 def settings_of_network(network: Network) -> StageSettings:
-    """Return what the results of a stage depend on of the network that computes them."""
+    """Return the settings of a network that the results of a stage depend on."""
     backend, card = network.backend, network.card
     return StageSettings(
         weights=backend.sha256,

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Several views of one place: poses of a drive, and votes of its scans for each other's labels."""
+"""Fusion of the scans of a drive: their poses, and votes for the labels of common locations."""

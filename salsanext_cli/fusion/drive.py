@@ -1,46 +1,52 @@
 # SPDX-License-Identifier: MIT
-"""Record of the poses by which the scans of a drive were fused, beside their labels."""
+"""Drives: poses of the scans of a sequence, read, checked and recorded with their labels."""
 
 import hashlib
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from salsanext_cli.errors import OutputError
+from salsanext_cli.errors import NOTICE, OutputError, SalsanextError
 from salsanext_cli.files.json_files import read_json
 from salsanext_cli.files.reading import present, refusing_damage
-from salsanext_cli.fusion.pose_checks import Parts
-from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, read_fused_poses
+from salsanext_cli.formats import read_scan
+from salsanext_cli.fusion.pose_checks import Parts, best_reading, require_fitting
+from salsanext_cli.fusion.poses import POSES, Poses, encode_poses, pose_readings, read_fused_poses
+from salsanext_cli.records import Float
+from salsanext_cli.results.paths import SCAN_FOLDER, ScanFile, drive_order, find_scans
+from salsanext_cli.sensors.sensor import Sensor
 
 DRIVE = "drive.json"
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Poses (N, 4, 4) of the scans of a drive, and the parts (N,) that they fit in."""
+    """Poses of the scans of a drive, and the parts of the drive within which they fit."""
 
-    poses: Poses
-    parts: Parts
+    poses: Poses  # (N, 4, 4)
+    parts: Parts  # (N,)
 
     @property
     def origins(self) -> Poses:
-        """Place (P, 3) of the first scan of each part; far from it, voxels have no digits."""
+        """Position (P, 3) of the first scan of each part, from which voxels are counted."""
         origins = np.zeros((self.parts.max(initial=-1) + 1, 3))
         origins[self.parts[::-1]] = self.poses[::-1, :3, 3]
         return origins
 
     def record(self, stems: Sequence[str]) -> dict[str, object]:
-        """Return what is recorded of a drive whose scans have such stems."""
+        """Return the record of the drive, whose scans have these stems."""
         digest = hashlib.sha256(encode_poses(self.poses)).hexdigest()
         return {"scans": [*stems], "poses": digest, "parts": self.parts.tolist()}
 
 
 def recorded_drive(folder: Path, wanted: Sequence[str] | None = None) -> Drive | None:
-    """Return the drive by which `fuse` wrote the labels in the folder of a sequence.
+    """Return the drive that `fuse` recorded in the folder of a sequence, None without a record.
 
-    `wanted`: stems, all by default. None if no scans were fused, or others.
+    It is cut to the `wanted` stems, and None if not all of them were fused.
     """
     record, path = read_json(folder / DRIVE), folder / POSES
     if record is None or not present(path):
@@ -50,10 +56,47 @@ def recorded_drive(folder: Path, wanted: Sequence[str] | None = None) -> Drive |
         drive = Drive(read_fused_poses(path, stems, stems), parts)
     wanted = stems if wanted is None else wanted
     if drive.record(stems) != record:
-        hint = "fuse the sequence anew with --overwrite"
-        raise OutputError(path, "not the poses that the scans were fused by", hint=hint)
+        problem = "differs from the poses that the scans were fused by"
+        raise OutputError(path, problem, hint="fuse the sequence again with --overwrite")
     numbers = {stem: number for number, stem in enumerate(stems)}
     if not numbers.keys() >= {*wanted}:
         return None
     chosen = [numbers[stem] for stem in wanted]
     return Drive(drive.poses[chosen], parts[chosen])
+
+
+def poses_beside(files: Sequence[ScanFile]) -> Path | None:
+    """Return the file of poses in the folder of a sequence, None without any."""
+    folder = files[0].path.parent
+    path = (folder.parent if folder.name == SCAN_FOLDER else folder) / POSES
+    return path if present(path) else None
+
+
+def readings_of(path: Path, files: Sequence[ScanFile]) -> list[Poses]:
+    """Return the possible poses (N, 4, 4) of scans in a file, as of `pose_readings`."""
+    listed = sorted(find_scans(files[0].path.parent, unique=False), key=drive_order)
+    stems, wanted = ([*dict.fromkeys(file.stem for file in group)] for group in (listed, files))
+    return pose_readings(path, stems, wanted)
+
+
+def checked_drive(path: Path, files: Sequence[ScanFile], sensor: Sensor) -> Drive:
+    """Return the drive by the poses in a file; refuse poses that do not fit the scans."""
+
+    def read(index: int) -> Float:
+        return measured_points(files[index], sensor)
+
+    readings = readings_of(path, files)
+    counted_from = best_reading(readings, read)
+    if counted_from == 1:
+        log.log(NOTICE, "%s: scan names are line numbers counted from 1: the scans fit best", path)
+    poses = readings[counted_from]
+    return Drive(poses, require_fitting(path, poses, read))
+
+
+def measured_points(file: ScanFile, sensor: Sensor) -> Float:
+    """Read the measured points (N, 3) of a scan; none if it is unreadable."""
+    try:
+        points = read_scan(file.path, sensor).points
+    except SalsanextError:
+        return np.zeros((0, 3), np.float32)  # The run reports the error.
+    return points[np.isfinite(points).all(axis=1)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Map of a drive: one point per voxel, without the trails of what moves."""
+"""Map of a drive: one point per voxel, without the trails of moving objects."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,36 +18,34 @@ from salsanext_cli.fusion.visibility import GRAZING, SAME_PLACE_M
 from salsanext_cli.fusion.votes import keys_of
 from salsanext_cli.fusion.window import DriveWindow, in_drive
 from salsanext_cli.geometry.projection import measured_ranges, project
-from salsanext_cli.records import Float, Scan
+from salsanext_cli.records import Double, Float, Mask, Scan
 from salsanext_cli.results.paths import ScanFile, output_path
 from salsanext_cli.results.result_folder import ResultFolder, scalar_columns
 from salsanext_cli.sensors.sensor import Sensor
 
-MERGED_POINTS = 1 << 20  # Points that wait at least until they are merged into a map
+MERGED_POINTS = 1 << 20  # Points that are collected before they are merged into a map
 
 Columns = dict[str, npt.NDArray[Any]]
-"""Values by name, each (N,): x, y, z float64 metres in the world, range, scan, part, and others."""
+"""Values by name, (N,) each: x, y, z float64 metres in the world, range, scan, part, and others."""
 
 
 def drive_of_map(results: ResultFolder, files: Sequence[ScanFile]) -> Drive:
-    """Return the drive by which `fuse` wrote the labels of scans of a sequence."""
+    """Return the drive that `fuse` recorded for scans of a sequence."""
     folder = results.root / "sequences" / files[0].sequence
     drive = recorded_drive(folder, [file.stem for file in files])
     if drive is None:
-        hint = f"run `salsanext fuse {results.root}`, and give the folder of the fused labels"
+        hint = f"run `salsanext fuse {results.root}`, and pass the folder of the fused labels"
         if results.owner("predictions") == "fuse":
-            hint = f"run `salsanext fuse OUT {results.root} --overwrite` on what `predict` wrote"
-        found = f"no {POSES} and {DRIVE} for these scans"
-        raise NoInputError(folder, found, "those that `fuse` wrote", hint)
+            hint = f"run `salsanext fuse OUT {results.root} --overwrite` on results of `predict`"
+        problem = f"has no {POSES} and {DRIVE} of `fuse` for these scans"
+        raise NoInputError(folder, problem, hint=hint)
     return drive
 
 
-def one_per_voxel(
-    clouds: Sequence[Columns], size: float, origins: npt.NDArray[np.float64]
-) -> Columns:
-    """Join points; keep of each voxel that measured from nearest, of the first scan if several.
+def one_per_voxel(clouds: Sequence[Columns], size: float, origins: Double) -> Columns:
+    """Return the point of each voxel with the least range, of the first scan in a tie.
 
-    Each part of the drive has voxels of its own, counted from its place in `origins` (P, 3).
+    Voxels belong to one part of the drive and are counted from its position in `origins` (P, 3).
     """
     names = [name for name in clouds[0] if all(name in cloud for cloud in clouds)]
     joined = {name: np.concatenate([cloud[name] for cloud in clouds]) for name in names}
@@ -61,55 +59,53 @@ def one_per_voxel(
 
 
 def apart(columns: Columns) -> str:
-    """Return what is to be said of a map of several parts of a drive; nothing of one part."""
+    """Return a note on a map of several parts of a drive; empty for one part."""
     count = len(np.unique(columns["part"]))
-    return f"{count} parts whose places to each other are not known" if count > 1 else ""
+    return f"{count} parts whose relative positions are not known" if count > 1 else ""
 
 
 class MapScan(NamedTuple):
-    """A scan with its results."""
+    """Scan of a drive with its results."""
 
-    columns: Columns  # Of its points with a label
-    ranges: Float  # (H·W,) of its range image, NaN without a point
+    columns: Columns  # Values of the points with a label
+    ranges: Float  # (H·W,) float32 of the range image, NaN in empty pixels
 
 
 @dataclass(frozen=True, slots=True)
 class MapTask:
-    """Points of the scans of a drive for its map, as `run_over_scans` takes it."""
+    """Task of `run_over_scans` that selects the points of each scan for the map of its drive."""
 
     results: ResultFolder
-    files: tuple[ScanFile, ...]  # Those of one sequence, with labels
+    files: tuple[ScanFile, ...]  # Scans of one sequence, with labels
     drive: Drive
     space: LabelSpace
     size: float  # Edge of a voxel, metres
-    reach: int  # Scans before and after each that tell what stands, as `FusionReach` has it
-    max_chunk_scans: int = 400  # Neighbours share what they read
+    reach: int  # Scans before and after each scan that show moving objects
+    max_chunk_scans: int = 400  # Neighbours share the contents of files.
 
     def open(self) -> Callable[[], Callable[[ScanFile], Columns]]:
-        """Return what makes the function of the scans of a chunk."""
-        return self._function
+        """Return the function that opens each chunk of scans."""
+        return self._columns_of_scans
 
-    def _function(self) -> Callable[[ScanFile], Columns]:
-        """Return the function of a scan; the window moves from one scan to the next."""
+    def _columns_of_scans(self) -> Callable[[ScanFile], Columns]:
+        """Return the function of a scan; its window moves from one scan to the next."""
         sensor = self.results.sensor()
         window = DriveWindow(self.drive.parts, self.reach, partial(self._seen, sensor=sensor))
         numbers = {file: number for number, file in enumerate(self.files)}
 
         def columns_of(file: ScanFile) -> Columns:
-            own, others = window.around(numbers[file])
-            columns = one_per_voxel([own.columns], self.size, self.drive.origins)
-            stays = self._standing(columns, others, sensor)
-            return {name: values[stays] for name, values in columns.items()}
+            scan, others = window.around(numbers[file])
+            columns = one_per_voxel([scan.columns], self.size, self.drive.origins)
+            is_static = self._static(columns, others, sensor)
+            return {name: values[is_static] for name, values in columns.items()}
 
         return columns_of
 
-    def _standing(
-        self, columns: Columns, others: Mapping[int, MapScan], sensor: Sensor
-    ) -> npt.NDArray[np.bool_]:
-        """Return which points (N,) are of what stands still.
+    def _static(self, columns: Columns, others: Mapping[int, MapScan], sensor: Sensor) -> Mask:
+        """Return which points (N,) are on static objects.
 
-        Of a movable class, no scan sees through their place, or more see something there; of
-        others, whose labels may be wrong, at most twice as many see through it.
+        No other scan sees through such a point, or for a movable class fewer than see something
+        there. For other classes, whose labels may be wrong, up to twice as many do.
         """
         places = np.stack([columns[axis] for axis in "xyz"], axis=1)
         there, through = np.zeros((2, len(places)), np.int32)
@@ -134,7 +130,6 @@ class MapTask:
         views = output_path(self.results.root, file.sequence, "views", file.stem)
         columns["views"] = read_array(views, "uint16", (len(cloud.scan),))
         if "disagreement" in columns:
-            # The votes are probabilities.
             columns["probability"] = 1 - columns["disagreement"]
         placed = in_drive(cloud.scan.points, pose[:3, :3], pose[:3, 3])
         columns |= dict(zip("xyz", placed.T, strict=True))

@@ -1,35 +1,33 @@
 # SPDX-License-Identifier: MIT
-"""Poses of the scans of a drive, as files of KITTI and TUM hold them."""
+"""Poses of the scans of a drive, in files of KITTI and TUM."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.errors import FormatError, counted
 from salsanext_cli.files.reading import present, reading
-from salsanext_cli.records import Float
+from salsanext_cli.records import Double, Float
 
-Points = npt.NDArray[np.float64] | Float  # (N, 3), metres
-Poses = npt.NDArray[np.float64]
-"""(N, 4, 4), or (4, 4) of one: from the frame of each scan to that of the drive, metres."""
+Points = Double | Float  # (N, 3), metres
+Poses = Double
+"""(N, 4, 4), or (4, 4) for one scan: from the frame of the scan to that of the drive, metres."""
 POSES, CALIBRATION = "poses.txt", "calib.txt"
 KITTI_NUMBERS, TUM_NUMBERS = 12, 8
 MAX_SHEAR = 1e-2  # Largest difference from 1 of a rotation times its transpose
-MAX_PLACE_M = 1e12  # Coordinate from which on float64 has no digits left for millimetres
-ROUNDED = 1e-12  # Largest difference from 1 of the lengths of a rotation with all digits
+MAX_COORDINATE_M = 1e12  # Bound up to which float64 resolves millimetres
+ROUNDED = 1e-12  # Largest difference from 1 of the singular values of an exact rotation
 
 
 def line_numbers(
     path: Path, lines: int, scans: Sequence[str], wanted: Sequence[str]
 ) -> list[list[int]]:
-    """Return the possible line numbers of the wanted ones of all scans of a sequence, sorted stems.
+    """Return the possible line numbers of the `wanted` ones of all sorted `scans` of a sequence.
 
-    A file with a line for each scan is in the order of their names. In another one, as KITTI's of a
-    whole drive, the name of a scan is the number of its line, counted from 0, or also from 1 if no
-    scan is named 0. A name beyond the last line counted from 0 is refused: either count may be
-    meant, or lines are missing.
+    A file with a line for each scan is in the order of their names. In any other file, as KITTI's
+    of a whole drive, the name of a scan is the number of its line, counted from 0, or possibly from
+    1 if no scan is named 0. A name beyond the last line counted from 0 is refused.
     """
     if lines == len(scans):
         places = {name: number for number, name in enumerate(scans)}
@@ -38,17 +36,17 @@ def line_numbers(
         numbers = [int(name) if name.isdecimal() else -1 for name in wanted]
     if not all(0 <= number < lines for number in numbers):
         expected = f"one for each of {counted(len(scans), 'scan')}, or names that are line numbers"
-        raise FormatError(path, counted(lines, "line"), expected)
+        raise FormatError(path, f"has {counted(lines, 'line')}", expected)
     may_count_from_1 = lines != len(scans) and all(n.isdecimal() and int(n) for n in scans)
     return [numbers, [number - 1 for number in numbers]] if may_count_from_1 else [numbers]
 
 
 def pose_readings(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> list[Poses]:
-    """Read the poses of some of the scans of a sequence, given by sorted stems.
+    """Read the poses (N, 4, 4) of some of the scans of a sequence, given by sorted stems.
 
-    A line is of KITTI, 3 × 4 numbers row by row, or of TUM: time, place and quaternion x, y, z, w.
-    KITTI's are of the camera where a `calib.txt` beside them has ``Tr``, from scan to camera. There
-    is one array (N, 4, 4) for each possible reading of the names, as `line_numbers` has them.
+    A line of KITTI is a matrix (3, 4), row by row; a line of TUM is time, position and quaternion
+    x, y, z, w. Poses of KITTI are those of the camera if a `calib.txt` in the same folder has
+    ``Tr``, from scan to camera. There is one array for each result of `line_numbers`.
     """
     rows = [line for line in _lines(path) if not line.startswith("#")]
     possible = line_numbers(path, len(rows), scans, wanted)
@@ -61,8 +59,8 @@ def _poses_of_lines(path: Path, rows: Sequence[str], numbers: Sequence[int]) -> 
     for number, row, pose in zip(numbers, values, poses, strict=True):
         is_kitti, name = len(row) == KITTI_NUMBERS, f"line {number + 1}"
         if not is_kitti and abs((length := np.linalg.norm(row[4:])) - 1) > MAX_SHEAR:
-            found = f"{name} has a quaternion of length {length:.3g}"
-            raise FormatError(path, found, "time, place, and a quaternion x, y, z, w of length 1")
+            problem = f"{name} has a quaternion of length {length:.3g}"
+            raise FormatError(path, problem, "time, position and quaternion x, y, z, w of length 1")
         matrix = row if is_kitti else np.column_stack([rotation(*row[4:]), row[1:4]])
         pose[:3] = _rigid(path, name, matrix)
     calibration = path.with_name(CALIBRATION)
@@ -73,7 +71,7 @@ def _poses_of_lines(path: Path, rows: Sequence[str], numbers: Sequence[int]) -> 
 
 
 def read_fused_poses(path: Path, scans: Sequence[str], wanted: Sequence[str]) -> Poses:
-    """Read poses that `fuse` wrote, which has a line for each scan: no name is a line's number."""
+    """Read poses that `fuse` wrote, with a line for each scan whatever its name."""
     scans, wanted = ([f"scan {name}" for name in names] for names in (scans, wanted))
     (poses,) = pose_readings(path, scans, wanted)
     return poses
@@ -105,25 +103,12 @@ def rotation(x: float, y: float, z: float, w: float) -> list[list[float]]:
     ]
 
 
-def with_w_first(poses: Poses) -> Poses:
-    """Return poses (N, 4, 4) as if w had come first in the quaternions that they were read from."""
-    poses = poses.copy()
-    for turn in poses[:, :3, :3]:
-        # Four times the products of x, y, z, w with each other.
-        (_, xy, xz), (yx, _, yz), (zx, zy, _) = turn
-        trace, products = np.trace(turn), np.zeros((4, 4))
-        products[:3, :3] = turn + turn.T + (1 - trace) * np.eye(3)
-        products[3] = products[:, 3] = zy - yz, xz - zx, yx - xy, 1 + trace
-        x, y, z, w = max(products, key=lambda row: float(row @ row))
-        turn[:] = rotation(*(np.array([y, z, w, x]) / np.linalg.norm([x, y, z, w])))
-    return poses
-
-
 def _rigid(path: Path, name: str, row: Poses) -> Poses:
-    """Return 3 × 4 numbers whose rotation, rounded in a file, is one to the last digit."""
+    """Return a pose (3, 4) with the exact rotation that is nearest to the one in a file."""
     pose = row.reshape(3, 4)
-    if (farthest := np.abs(pose[:, 3]).max()) >= MAX_PLACE_M:
-        raise FormatError(path, f"{name} has a coordinate of {farthest:.3g} m", "places in metres")
+    if (farthest := np.abs(pose[:, 3]).max()) >= MAX_COORDINATE_M:
+        problem = f"{name} has a coordinate of {farthest:.3g} m"
+        raise FormatError(path, problem, "positions in metres")
     shear = np.abs(pose[:, :3] @ pose[:, :3].T - np.eye(3)).max()
     if not (shear < MAX_SHEAR and np.linalg.det(pose[:, :3]) > 0):
         raise FormatError(path, f"{name} scales, shears or mirrors the scan", "rigid poses")
@@ -141,10 +126,10 @@ def _calibration(path: Path) -> Poses:
             row = _numbers(path, 0, values)
             if len(row) == KITTI_NUMBERS:
                 return np.vstack([_rigid(path, name, row), [0, 0, 0, 1]])
-    raise FormatError(path, "no line Tr", "12 numbers from scan to camera, or no such file")
+    raise FormatError(path, "has no line Tr with 12 numbers, from scan to camera")
 
 
 def encode_poses(poses: Poses) -> bytes:
-    """Return poses as KITTI writes them, one of 12 numbers per line, to the last digit."""
+    """Return the content of a file of KITTI, 12 numbers per line, to the last digit."""
     rows = (" ".join(f"{value:.16e}" for value in pose[:3].ravel()) for pose in poses)
     return "".join(f"{row}\n" for row in rows).encode("ascii")

@@ -1,35 +1,32 @@
 # SPDX-License-Identifier: MIT
-"""Visibility of places: scans see something there, or through them to what is behind."""
+"""Visibility of points from other scans: a scan sees something there, or farther away."""
 
 import math
 from collections.abc import Iterable
 
 import numpy as np
-import numpy.typing as npt
 
 from salsanext_cli.compiled import argument, compiled
 from salsanext_cli.geometry.projection import arctan2
-from salsanext_cli.records import MAX_RANGE_M, Float, Int
+from salsanext_cli.records import MAX_RANGE_M, Double, Float, Int
 
 COLUMNS, ROWS = 1024, 256  # Directions of a scan, 0.35° apart, up to 45° up and down
 SAME_PLACE_M, GRAZING = 0.3, 0.1
-"""Difference of ranges up to which two scans see the same thing, and the share of the range that
-must come to it until one sees through: that much it differs within a pixel on flat ground."""
-
-Places = npt.NDArray[np.float64]
+"""Largest difference of ranges of the same object, and the share of the range that is added before
+a scan sees through: ranges differ by this within a pixel on flat ground."""
 
 
 def nearest_ranges(points: Float) -> Float:
-    """Return the range of the nearest point (N, 3) of a scan in each direction, NaN without any."""
+    """Return the range of the nearest of points (N, 3) in each direction, float32, else NaN."""
     ranges = np.full(ROWS * COLUMNS, np.nan, np.float32)
     _keep_nearest(argument(points, np.float32), ranges)
     return ranges
 
 
-def seen_by(places: Places, scans: Iterable[tuple[Places, Places, Float]]) -> Int:
-    """Return how many scans see something in places (K, 3), and how many see through: (2, K).
+def seen_by(places: Double, scans: Iterable[tuple[Double, Double, Float]]) -> Int:
+    """Return how many scans see something at places (K, 3), and how many see through: (2, K) int32.
 
-    `scans`: the rotation (3, 3) and the place (3,) of each, and its `nearest_ranges`.
+    A scan is its rotation (3, 3), its position (3,) and its `nearest_ranges`.
     """
     counts = np.zeros((2, len(places)), np.int32)
     for rotation, place, ranges in scans:
@@ -57,7 +54,7 @@ def _keep_nearest(points: Float, ranges: Float) -> None:
 
 
 @compiled
-def _count(places: Places, rotation: Places, ranges: Float, counts: Int) -> None:
+def _count(places: Double, rotation: Double, ranges: Float, counts: Int) -> None:
     for i in range(len(places)):
         a, b, c = places[i]
         x = a * rotation[0, 0] + b * rotation[1, 0] + c * rotation[2, 0]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Votes of the scans of a drive for the classes of the places that they see.
+"""Votes of the scans of a drive for the classes of the locations that they see.
 
-Space is cut into voxels, of two sizes. In each voxel a scan has one vote: the mean softmax of its
-points there. So a place that a scan sees with a thousand points from nearby weighs no more than
-from afar with one, and what the network gets wrong from one place, it gets right from another.
+Space is cut into voxels of two sizes. In each voxel a scan has one vote: the mean softmax of its
+points there. So a near scan with a thousand points weighs no more than a far one with a single
+point.
 """
 
 from collections.abc import Iterable
@@ -13,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.compiled import argument, compiled, parallel_for_slices
-from salsanext_cli.records import Float
+from salsanext_cli.records import Double, Float, Mask
 
 VOXEL_SIZES_M = (0.3, 0.6)  # Edges of the voxels, whose shares of the votes are averaged
-KEY_BITS = 21  # Bits of a voxel's place along each axis: 2²¹ voxels of 0.3 m are 629 km
+KEY_BITS = 21  # Bits of a voxel index along each axis: 2²¹ voxels of 0.3 m are 629 km
 MAX_CELLS = 1 << (KEY_BITS - 1)  # Voxels farther from the origin, along any axis, have no keys
-SCALE = 65535  # Of a probability in a vote, which is kept as uint16
+SCALE = 65535  # Scale of a probability in a vote, which is a uint16
 
 Keys = npt.NDArray[np.int64]
 Votes = npt.NDArray[np.uint16]
@@ -26,7 +26,7 @@ Votes = npt.NDArray[np.uint16]
 
 @dataclass(frozen=True, slots=True)
 class VoxelVotes:
-    """Votes of one scan in the voxels of one size that it sees, V of them."""
+    """Votes of one scan in the V voxels of one size that it sees."""
 
     keys: Keys  # (V,) ascending
     votes: Votes  # (V, C): mean softmax × `SCALE`
@@ -36,22 +36,17 @@ class VoxelVotes:
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """Sum of the votes of all scans for the places of one scan's points."""
+    """Votes of all scans for the points of one scan."""
 
     probabilities: Float  # (N, C) float32: mean of the votes, 0 without a vote
-    views: npt.NDArray[np.uint16]  # (N,): number of scans that see the place, 0 without a vote
+    views: npt.NDArray[np.uint16]  # (N,): number of scans that see the location, 0 without a vote
 
 
-def votes_of_scan(
-    points: npt.NDArray[np.float64],
-    probabilities: Float,
-    voting: npt.NDArray[np.bool_],
-    size: float,
-) -> VoxelVotes:
-    """Gather the votes of a scan.
+def votes_of_scan(points: Double, probabilities: Float, voting: Mask, size: float) -> VoxelVotes:
+    """Return the votes of a scan in voxels with an edge of `size` metres.
 
-    `points`: (N, 3) float64 metres in the frame of the drive; `probabilities`: (N, C) float32;
-    `voting`: (N,) whose points have a vote; `size`: edge of a voxel in metres.
+    Points (N, 3) are float64 metres in the frame of the drive, probabilities (N, C) float32;
+    `voting` (N,) selects the points with a vote.
     """
     keys = keys_of(points, size)
     rows = np.flatnonzero(voting & (keys >= 0))
@@ -65,10 +60,10 @@ def votes_of_scan(
     return VoxelVotes(keys[first], votes, voxel_of_point, rows[first])
 
 
-def keys_of(points: npt.NDArray[np.float64], size: float) -> Keys:
-    """Return the key (N,) of the voxel of a size in metres that each point (N, 3) is in.
+def keys_of(points: Double, size: float) -> Keys:
+    """Return the key (N,) int64 of the voxel of a size in metres around each point (N, 3).
 
-    It is -1 of points that are NaN, infinite or `MAX_CELLS` voxels or more from the origin.
+    The key is -1 if the point is NaN, infinite, or `MAX_CELLS` voxels or more from the origin.
     """
     cells = np.floor(points / size)
     inside = (np.abs(cells) < MAX_CELLS).all(axis=1)
@@ -92,39 +87,39 @@ def _mean_of_voxels(probabilities: Float, rows: Keys, borders: Keys, votes: Vote
 
 
 def tally(
-    own: VoxelVotes,
+    scan: VoxelVotes,
     others: Iterable[tuple[VoxelVotes, npt.NDArray[np.uint8]]],
     stands: npt.NDArray[np.uint8],
 ) -> Tally:
-    """Add up the votes of a scan and of others for the places of its points.
+    """Add up the votes of a scan and of others for its points.
 
-    Of each class it is the mean over the scans whose votes for it count; then the classes are
-    scaled to add up to 1. `others`: views of the same voxels, and (C,) whether the votes of each
-    for a class count; `stands`: (V,) in which voxels all of them count.
+    A class has the mean vote of the scans that count for it; then the classes are scaled to add up
+    to 1. Each of the others has a mask (C,) of the classes that it counts for. In the voxels of
+    `stands` (V,), it counts for all of them.
     """
-    total = own.votes.astype(np.uint32)
+    total = scan.votes.astype(np.uint32)
     counts = np.ones(total.shape, np.uint16)
-    seen = np.ones(len(own.keys), np.uint16)
-    for view, counted in others:
+    seen = np.ones(len(scan.keys), np.uint16)
+    for other, counted in others:
 
         def add(
-            part: slice, view: VoxelVotes = view, counted: npt.NDArray[np.uint8] = counted
+            part: slice, other: VoxelVotes = other, counted: npt.NDArray[np.uint8] = counted
         ) -> None:
             sums = stands[part], total[part], counts[part], seen[part]
-            _add(own.keys[part], view.keys, view.votes, counted, *sums)
+            _add(scan.keys[part], other.keys, other.votes, counted, *sums)
 
-        parallel_for_slices(add, len(own.keys))
+        parallel_for_slices(add, len(scan.keys))
     means = total / counts
-    # The last row is of points without a vote, whose voxel is -1.
+    # The last row belongs to points without a vote, whose voxel is -1.
     shares = np.zeros((len(total) + 1, total.shape[1]), np.float32)
     shares[:-1] = means / np.maximum(means.sum(axis=1, keepdims=True), 1)
     views = np.append(seen, np.uint16(0))
-    return Tally(shares[own.voxel_of_point], views[own.voxel_of_point])
+    return Tally(shares[scan.voxel_of_point], views[scan.voxel_of_point])
 
 
 @compiled
 def _add(
-    own: Keys,
+    voxels: Keys,
     keys: Keys,
     votes: Votes,
     counted: npt.NDArray[np.uint8],
@@ -134,15 +129,15 @@ def _add(
     seen: npt.NDArray[np.uint16],
 ) -> None:
     """Add the votes of another scan in the voxels that both see; both keys ascend."""
-    if len(own) == 0:
+    if len(voxels) == 0:
         return
-    there = np.searchsorted(keys, own[0])
-    for here in range(len(own)):
-        while there < len(keys) and keys[there] < own[here]:
+    there = np.searchsorted(keys, voxels[0])
+    for here in range(len(voxels)):
+        while there < len(keys) and keys[there] < voxels[here]:
             there += 1
         if there == len(keys):
             return
-        if keys[there] == own[here]:
+        if keys[there] == voxels[here]:
             seen[here] += 1
             for c in range(total.shape[1]):
                 counts_here = counted[c] | stands[here]

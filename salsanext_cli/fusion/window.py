@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Fusion of the softmax of scans that see the same places, in a window along the drive."""
+"""Fusion of the softmax of scans that see the same locations, in a window along the drive."""
 
 import logging
 from collections.abc import Callable, Mapping
@@ -24,41 +24,39 @@ from salsanext_cli.fusion.votes import (
     votes_of_scan,
 )
 from salsanext_cli.option_fields import FusionReach
-from salsanext_cli.records import Float
+from salsanext_cli.records import Double, Float, Mask
 
-MOVABLE_SHARE = 0.2  # Share of votes for movable classes from which others are asked
+MOVABLE_SHARE = 0.2  # Least share of votes for movable classes that needs a look by other scans
 SCAN_M = 500.0  # Least reach of the voxels around the farthest scan of a drive
 log = logging.getLogger(__name__)
 Content = TypeVar("Content")
-ReadScan = Callable[[int], tuple[Float, Float, npt.NDArray[np.bool_]]]
-"""Function from the number of a scan in its drive to its points (N, 3), their softmax (N, C)
-float32, and which of them vote (N,)."""
+ReadScan = Callable[[int], tuple[Float, Float]]
+"""Function from the number of a scan in its drive to its points (N, 3) and softmax (N, C)."""
 
 
-def movable_classes(space: LabelSpace) -> npt.NDArray[np.bool_]:
-    """Return the mask (C,) of movable classes; warn of a label space that states none."""
+def warn_without_movable_classes(space: LabelSpace) -> None:
+    """Log a warning for a label space that does not state its movable classes."""
     if space.movable_ids is None and not space.movable.any():
-        found = f"label space {space.name} does not state which classes are movable"
-        warn_once(log, f"{found}: moving objects are fused as if they stood still")
-    return space.movable
+        problem = f"label space {space.name} does not state which classes are movable"
+        warn_once(log, f"{problem}: moving objects are fused as if they stood still")
 
 
-def in_drive(points: Float, rotation: Poses, place: Poses) -> npt.NDArray[np.float64]:
-    """Return points (N, 3) of a scan, turned by (3, 3) and moved by (3,); infinite ones are NaN."""
+def in_drive(points: Float, rotation: Poses, place: Poses) -> Double:
+    """Return points (N, 3) turned by (3, 3) and moved by (3,); infinite ones become NaN."""
     with np.errstate(invalid="ignore"):
         return points.astype(np.float64) @ rotation.T + place
 
 
-def require_near(places: npt.NDArray[np.float64], size: float, subject: object, hint: str) -> None:
-    """Refuse places (…, 3) of scans, from the first of their part, whose points have no keys."""
+def require_near(places: Double, size: float, subject: object, hint: str) -> None:
+    """Refuse positions (…, 3) of scans, from the first of their part, beyond the voxel keys."""
     farthest, most = np.abs(places).max(initial=0), size * MAX_CELLS - SCAN_M
     if not farthest <= most:
-        found = f"{farthest / 1000:.1f} km from the first scan of its part of the drive"
-        raise UsageError(subject, found, f"at most {most / 1000:.1f} km", hint)
+        problem = f"is {farthest / 1000:.1f} km from the first scan of its part of the drive"
+        raise UsageError(subject, problem, f"at most {most / 1000:.1f} km", hint)
 
 
 class DriveWindow(Generic[Content]):
-    """Content of the scans around one of a drive, each read once while the window moves on."""
+    """Contents of the scans around one of a drive, read once while the window moves."""
 
     def __init__(self, parts: Parts, reach: int, read: Callable[[int], Content]) -> None:
         self.parts, self.reach, self.read = parts, reach, read
@@ -67,14 +65,13 @@ class DriveWindow(Generic[Content]):
     def around(self, index: int) -> tuple[Content, dict[int, Content]]:
         """Return the content of a scan, and of the readable others in reach in its part."""
         near = range(max(0, index - self.reach), min(len(self.parts), index + self.reach + 1))
-        members = [each for each in near if self.parts[each] == self.parts[index]]
+        members = [i for i in near if self.parts[i] == self.parts[index]]
         before = self.contents
         self.contents = {i: before[i] if i in before else self._read(i) for i in members}
-        own = self.contents[index]
-        if isinstance(own, SalsanextError):
-            raise own
-        others = {i: each for i, each in self.contents.items() if i != index}
-        return own, {i: e for i, e in others.items() if not isinstance(e, SalsanextError)}
+        if isinstance(error := self.contents[index], SalsanextError):
+            raise error
+        readable = {i: c for i, c in self.contents.items() if not isinstance(c, SalsanextError)}
+        return readable.pop(index), readable
 
     def _read(self, index: int) -> Content | SalsanextError:
         try:
@@ -84,19 +81,17 @@ class DriveWindow(Generic[Content]):
 
 
 class PlacedScan(NamedTuple):
-    """A scan in the frame of the drive."""
+    """Scan in the frame of the drive."""
 
-    points: npt.NDArray[np.float64]  # (N, 3)
-    views: list[VoxelVotes]  # Of both sizes of voxels
-    ranges: Float  # Of the nearest points, by direction
+    points: Double  # (N, 3)
+    votes: list[VoxelVotes]  # Votes for both sizes of voxels
+    ranges: Float  # As of `nearest_ranges`
 
 
 class FusionWindow:
     """Votes of the scans around one of a drive; `movable` (C,): movable classes."""
 
-    def __init__(
-        self, drive: Drive, read: ReadScan, reach: FusionReach, movable: npt.NDArray[np.bool_]
-    ) -> None:
+    def __init__(self, drive: Drive, read: ReadScan, reach: FusionReach, movable: Mask) -> None:
         self.poses, self.read, self.reach = drive.poses, read, reach
         self.places = drive.poses[:, :3, 3] - drive.origins[drive.parts]
         self.window = DriveWindow(drive.parts, reach.reach, self._seen)
@@ -104,51 +99,50 @@ class FusionWindow:
         self.counted = {True: np.ones(len(movable), np.uint8), False: (~movable).astype(np.uint8)}
 
     def tally(self, index: int) -> Tally:
-        """Return what the scans of the window say about the places of a scan's points."""
-        own, others = self.window.around(index)
+        """Return the votes of the scans of the window for the points of a scan."""
+        scan, others = self.window.around(index)
         tallies = []
-        for size, view in enumerate(own.views):
-            votes = []
-            for each, seen in others.items():
-                near = abs(each - index) <= self.reach.movable_reach
-                votes.append((seen.views[size], self.counted[near]))
-            tallies.append(tally(view, votes, self._stands(view, own, others)))
-        mean = np.mean([each.probabilities for each in tallies], axis=0)
+        for size, votes in enumerate(scan.votes):
+            counted = [
+                (other.votes[size], self.counted[abs(i - index) <= self.reach.movable_reach])
+                for i, other in others.items()
+            ]
+            tallies.append(tally(votes, counted, self._stands(votes, scan, others)))
+        mean = np.mean([part.probabilities for part in tallies], axis=0)
         return Tally(mean, tallies[-1].views)
 
     def _stands(
-        self, view: VoxelVotes, own: PlacedScan, others: Mapping[int, PlacedScan]
+        self, votes: VoxelVotes, scan: PlacedScan, others: Mapping[int, PlacedScan]
     ) -> npt.NDArray[np.uint8]:
-        """Return in which voxels (V,) of movable objects more scans see something than nothing."""
-        stands = np.zeros(len(view.keys), np.uint8)
-        movable = view.votes[:, self.movable].sum(axis=1, dtype=np.uint32)
-        asked = np.flatnonzero(movable > MOVABLE_SHARE * SCALE)
-        scans = [(self.poses[i, :3, :3], self.places[i], e.ranges) for i, e in others.items()]
-        there, through = seen_by(own.points[view.points[asked]], scans)
-        stands[asked] = through < there
+        """Return the mask (V,) of voxels of movable objects that fewer scans see through than see.
+
+        A voxel counts as movable from `MOVABLE_SHARE` of the votes.
+        """
+        stands = np.zeros(len(votes.keys), np.uint8)
+        movable = votes.votes[:, self.movable].sum(axis=1, dtype=np.uint32)
+        voxels = np.flatnonzero(movable > MOVABLE_SHARE * SCALE)
+        scans = [(self.poses[i, :3, :3], self.places[i], s.ranges) for i, s in others.items()]
+        there, through = seen_by(scan.points[votes.points[voxels]], scans)
+        stands[voxels] = through < there
         return stands
 
     def _seen(self, index: int) -> PlacedScan:
         place = self.places[index]
         require_near(place, VOXEL_SIZES_M[0], f"pose of scan {index}", "fuse shorter drives")
-        points, softmax, voting = self.read(index)
+        points, softmax = self.read(index)
         placed = in_drive(points, self.poses[index, :3, :3], place)
-        views = [votes_of_scan(placed, softmax, voting, size) for size in VOXEL_SIZES_M]
-        return PlacedScan(placed, views, nearest_ranges(points))
+        has_vote = softmax[:, 0] < 1  # Points with a label
+        votes = [votes_of_scan(placed, softmax, has_vote, size) for size in VOXEL_SIZES_M]
+        return PlacedScan(placed, votes, nearest_ranges(points))
 
 
 def fused_labels(tally: Tally, labels: TrainIds) -> TrainIds:
-    """Return the labels of points (N,) by all scans that see them; unlabelled ones stay so."""
+    """Return the labels of points (N,) by all scans that see them; unlabelled points stay so."""
     fused = (tally.probabilities[:, 1:].argmax(axis=1) + 1).astype(np.uint8)
     return np.where((tally.views > 1) & (labels > 0), fused, labels)
 
 
 def disagreement(tally: Tally, labels: TrainIds) -> Float:
-    """Return which share of the votes is against the label of each point (N,); NaN without any."""
+    """Return the share of votes against the label of each point, (N,) float32; NaN without any."""
     share = 1 - np.take_along_axis(tally.probabilities, labels[:, None].astype(np.intp), 1)[:, 0]
     return np.where((tally.views > 0) & (labels > 0), share, np.nan).astype(np.float32)
-
-
-def voting(softmax: Float) -> npt.NDArray[np.bool_]:
-    """Return which points (N,) have a vote by their softmax (N, C): those with a label."""
-    return softmax[:, 0] < 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Transfer of labels between clouds of the same points, matched by their coordinates."""
+"""Transfer of labels between clouds of the same points, matched by coordinates."""
 
 from __future__ import annotations
 
@@ -14,46 +14,48 @@ from salsanext_cli.files.optional_packages import import_open3d
 from salsanext_cli.records import Double, Float, Indices, Mask
 
 TOLERANCE_M = 1e-3  # Largest distance of a copy; millimetres rounded per axis differ by 0.87
-MAX_NEIGHBOURS = 16  # Nearest places around a point; no LiDAR resolves so many
+MAX_NEIGHBOURS = 16  # Locations searched around a point; no LiDAR resolves so many
 CLASS = np.uint32(0xFFFF)  # Bits of a label that are the class; the others are the instance
 NO_INSTANCE = np.uint32(1 << 16)  # Above every instance
-NOTHING = np.iinfo(np.int64).max  # Lowest of no labels; the highest is -1, below it
+NOTHING = np.iinfo(np.int64).max  # Minimum of no labels; their maximum is -1
 
 Labels = npt.NDArray[np.uint32]
 
 
 @dataclass(frozen=True, slots=True)
 class LabelTransfer:
-    """Labels of points, taken from a labelled cloud."""
+    """Labels of N points, taken from a labelled cloud."""
 
     labels: Labels  # (N,) uint32: 0 where `known` is not set
-    known: Mask  # (N,) bool: points that have a label of the cloud
-    ambiguous: Mask  # (N,) bool: points at which the cloud has several labels
-    exact: Mask  # (N,) bool: points of which a copy has the same coordinates
-    # (U,) float64: distance of each point of the cloud that is a copy of none to the nearest point,
-    # metres; infinite without any
+    known: Mask  # (N,) bool: points with a label in the cloud
+    ambiguous: Mask  # (N,) bool: points with several labels in the cloud
+    exact: Mask  # (N,) bool: points with a copy of the same coordinates
+    # (U,) float64: distance of each cloud point that is not a copy to the nearest point in metres;
+    # infinite without points
     unmatched: Double
-    cloud_points: int  # Number of points of the cloud with finite coordinates
+    cloud_points: int  # Number of cloud points with finite coordinates
 
     @property
     def is_rounded(self) -> bool:
-        """True if most points that the cloud has are copies of other coordinates."""
+        """Whether most points with a copy in the cloud have one of other coordinates."""
         return int(self.exact.sum()) < int((~self.missing & ~self.exact).sum())
 
     @property
     def missing(self) -> Mask:
-        """Points that the cloud lacks, (N,) bool."""
+        """Points without a copy in the cloud, (N,) bool."""
         return ~(self.known | self.ambiguous)
 
     def filled(self, label: int) -> Labels:
-        """Return the labels, (N,) uint32, with one for all points that have none."""
+        """Return the labels (N,) uint32, with `label` for all points without one."""
         return np.where(self.known, self.labels, np.uint32(label))
 
 
 def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfer:
-    """Give each point (N, 3) the label of its copy in a cloud (M, 3), in any order."""
-    # Copies have the same coordinates; of a point without any, all places of the cloud within
-    # `TOLERANCE_M` are. If copies have different labels, the point has none.
+    """Label each point (N, 3) as its copy in a cloud (M, 3) with labels (M,), in any order.
+
+    A copy has the same coordinates. Without one, all cloud points within `TOLERANCE_M` are copies.
+    A point whose copies have different labels has none.
+    """
     finite = np.isfinite(points).all(axis=1)
     of_cloud = np.isfinite(cloud).all(axis=1)
     cloud, labels = cloud[of_cloud], labels[of_cloud]
@@ -63,7 +65,7 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
     lowest, highest = _extremes(place_of_cloud, labels, int(places.max(initial=-1)) + 1)
     low, high = lowest[place], highest[place]
     alone = low > high
-    # Trees of thousands of equal points, such as the zeros of no return, are slow.
+    # A search tree of thousands of equal points, such as the zeros of no return, is slow.
     used, first = np.unique(place_of_cloud, return_index=True)
     index = _nearby(wanted[alone], cloud[first])
     low[alone] = np.where(index < 0, NOTHING, lowest[used][index]).min(axis=1, initial=NOTHING)
@@ -79,10 +81,12 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
 
 
 def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTransfer:
-    """Return the labels that several clouds give to the same points."""
-    # Labels of different classes leave a point without any, unless one of them is `unlabelled`; of
-    # the same class with different instances it has instance 0. Where a point has a copy of the
-    # same coordinates in some cloud, neighbours of it in a cloud that is not rounded are no copies.
+    """Return the labels of the same points in several clouds.
+
+    A point with labels of several classes has no label, but the class `unlabelled` does not count.
+    A point of one class with several instances has instance 0. For a point with an exact copy in
+    some cloud, inexact copies count only in clouds with rounded coordinates.
+    """
     if len(parts) == 1:
         return parts[0]
     exact = np.any([part.exact for part in parts], axis=0)
@@ -92,14 +96,14 @@ def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTr
     for part in parts:
         counts = part.exact | ~exact | part.is_rounded
         of_class, instance = part.labels & CLASS, part.labels >> 16
-        own = part.known & counts & (of_class != unlabelled)
-        ambiguous |= (part.ambiguous & counts) | (own & given & (classes != of_class))
+        labelled = part.known & counts & (of_class != unlabelled)
+        ambiguous |= (part.ambiguous & counts) | (labelled & given & (classes != of_class))
         open_yet = part.known & counts & ~given
         classes[open_yet] = of_class[open_yet]
-        numbered = own & (instance > 0)
+        numbered = labelled & (instance > 0)
         least[numbered] = np.minimum(least, instance)[numbered]
         most[numbered] = np.maximum(most, instance)[numbered]
-        known, given = known | open_yet, given | own
+        known, given = known | open_yet, given | labelled
     labels = classes | (np.where(least == most, most, 0).astype(np.uint32) << np.uint32(16))
     labels[ambiguous] = 0
     unmatched = np.concatenate([part.unmatched for part in parts])
@@ -108,7 +112,7 @@ def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTr
 
 
 def _places(points: Float) -> Indices:
-    """Return a number (K,) for each point, equal for equal coordinates."""
+    """Return a number for each point, (K,), the same for the same coordinates."""
     order = np.lexsort(points.T)
     differs = (points[order[1:]] != points[order[:-1]]).any(axis=1)
     places = np.empty(len(points), np.intp)
@@ -119,7 +123,7 @@ def _places(points: Float) -> Indices:
 def _extremes(
     places: Indices, labels: Labels, count: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the lowest and the highest label at each of so many places."""
+    """Return the lowest and the highest label at each of `count` places, (count,) int64 each."""
     lowest, highest = np.full(count, NOTHING), np.full(count, -1, np.int64)
     np.minimum.at(lowest, places, labels)
     np.maximum.at(highest, places, labels)
@@ -127,7 +131,7 @@ def _extremes(
 
 
 def _nearby(points: Float, others: Float) -> npt.NDArray[np.int64]:
-    """Return the indices of others within `TOLERANCE_M`, (K, `MAX_NEIGHBOURS`); -1 fills rows."""
+    """Return the indices of others within `TOLERANCE_M`, (K, `MAX_NEIGHBOURS`), padded by -1."""
     if not (len(points) and len(others)):
         return np.empty((len(points), 0), np.int64)
     search = _search(others)
@@ -137,7 +141,7 @@ def _nearby(points: Float, others: Float) -> npt.NDArray[np.int64]:
 
 
 def _nearest(points: Float, others: Float) -> Double:
-    """Return the distance (K,) of each point to the nearest of others, metres."""
+    """Return the distance of each point to the nearest of others, (K,) float64 in metres."""
     if not (len(points) and len(others)):
         return np.full(len(points), np.inf)
     search = _search(others)

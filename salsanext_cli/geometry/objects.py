@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
 """Objects of a scan: connected components of the range image, and boxes around them.
 
-Pixels of one class are connected where the line between their points meets the beam of the farther
-one at more than an angle (Bogoslavskyi & Stachniss, IROS 2016): along a surface it does, from one
-thing to another behind it hardly. Near points are connected at any angle. The image goes on around
-in azimuth, and pixels without a return are bridged. A box is the upright rectangle to whose sides
-the points are closest (L-shape fit: Zhang, Xu, Dong, Dolan, IV 2017).
+Pixels of one class are connected if the line between their points meets the beam of the farther
+point at a large angle (Bogoslavskyi & Stachniss, IROS 2016), as along a surface. Near points are
+connected at any angle. The image is periodic in azimuth, and pixels without a return are bridged.
+A box is the upright rectangle to whose sides the points are closest (L-shape fit: Zhang, Xu, Dong,
+Dolan, IV 2017).
 """
 
 import numpy as np
@@ -18,42 +18,41 @@ from salsanext_cli.records import Float, Int, Mask, RangeImage
 
 Objects = npt.NDArray[np.uint16]
 COLUMNS, ROWS = 6, 4  # Pixels to the right and below that may be neighbours
-MAX_COSINE = np.float32(np.cos(np.radians(8.0)))
-"""Of the angle between beam and line above which points are connected."""
+MAX_COSINE = np.float32(np.cos(np.radians(8.0)))  # Of the least angle between beam and line
 NEAR_M, FAR_M = np.float32(0.4), np.float32(1.5)
 """Distances below which points are connected at any angle, and above which at none."""
-MOST = np.iinfo(np.uint16).max  # Objects of a scan that have a number in 16 bits
-SAME_M, MIN_OBJECT_POINTS = np.float32(1.0), 10
-"""Largest difference in range to the pixel whose object a point joins; fewest points of one."""
-ANGLES_RAD = np.radians(np.arange(0.0, 90.0, 1.5))
-"""Directions of the sides of a box that are tried."""
+MAX_OBJECTS = np.iinfo(np.uint16).max  # Objects of a scan that have a number in 16 bits
+SAME_M = np.float32(1.0)  # Largest difference in range to the pixel whose object a point joins
+MIN_OBJECT_POINTS = 10
+ANGLES_RAD = np.radians(np.arange(0.0, 90.0, 1.5))  # Directions of the sides of a box to try
 BOX = ("x", "y", "z", "length", "width", "height", "yaw")
 """Numbers of a box: centre and sizes in metres; the angle of its longer side from x in radians."""
-NEAREST_M, MAX_FITTED = np.float32(0.05), 128
-"""Distance below which points are equally close to a side; points of an object that are fitted."""
+NEAREST_M = np.float32(0.05)  # Distance below which points are equally close to a side
+MAX_FITTED = 128  # Points of an object that a box is fitted to
 
 
 def find_objects(image: RangeImage, labels: TrainIds, things: Mask) -> Objects:
-    """Return the number of each point's object, (N,) uint16 from 1, of `things` (C,); else 0."""
+    """Return the object number of each point, (N,) uint16 from 1; 0 outside `things` (C,)."""
     wanted = (np.arange(len(things), dtype=np.uint8) * things)[labels]
     seen = pixels_from_points(wanted, image.point_of_pixel)
     channels = argument(image.channels, np.float32)
     component = components(channels, seen)
     pixels = argument(image.pixel_of_point, np.int32)
-    found = nearest_pixels(wanted, pixels, argument(image.point_range, np.float32), channels, seen)
-    inside = np.flatnonzero(found >= 0)
-    own = component[found[inside]]
-    _, place, sizes = np.unique(own, return_inverse=True, return_counts=True)
+    ranges = argument(image.point_range, np.float32)
+    nearest = nearest_pixels(wanted, pixels, ranges, channels, seen)
+    inside = np.flatnonzero(nearest >= 0)
+    members = component[nearest[inside]]
+    _, place, sizes = np.unique(members, return_inverse=True, return_counts=True)
     large = sizes >= MIN_OBJECT_POINTS
     numbers = np.cumsum(large) * large
     objects = np.zeros(len(labels), np.uint16)
-    objects[inside] = np.where(numbers <= MOST, numbers, 0)[place]
+    objects[inside] = np.where(numbers <= MAX_OBJECTS, numbers, 0)[place]
     return objects
 
 
 @compiled
 def root(parent: Int, pixel: int) -> int:
-    """Return the first pixel of a pixel's component, and shorten the way there."""
+    """Return the first pixel of the component of a pixel, and shorten the path to it."""
     while parent[pixel] != pixel:
         parent[pixel] = parent[parent[pixel]]
         pixel = parent[pixel]
@@ -62,7 +61,7 @@ def root(parent: Int, pixel: int) -> int:
 
 @compiled
 def connected(image: Float, v: int, u: int, row: int, column: int) -> bool:
-    """Say whether the points of two pixels of a range image (5, H, W) are of one surface."""
+    """Return whether the points of two pixels of a range image (5, H, W) are on one surface."""
     if image[0, v, u] > image[0, row, column]:
         v, u, row, column = row, column, v, u
     x, y, z = image[1, row, column], image[2, row, column], image[3, row, column]
@@ -75,12 +74,11 @@ def connected(image: Float, v: int, u: int, row: int, column: int) -> bool:
 
 @compiled
 def components(image: Float, labels: TrainIds) -> Int:
-    """Return the first pixel of each pixel's component, (H · W,) int32, of an image (5, H, W)."""
+    """Return the first pixel of the component of each pixel of an image, (H · W,) int32."""
     height, width = labels.shape
     parent = np.arange(height * width).astype(np.int32)
     for v in range(height):
         for u in range(width):
-            # To the right and below.
             for step in range(1, (COLUMNS + ROWS + 1) * (labels[v, u] > 0)):
                 row = v if step <= COLUMNS else v + step - COLUMNS
                 column = (u + step) % width if step <= COLUMNS else u
@@ -98,9 +96,9 @@ def components(image: Float, labels: TrainIds) -> Int:
 def nearest_pixels(
     labels: TrainIds, pixel_of_point: Int, point_range: Float, image: Float, seen: TrainIds
 ) -> Int:
-    """Return the pixel of each point's class around it that is nearest in range, (N,); else -1."""
+    """Return the pixel around each point of the same class and nearest range, (N,) int32, or -1."""
     height, width = seen.shape
-    found = np.full(len(labels), -1, np.int32)
+    nearest = np.full(len(labels), -1, np.int32)
     for i in range(len(labels)):
         if labels[i] == 0 or pixel_of_point[i] < 0:
             continue
@@ -111,20 +109,20 @@ def nearest_pixels(
                 if seen[row, column % width] == labels[i]:
                     difference = abs(image[0, row, column % width] - point_range[i])
                     if difference < least:
-                        least, found[i] = difference, place
-    return found
+                        least, nearest[i] = difference, place
+    return nearest
 
 
 def fit_boxes(points: Float, objects: Objects) -> list[list[float]]:
-    """Return the `BOX` of each object, by the number of the object (N,) of each point (N, 3)."""
+    """Return the `BOX` of each object of points (N, 3), numbered by `objects` (N,)."""
     inside = np.flatnonzero(objects)
     inside = inside[np.argsort(objects[inside], kind="stable")]
     ends = np.cumsum(np.bincount(objects)[1:])
-    return [fit_box(own) for own in np.split(points[inside], ends[:-1]) if len(own)]
+    return [fit_box(part) for part in np.split(points[inside], ends[:-1]) if len(part)]
 
 
 def fit_box(points: Float) -> list[float]:
-    """Return the `BOX`, upright, around points (N, 3) of an object that is seen from one side."""
+    """Return the upright `BOX` around points (N, 3) of an object that is seen from one side."""
     some = points[:: len(points) // MAX_FITTED + 1, :2]
     c, s = np.cos(ANGLES_RAD).astype(np.float32), np.sin(ANGLES_RAD).astype(np.float32)
     closest = np.full((len(some), len(c)), np.inf, np.float32)

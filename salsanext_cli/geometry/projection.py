@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: MIT
-"""A scan seen from its sensor: the frame of the sensor, and the range image (paper eq. 1).
+"""Scans in the frame of their sensor, and their range images (paper eq. 1).
 
 ::
 
     u = ½ [1 − atan2(y, x)/π] W
     v = [1 − (asin(z/r) − f_down)/(f_up − f_down)] H
 
-Both are rounded down and clamped to the image. The nearest point wins a pixel; of equally near ones
-the first in the scan. All arithmetic after the arctangents is float32, as in the published code, so
-that points on a pixel border fall to the same side.
+Both are rounded down and clamped to the image. The nearest point wins a pixel; in a tie, the first
+in the scan. All arithmetic after the arctangents is float32, as in the published code, so that
+points on a pixel border fall to the same side.
 
-In the frame of the sensor, points are relative to its place, with z up, and without its vehicle.
+The frame of the sensor has its origin at the sensor and z up.
 """
 
 import math
@@ -40,7 +40,7 @@ from salsanext_cli.sensors.sensor import ORIGIN, UP, Sensor
 ZERO, HALF, ONE = np.float32(0), np.float32(0.5), np.float32(1)
 PI = np.float32(math.pi)
 TAN_22_5 = math.sqrt(2) - 1
-MAX_POINTS = 4096  # Points of a scan in a sample
+MAX_POINTS = 4096  # Points in a sample of a scan
 Value = TypeVar("Value", bound=np.generic)
 
 
@@ -48,15 +48,20 @@ def project(scan: Scan, sensor: Sensor) -> RangeImage:
     """Project a scan onto the sensor's range image (paper eq. 1).
 
     A point has no pixel (index -1, range 0) if a coordinate is NaN or infinite, if it lies at the
-    origin or beyond 1000 km, or if it is out of view and the sensor says ``drop``. An intensity
-    that is NaN, infinite or beyond a million becomes 0 in the image.
+    origin or beyond 1000 km, or if it is outside the field of view of a sensor that drops such
+    points. An intensity that is NaN, infinite or beyond a million becomes 0 in the image.
 
     Parameters
     ----------
     scan : Scan
-        N points; any number, none included.
+        Any number of points.
     sensor : Sensor
-        Field of view, image size and what to do with points out of view.
+        Mounting, field of view and image size.
+
+    Returns
+    -------
+    RangeImage
+        Pixels of the points, and their channels.
     """
     scan = without_ego(scan, sensor)
     up, down = math.radians(sensor.fov_up), math.radians(sensor.fov_down)
@@ -93,9 +98,9 @@ def project(scan: Scan, sensor: Sensor) -> RangeImage:
 @compiled
 def arctan2(y: float, x: float) -> float:
     """Return atan2(y, x) within 1e-11, in float64 arithmetic alone."""
-    # The library's function differs in the last bit between platforms and cannot be vectorised.
-    # Here the ratio of the smaller to the larger coordinate is brought below tan 22.5° by turning
-    # 45°; there, 13 terms of atan t = t − t³/3 + t⁵/5 − … suffice.
+    # The function of the C library differs in the last bit between platforms and does not
+    # vectorise. Turning by 45° brings the ratio of the coordinates below tan 22.5°, where 13 terms
+    # of atan t = t − t³/3 + t⁵/5 − … suffice.
     steep = abs(y) > abs(x)
     small = abs(x) if steep else abs(y)
     large = abs(y) if steep else abs(x)
@@ -147,7 +152,7 @@ def find_pixels(
 
 @compiled
 def keep_nearest(pixel_of_point: Int, point_range: Float, point_of_pixel: Int) -> None:
-    """Write the nearest point of each pixel; the first of equally near ones stays."""
+    """Write the nearest point of each pixel, the first in a tie."""
     for i in range(len(pixel_of_point)):
         pixel = pixel_of_point[i]
         if pixel >= 0:
@@ -181,7 +186,7 @@ def fill_channels(
 def points_from_pixels(
     of_pixels: npt.NDArray[Value], pixel_of_point: Int, empty: npt.ArrayLike
 ) -> npt.NDArray[Value]:
-    """Give every point its pixel's value: (H, W) or (C, H, W) to (N,) or (N, C); else `empty`."""
+    """Return the value of the pixel of every point, (N,) or (N, C) of (H, W) or (C, H, W)."""
     flat = of_pixels.reshape(*of_pixels.shape[:-2], -1)
     of_points: npt.NDArray[Value] = flat.T[pixel_of_point]
     of_points[pixel_of_point < 0] = empty
@@ -191,28 +196,28 @@ def points_from_pixels(
 def pixels_from_points(
     of_points: npt.NDArray[Value], point_of_pixel: Int, empty: npt.ArrayLike = 0
 ) -> npt.NDArray[Value]:
-    """Give every pixel its nearest point's value: (N, …) to (H, W, …); else `empty`."""
-    # Index -1 finds the value that is appended.
+    """Return the value of the nearest point of every pixel, (H, W, …) of (N, …)."""
+    # Index -1 selects the value that is appended.
     last = np.full((1, *of_points.shape[1:]), empty, of_points.dtype)
     return np.concatenate([of_points, last])[point_of_pixel]
 
 
 def measured_ranges(points: Float, farthest: float = sys.float_info.max) -> tuple[Double, Mask]:
-    """Return ranges (N,) float64 in metres, and which are measurements, finite and above 0."""
-    with np.errstate(invalid="ignore"):  # of a signalling NaN
+    """Return the ranges of points, (N,) float64 in metres, and a mask of finite ones above 0."""
+    with np.errstate(invalid="ignore"):  # A signalling NaN
         x, y, z = np.square(points.T, dtype=np.float64)
         ranges = np.sqrt(x + y + z)
     return ranges, (ranges > 0) & (ranges <= farthest)
 
 
 def few_points(scan: Scan, count: int = MAX_POINTS) -> Scan:
-    """Return some points of a scan in their order, sampled evenly; all if there are no more."""
-    # Of points in the order of a grid, every n-th could be of few beams or in few directions.
+    """Return a random sample of `count` points of a scan in their order, or all."""
     return scan if len(scan) <= count else scan.take(sample_places(len(scan), count))
 
 
 def sample_places(length: int, count: int) -> Indices:
-    """Return (count,) places in an array, rising, sampled evenly; all if there are no more."""
+    """Return a random sample of indices below a length in rising order, the same in every run."""
+    # Every n-th point of a grid could be of few beams or directions.
     return np.arange(length) if length <= count else (_uniform(count) * length).astype(np.intp)
 
 
@@ -222,47 +227,49 @@ def _uniform(count: int) -> Double:
 
 
 def in_sensor_frame(scan: Scan, sensor: Sensor) -> Scan:
-    """Return the scan moved from the sensor's `origin`, and turned so that its `up` is z."""
+    """Return the scan with the `origin` of the sensor at 0 and its `up` along z."""
     points = scan.points
     if sensor.origin != ORIGIN:
         points = points - np.array(sensor.origin, np.float32)
         points[~scan.points.any(axis=1)] = 0
     if sensor.up != UP:
         x, y, z = points.T.astype(np.float64)
-        # A matrix product would leave threads behind that take the processors from the network.
+        # The threads of a matrix product would take the processors from the network.
         rows = [a * x + b * y + c * z for a, b, c in upright_rotation(np.asarray(sensor.up))]
         points = np.stack(rows, axis=1).astype(np.float32)
     return scan if points is scan.points else replace(scan, points=points)
 
 
 def without_ego(scan: Scan, sensor: Sensor) -> Scan:
-    """Return the scan in the sensor's frame, with the points of its vehicle at the origin."""
+    """Return the scan in the frame of the sensor, with the points of its vehicle at the origin."""
     scan = in_sensor_frame(scan, sensor)
-    own = ego_points(scan.points, sensor)
-    if not len(own):
+    ego = ego_points(scan.points, sensor)
+    if not len(ego):
         return scan
     points = scan.points.copy()
-    points[own] = 0
+    points[ego] = 0
     return replace(scan, points=points)
 
 
 def ego_points(points: Float, sensor: Sensor) -> Indices:
-    """Return the indices of points (N, 3), in the sensor's frame, in `min_range` or `ego_box`."""
+    """Return the indices of points (N, 3) in the frame of the sensor, on it or its vehicle."""
     nearest, box = sensor.min_range or 0.0, np.array(sensor.ego_box or ()).reshape(2, -1)
     reach = max(nearest, float(np.linalg.norm(np.abs(box).max(axis=0, initial=0))))
     if not reach:
         return np.empty(0, np.intp)
     squares = np.einsum("nk,nk->n", points, points)
     near = np.flatnonzero((squares < np.float32(reach) ** 2) & (squares > 0))
-    own = squares[near] < np.float32(nearest) ** 2
+    is_ego = squares[near] < np.float32(nearest) ** 2
     if box.size:
-        own |= ((points[near] >= box[0]) & (points[near] <= box[1])).all(axis=1)
-    return near[own]
+        is_ego |= ((points[near] >= box[0]) & (points[near] <= box[1])).all(axis=1)
+    return near[is_ego]
 
 
 def upright_rotation(up: Double) -> Double:
-    """Return the rotation (3, 3) that turns a direction (3,) to z and the direction ahead to x."""
-    # Ahead is the level part of x; of z in frames of cameras, with y down, and with x up or down.
+    """Return the rotation (3, 3) that turns a direction (3,) to z and the direction ahead to x.
+
+    Ahead is the level part of x, or of z in the frame of a camera, with y down or x vertical.
+    """
     up = up / np.linalg.norm(up)
     largest = int(np.abs(up).argmax())
     ahead = np.eye(3)[2 if largest == 0 or (largest == 1 and up[1] < 0) else 0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Traits of a scan that depend on its sensor and hardly on the place, and the sensor by them."""
+"""Traits of a scan that depend on its sensor and hardly on the location."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ NODES_DEG = (-30.0, -20.0, -12.0, -6.0, -3.0)
 """Elevations between which points are counted: below the sky, beams meet the ground everywhere."""
 NODES = len(NODES_DEG) - 1  # Number of elevations around which points are counted
 MIN_TRAIT_POINTS = 100  # Fewest points with a measurement that show traits
-MIN_SHARE = 0.02  # Points around an elevation, as a share of all, up to which they do not count
+MIN_SHARE = 0.02  # Smallest share of points around an elevation that counts
 DENSITY_FACTOR = 1.5
 """Least factor between sensors; scans of one had up to 1.27, the most similar sensors 1.77."""
-POINTS_FACTOR = 4.0  # The same for all their points, of which the sky leaves more or less
+POINTS_FACTOR = 4.0  # The same for all points, whose number depends on the sky
 BRIGHT_FACTOR = 8.0  # The same for intensities: one sensor had up to 5.7 (wet), scales 100 or more
 SHARES_FACTOR = 1.35
 """The same for shares of points, which stay in cut or thinned scans; sensors had 1.4 or more."""
@@ -34,12 +34,11 @@ DIGITS = 6
 class ScanTraits:
     """Traits of the sensor in one scan, estimated from a sample of its points.
 
-    Points between two nodes count for both by their distance, so that a beam that lies at one, or
-    is measured a little higher or lower, makes no difference.
+    A point between two nodes counts for both by its distance, so that a beam near a node makes no
+    difference.
     """
 
-    # Number of points around each of `NODES_DEG` but the last, which counts none
-    below: tuple[float, ...]
+    below: tuple[float, ...]  # Number of points around each of `NODES_DEG` but the last
     points: int  # Number of points with a measurement
     bright: float  # Upper intensity; 0 if unknown
     sensor: Sensor | None = None  # Sensor that was fitted to the scan
@@ -48,7 +47,7 @@ class ScanTraits:
     def of(
         cls, sines: Float, bright: float, per_point: float, sensor: Sensor | None = None
     ) -> ScanTraits:
-        """Return the traits by the sines of elevation (M,) of points that stand for more each."""
+        """Return the traits of points with sines of elevation (M,), of `per_point` points each."""
         elevations = np.degrees(np.arcsin(sines))
         hats = np.eye(len(NODES_DEG))[:-1]
         below = [np.interp(elevations, NODES_DEG, hat).sum() * per_point for hat in hats]
@@ -57,7 +56,7 @@ class ScanTraits:
 
     @property
     def compared(self) -> tuple[float, ...]:
-        """Numbers that tell sensors apart."""
+        """Numbers (T,) that differ between sensors."""
         return *self.below, float(self.points), self.bright
 
     def __str__(self) -> str:
@@ -72,13 +71,13 @@ def sines_of(points: Float) -> Float:
 
 
 def upper_intensity(intensity: Float) -> float:
-    """Return the upper intensity of those that are numbers, 0 without any."""
+    """Return the upper intensity among finite values (N,), 0 without any."""
     finite = intensity[np.isfinite(intensity)]
     return float(np.quantile(finite, BRIGHT)) if len(finite) else 0.0
 
 
 def traits_of(scan: Scan) -> ScanTraits | None:
-    """Return the traits of a scan as its file holds it, None of too few measured points."""
+    """Return the traits of a scan in the frame of its file, None for too few measured points."""
     some = few_points(scan)
     measured = np.flatnonzero(measured_ranges(some.points)[1])
     if len(measured) < MIN_TRAIT_POINTS:
@@ -90,15 +89,15 @@ def traits_of(scan: Scan) -> ScanTraits | None:
 
 
 def groups_of(traits: Sequence[ScanTraits]) -> list[int]:
-    """Return the group of each scan, the same for the scans of one sensor; 0 is the largest.
+    """Return the number of the group of each scan, by sensor; 0 is the largest.
 
-    Two sensors differ if a gap of one of `FACTORS` divides their scans when all are sorted by that
-    trait, unless one scan is cut off or thinned out: with the same shares of points.
+    Two groups differ if a gap of one of `FACTORS` divides the scans sorted by that trait. Cut or
+    thinned scans, with the same shares of points, belong to one group.
     """
     group_of, groups, usual = np.zeros(len(traits), np.intp), list[int](), []
-    for number, members in enumerate(_divided(np.array([each.compared for each in traits]))):
+    for number, members in enumerate(_divided(np.array([scan.compared for scan in traits]))):
         usual.append(usual_traits([traits[i] for i in members]))
-        steps = np.abs(np.diff([_scaled([each, usual[-1]]) for each in usual], axis=1))
+        steps = np.abs(np.diff([_scaled([other, usual[-1]]) for other in usual], axis=1))
         alike = int((steps[:, 0, NODES:] < 1).all(axis=1).argmax())
         groups.append(groups[alike] if alike < number else number)
         group_of[members] = groups[-1]
@@ -107,7 +106,7 @@ def groups_of(traits: Sequence[ScanTraits]) -> list[int]:
 
 
 def _divided(compared: Double) -> list[Indices]:
-    """Return the indices of scans that no gap divides, by what is compared of scans (F, T)."""
+    """Return the indices of the scans of each group without a gap, by their traits (F, T)."""
     if not len(compared):
         return []
     values = _scaled(compared)[:, : NODES + 2]
@@ -119,28 +118,28 @@ def _divided(compared: Double) -> list[Indices]:
     groups: list[Indices] = [np.flatnonzero(kinds == kind) for kind in range(kinds.max() + 1)]
     if len(groups) == 1:
         return groups
-    # Without the larger scans of other sensors, smaller counts matter.
+    # Smaller counts matter without the larger scans of other sensors.
     return [group[part] for group in groups for part in _divided(compared[group])]
 
 
 def _scaled(compared: npt.ArrayLike) -> Double:
-    """Return traits (F, T) float64 of scans on scales on which a step of 1 is one of `FACTORS`."""
+    """Return traits (F, T) float64 of scans on scales where a step of 1 is one of `FACTORS`."""
     below, points, bright = np.split(np.array(compared, np.float64), (NODES, NODES + 1), axis=1)
     shares = np.maximum(below / points, MIN_SHARE)
     below = np.maximum(below, MIN_SHARE * points.max())
-    # Unknown intensities divide nothing.
+    # An unknown intensity divides no group.
     bright[bright <= 0] = bright.min(where=bright > 0, initial=MAX_INTENSITY)
     scaled: Double = np.log(np.hstack([below, points, bright, shares])) / np.log(FACTORS)
     return scaled
 
 
 def usual_traits(traits: Sequence[ScanTraits]) -> tuple[float, ...]:
-    """Return the medians of what is compared of scans."""
-    return tuple(np.median([each.compared for each in traits], axis=0).round(DIGITS).tolist())
+    """Return the medians (T,) of the traits of scans."""
+    return tuple(np.median([scan.compared for scan in traits], axis=0).round(DIGITS).tolist())
 
 
 def kinds_of(scans: Sequence[Scan]) -> tuple[list[int], list[tuple[float, ...]]]:
-    """Return the group of each scan as `groups_of`, and the usual traits of each group."""
+    """Return the group of each scan, as of `groups_of`, and the usual traits of each group."""
     known = {i: traits for i, scan in enumerate(scans) if (traits := traits_of(scan))}
     kinds = np.zeros(len(scans), np.intp)
     kinds[list(known)] = groups_of(list(known.values()))
@@ -149,11 +148,11 @@ def kinds_of(scans: Sequence[Scan]) -> tuple[list[int], list[tuple[float, ...]]]
 
 
 def sensor_of(scan: Scan, sensor: Sensor) -> Sensor:
-    """Return which of the sensors that were fitted to scans of several a scan is of."""
+    """Return the member of a fitted sensor whose usual traits are most like those of a scan."""
     if not sensor.others:
         return sensor
-    fits, own = sensor.members, traits_of(scan)
-    if own is None:
-        return fits[0]
-    values = _scaled([own.compared, *(each.traits for each in fits)])
-    return fits[int(np.abs(values[1:] - values[0]).sum(axis=1).argmin())]
+    members, traits = sensor.members, traits_of(scan)
+    if traits is None:
+        return members[0]
+    values = _scaled([traits.compared, *(member.traits for member in members)])
+    return members[int(np.abs(values[1:] - values[0]).sum(axis=1).argmin())]

@@ -22,7 +22,7 @@ from salsanext_cli.fusion.poses import CALIBRATION, POSES, line_numbers
 from salsanext_cli.labelling.label_records import IMPORTED
 from salsanext_cli.measures.scan_summary import ScanWarning
 from salsanext_cli.results.manifest import require_same_settings, settings_json
-from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.results.paths import SCAN_FOLDER, ScanFile, find_scans, output_path
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
@@ -189,7 +189,7 @@ class PickedDataSet(OwnedFolder):
         if earlier := self._record():
             # Labels may have been corrected while the scans were looked at.
             self._require_unchanged(earlier)
-            self.remove_own(self._files(earlier))
+            self.remove_written(self._files(earlier))
         self._write_record(record)
 
     def _record(self) -> PickRecord | None:
@@ -213,10 +213,10 @@ class PickedDataSet(OwnedFolder):
         if imports := [path for path in map(self.root.joinpath, IMPORTED) if present(path)]:
             found = "says that labels were imported, which are kept"
             raise OutputError(imports[0], found, hint="choose another folder")
-        self.require_own(self._files(record))
+        self.refuse_foreign(self._files(record))
         for each in record.picked:
             labels = self.paths(each.sequence, each.scan).labels
             guess = record.guesses.get(each.name)
             # Other commands write labels too, and those are no guesses any more.
             if guess and present(labels) and fingerprint(labels) != guess:
-                raise not_own(labels)
+                raise foreign_file(labels)

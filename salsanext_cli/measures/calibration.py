@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Calibration of probabilities: confidence against accuracy, log-likelihood, Brier score.
 
-The confidence of a point is its largest probability, and the point is right if the class of that
-probability is the true one. So the softmax itself is evaluated, before the vote of the neighbours.
-Counts are (2, 15361) int64: right points, then wrong ones, by index into `CONFIDENCES`.
+The confidence of a point is its largest probability. The point is right if the class of that
+probability is the true one, so the softmax is evaluated before the vote of the neighbours.
+Counts are (2, 15361) int64: right and wrong points by index into `CONFIDENCES`.
 """
 
 import math
@@ -22,7 +22,7 @@ SCAN_BINS = 10  # Number of bins of the error of a single scan, as in Calib3D
 class CalibrationScores:
     """Calibration of the probabilities of a set of points; NaN without points."""
 
-    points: int  # Number of points
+    points: int
     confidence: float  # Mean confidence, 0…1
     accuracy: float  # Share of the points whose most probable class is the true one, 0…1
     nll: float  # Mean negative log-likelihood of the true class in nats, 0…16.6; lower is better
@@ -49,22 +49,22 @@ def calibration_scores(histogram: Histogram) -> CalibrationScores:
 
 @dataclass(frozen=True, slots=True)
 class Reliability:
-    """A reliability diagram: bin b of B holds the confidences above b/B up to (b + 1)/B."""
+    """Reliability diagram: bin b of B contains the confidences above b/B up to (b + 1)/B."""
 
-    points: Counts  # (B,) int64: number of points in each bin
-    confidence: Ratios  # (B,) float64: their mean confidence; NaN for a bin without points
-    accuracy: Ratios  # (B,) float64: share of them that is right; likewise
+    points: Counts  # (B,) int64
+    confidence: Ratios  # (B,) float64: mean confidence; NaN for a bin without points
+    accuracy: Ratios  # (B,) float64: share of right points; NaN for a bin without points
 
     @property
     def error(self) -> float:
         """Expected calibration error, Σ_b n_b/n · |accuracy_b − confidence_b|; NaN if empty."""
-        held = self.points > 0
-        gaps = np.abs(self.accuracy - self.confidence)[held]
-        return float(self.points[held] @ gaps / self.points.sum()) if held.any() else math.nan
+        filled = self.points > 0
+        gaps = np.abs(self.accuracy - self.confidence)[filled]
+        return float(self.points[filled] @ gaps / self.points.sum()) if filled.any() else math.nan
 
 
 def reliability(counts: Counts, bin_count: int = POOLED_BINS) -> Reliability:
-    """Sum up counts by confidence in bins of equal width."""
+    """Sum counts by confidence in bins of equal width."""
     values = CONFIDENCES.astype(np.float64)
     # The product is exact: a float16 has 11 binary digits.
     bin_of = np.maximum(np.ceil(values * bin_count).astype(np.intp) - 1, 0)
@@ -78,11 +78,11 @@ def reliability(counts: Counts, bin_count: int = POOLED_BINS) -> Reliability:
 def adaptive_error(counts: Counts) -> float:
     """Return Σ_b |accuracy_b − confidence_b| / B over bins of equally many points, ties divided."""
     points = counts.sum(axis=0)
-    held = points > 0
-    if not held.any():
+    filled = points > 0
+    if not filled.any():
         return math.nan
-    gaps = counts[0, held] - points[held] * CONFIDENCES[held].astype(np.float64)
-    reached = np.concatenate([[0], points[held].cumsum()])
+    gaps = counts[0, filled] - points[filled] * CONFIDENCES[filled].astype(np.float64)
+    reached = np.concatenate([[0], points[filled].cumsum()])
     borders = np.linspace(0, reached[-1], POOLED_BINS + 1)
     gap = np.diff(np.interp(borders, reached, np.concatenate([[0], gaps.cumsum()])))
     return float(np.abs(gap).sum() / reached[-1])

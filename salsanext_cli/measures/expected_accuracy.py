@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Accuracy to expect of a run without labels, from the mean confidence of its scans."""
+"""Estimated accuracy of a run without labels, from the mean confidence of its scans."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from salsanext_cli.errors import counted
 from salsanext_cli.network.card import AccuracyLine
 
 DEVIATIONS = 2.0
-"""Half the width of the interval, in root mean squares of expected minus measured accuracy. Of the
-ten labelled drives in docs/safety.md, each judged by the nine others, nine lie in it."""
+"""Half the width of the interval, in root mean squares of estimated minus measured accuracy: nine
+of ten labelled drives lie in the interval that the nine others give."""
 OF_RUN = ("mixed-sensors",)
 """Warnings that concern every scan of a run: the fit to its scans suits none of the sensors."""
 WITHHELD_FOR = (
@@ -21,31 +21,31 @@ WITHHELD_FOR = (
     *("upside-down", "wide-view"),
 )
 """Warnings that a scan is unlike the ten drives. Solid-state sensors, which only get
-`part-of-circle`, had the expected accuracy within 3 points."""
+`part-of-circle`, had the estimated accuracy within 3 points."""
 EDGE = 1e-6  # Mean confidences closer to 0 or 1 have no useful logit
 
 
 @dataclass(frozen=True, slots=True)
 class ExpectedAccuracy:
-    """Accuracy to expect of some scans of a run, or the warnings that forbid an estimate."""
+    """Estimated accuracy of some scans of a run, or the warnings that forbid an estimate."""
 
-    accuracy: float | None  # Share of the points, 0…1; None if it is withheld
+    accuracy: float | None  # Share of the points, 0…1; None if the estimate is withheld
     interval: tuple[float, float] | None  # Holds for nine of ten drives, 0…1
-    scans: int  # Number of scans that the estimate is about
-    withheld: Mapping[str, int]  # Number of the other scans by code of the warning
+    scans: int  # Number of scans that the estimate covers
+    withheld: Mapping[str, int]  # Number of other scans by code of the warning
 
     @property
     def text(self) -> str:
-        """One line for people."""
+        """One line for the summary of a run."""
         reasons = ", ".join(
             f"{code} in {counted(count, 'scan')}" for code, count in self.withheld.items()
         )
         if self.interval is None:
-            return f"accuracy not estimated: {reasons}"
+            return f"Accuracy not estimated: {reasons}"
         low, high = math.floor(100 * self.interval[0]), math.ceil(100 * self.interval[1])
         others = f"; not estimated for the others: {reasons}" if reasons else ""
         scans = f" of {counted(self.scans, 'scan')}" if reasons else ""
-        return f"expected accuracy{scans}: {low} to {high} %, from the confidence{others}"
+        return f"Estimated accuracy{scans}: {low} to {high} % (from confidence{others})"
 
 
 def expected_accuracy(
@@ -55,8 +55,8 @@ def expected_accuracy(
 ) -> ExpectedAccuracy | None:
     """Estimate the accuracy of a run by a line through logits of confidence and accuracy.
 
-    `line`: as `WeightsCard.accuracy`; `confidences`: mean of the largest probabilities of each
-    scan's points, 0…1, by name; `warnings`: names of scans by code. None without line or scans.
+    `confidences`: mean of the largest probabilities of each scan's points, 0…1, by name of the
+    scan; `warnings`: names of scans by code. None without a line or scans.
     """
     if line is None or not confidences:
         return None

@@ -3,8 +3,8 @@
 
 Probabilities are float16 on disk: a bin for each of the 15 361 such numbers from 0 to 1 makes
 errors exact for any number of scans. A bin of uncertainty is a bfloat16 number, to which
-uncertainties are truncated: 128 bins per octave, which separate 1 from 1.008. Points in one bin are
-tied.
+uncertainties are truncated: 128 bins per octave, which separate 1 from 1.008. Points of one bin
+are tied.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ FIRST_KEY = int(np.float32(2.0**LOWEST).view(np.int32)) >> BFLOAT16_SHIFT
 
 @dataclass(frozen=True, slots=True)
 class SoftmaxErrors:
-    """Errors of the softmax of points, each (N,); NaN for points that have none."""
+    """Errors of the softmax of N points; NaN for points without a softmax."""
 
     predicted: Indices  # The most probable class
-    wrong: Mask  # Whether the true class is another
+    wrong: Mask  # Whether the true class differs
     confidence: npt.NDArray[np.float16]  # The largest probability
     nll: Ratios  # Negative log-likelihood of the true class in nats, 0…16.6
     brier: Ratios  # Squared distance Σ_c (p_c − [c is true])², 0…2
 
 
 def softmax_errors(probabilities: npt.NDArray[Any], truth: npt.NDArray[Any]) -> SoftmaxErrors:
-    """Compare probabilities (N, C), rows of NaN for points without, with train ids (N,)."""
+    """Compare probabilities (N, C), NaN for points without, with train ids (N,)."""
     exact = probabilities.astype(np.float64)
-    every = np.arange(len(exact))
-    of_truth, predicted = exact[every, truth], exact.argmax(axis=1)
+    rows = np.arange(len(exact))
+    of_truth, predicted = exact[rows, truth], exact.argmax(axis=1)
     return SoftmaxErrors(
         predicted=predicted,
         wrong=predicted != truth,
-        confidence=exact[every, predicted].astype(np.float16),
+        confidence=exact[rows, predicted].astype(np.float16),
         nll=-np.log(np.maximum(of_truth, MIN_PROBABILITY)),
         brier=np.einsum("nc,nc->n", exact, exact) - 2 * of_truth + 1,
     )
@@ -66,10 +66,10 @@ def lack_of_confidence(probabilities: npt.NDArray[Any]) -> Float:
 
 def softmax_entropy(probabilities: npt.NDArray[Any]) -> Float:
     """Return the entropy −Σ_c p_c ln p_c in nats: (N, C) to (N,) float32, 0 … ln C."""
-    some = probabilities.astype(np.float32)
+    probabilities = probabilities.astype(np.float32)
     # 0 ln 0 is 0, and no float16 above 0 is smaller.
-    logarithm = np.log(np.clip(some, MIN_PROBABILITY, 1))
-    entropy: Float = -np.einsum("nc,nc->n", some, logarithm)
+    logarithm = np.log(np.clip(probabilities, MIN_PROBABILITY, 1))
+    entropy: Float = -np.einsum("nc,nc->n", probabilities, logarithm)
     return np.maximum(entropy, 0)
 
 
@@ -77,20 +77,20 @@ def softmax_entropy(probabilities: npt.NDArray[Any]) -> Float:
 class Histogram:
     """Histograms by group, and sums of values over the points of each group."""
 
-    counts: Counts  # (2, G, B) int64: right points, then wrong ones, by group and bin
+    counts: Counts  # (2, G, B) int64: right and wrong points by group and bin
     # By name, G float64 sums for each scan. `math.fsum` adds them for a mean, which is then the
     # same to the last digit in any order of the scans
     scan_sums: dict[str, array[float]]
-    scans: int  # Number of scans with a point that was counted
-    left_out: int  # Number of points without a value
+    scans: int  # Number of scans with a counted point
+    without_value: int  # Number of points
 
     @property
     def points(self) -> Counts:
-        """Number of points of each group, (G,)."""
+        """Number of points by group, (G,)."""
         return self.counts.sum(axis=(0, 2))
 
     def means(self, name: str) -> Ratios:
-        """Divide a sum by the number of points of each group, (G,); NaN for one without points."""
+        """Return the mean of each group, (G,) float64; NaN for a group without points."""
         sums, points = self.scan_sums[name], self.points.tolist()
         pairs = enumerate(points)
         return np.array([math.fsum(sums[i :: len(points)]) / n if n else np.nan for i, n in pairs])
@@ -101,18 +101,18 @@ class Histogram:
         for name, sums in self.scan_sums.items():
             sums.extend(other.scan_sums[name])
         self.scans += other.scans
-        self.left_out += other.left_out
+        self.without_value += other.without_value
         return self
 
     def group(self, index: int) -> Histogram:
         """Return the histogram of one group."""
         sums = {name: s[index :: self.counts.shape[1]] for name, s in self.scan_sums.items()}
-        return Histogram(self.counts[:, index : index + 1], sums, self.scans, self.left_out)
+        return Histogram(self.counts[:, index : index + 1], sums, self.scans, self.without_value)
 
     def total(self) -> Histogram:
         """Return the histogram of all groups together, as one group."""
         counts: Counts = self.counts.sum(axis=1, keepdims=True)
-        return Histogram(counts, self.scan_sums, self.scans, self.left_out)
+        return Histogram(counts, self.scan_sums, self.scans, self.without_value)
 
 
 def confidence_histogram(
@@ -127,7 +127,7 @@ def confidence_histogram(
 def uncertainty_histogram(
     uncertainty: npt.NDArray[Any], wrong: Mask, group: npt.NDArray[Any], group_count: int
 ) -> Histogram:
-    """Count the points of a scan by uncertainty (N,), 0 and above; NaN is left out."""
+    """Count the points of a scan by uncertainty (N,), 0 and above; skip NaN."""
     values, shape = uncertainty.astype(np.float64), (2, group_count, UNCERTAINTY_BINS)
     bins = bin_of(uncertainty)
     return _histogram(shape, ~np.isnan(values), wrong, group, bins, uncertainty=values)
@@ -135,7 +135,7 @@ def uncertainty_histogram(
 
 def error_histogram(error: npt.NDArray[Any], wrong: Mask) -> Histogram:
     """Count points by the probability (N,) that their label is wrong, in bins of `CONFIDENCES`."""
-    # "Wrong" is what is claimed with this probability, so a wrong point counts as right here.
+    # The error claims that the label is wrong, so a wrong point counts as right here.
     shape, group = (2, 1, len(CONFIDENCES)), np.zeros(len(error), np.intp)
     bins = np.abs(error).astype(np.float16).view(np.uint16).astype(np.intp)
     return _histogram(shape, ~np.isnan(error), ~wrong, group, bins)
@@ -153,20 +153,20 @@ def _histogram(
     group = group[known]
     cell = np.ravel_multi_index((wrong[known].astype(np.intp), group, bins[known]), shape)
     counts = np.bincount(cell, minlength=math.prod(shape)).reshape(shape)
-    sums = {name: np.bincount(group, each[known], shape[1]) for name, each in values.items()}
-    scan_sums = {name: array("d", each.tolist()) for name, each in sums.items()}
+    sums = {name: np.bincount(group, v[known], shape[1]) for name, v in values.items()}
+    scan_sums = {name: array("d", of_groups.tolist()) for name, of_groups in sums.items()}
     return Histogram(counts, scan_sums, int(len(cell) > 0), len(known) - len(cell))
 
 
 def bin_of(uncertainty: npt.NDArray[Any]) -> Indices:
-    """Return the bin of each uncertainty, from float32, same shape; NaN has none."""
+    """Return the bins of uncertainties other than NaN, in the same shape."""
     # The bit patterns of positive floats are in the order of the floats.
     key = uncertainty.astype(np.float32).view(np.int32) >> BFLOAT16_SHIFT
     return np.clip(key.astype(np.intp) - FIRST_KEY + 1, 0, UNCERTAINTY_BINS - 1)
 
 
 def highest_of_bins() -> Ratios:
-    """Return the largest float32 that each bin holds, float64; that of the last is infinite."""
+    """Return the largest float32 of each bin, (B,) float64; infinite for the last bin."""
     next_key = (np.arange(UNCERTAINTY_BINS, dtype=np.int32) + FIRST_KEY) << BFLOAT16_SHIFT
     highest: Ratios = (next_key - 1).view(np.float32).astype(np.float64)
     highest[-1] = np.inf

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Threshold of an uncertainty chosen from labelled scans, with a promise about a new scan.
+"""Threshold of an uncertainty chosen from labelled scans, with a guarantee about a new scan.
 
-The loss of a scan at a threshold is the share of all its scored points that are kept and wrong; it
-rises with the threshold. Scans, or drives where there are enough, but not points, are taken as
-exchangeable: those at hand and a new one come in any order with the same chance. The loss of a
-drive is the mean of its scans. Arrays of losses are (n, T): scans or drives by rising threshold.
+The loss of a scan at a threshold is the share of its scored points that are accepted and wrong. It
+rises with the threshold. Scans, or drives if there are enough, are assumed to be exchangeable;
+points are not. The loss of a drive is the mean of its scans. Arrays of losses are (n, T): scans or
+drives by rising threshold.
 """
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
@@ -22,18 +22,18 @@ from salsanext_cli.network.card import RiskThreshold
 
 PEOPLE = ("person", "bicyclist", "motorcyclist", "person-or-cycle")
 """Classes whose points are of people."""
-KEEPS_NONE = -1.0  # Threshold of a class of which no label is kept
+ACCEPTS_NONE = -1.0  # Threshold of a class whose labels are all rejected
 RISK_BOUND_EXCEEDED = (
-    "more is kept and wrong than was promised: by chance, if these scans are few, else because "
-    "their place, sensor or weather is another than that of the scans that the threshold was "
-    "chosen on; choose it with `salsanext tune risk` on labelled scans like these"
+    "the share of accepted and wrong points exceeds the guarantee: by chance if these scans are "
+    "few, else because location, sensor or weather differ from the scans that the threshold was "
+    "chosen on\nhint: choose it with `salsanext tune risk` on labelled scans like these"
 )
 
 
 def means_of_units(losses: Ratios, units: npt.NDArray[Any]) -> Ratios:
-    """Return the mean of each unit, as a drive of several scans, in sorted order: (n, …) to (U, …).
+    """Return the mean of each unit, such as a drive, in sorted order: (n, …) to (U, …).
 
-    `units` (n,): what names the unit of each scan.
+    `units` (n,): name of the unit of each scan.
     """
     return np.stack([losses[units == unit].mean(axis=0) for unit in np.unique(units)])
 
@@ -41,13 +41,13 @@ def means_of_units(losses: Ratios, units: npt.NDArray[Any]) -> Ratios:
 def held_thresholds(
     losses: Ratios, at_most: float, confidence: float | None = None, scans: int | None = None
 ) -> int:
-    """Return how many of the thresholds hold a level, `at_most`.
+    """Return the number of thresholds that hold a level, `at_most`.
 
-    Without a confidence they hold the expected loss of a new scan, since
-    (Σ losses + 1) / (n + 1) ≤ level: conformal risk control (Angelopoulos et al. 2022, arXiv
-    2208.02814, eq. 4) of a loss of at most 1. With one they hold the loss of most scans: with this
-    confidence, over the choice of the n, at most a share 1 − confidence of all scans loses more.
-    `scans`: the number n, if another than that of the losses.
+    Without a confidence they bound the expected loss of a new scan: (Σ losses + 1) / (n + 1) ≤
+    level, conformal risk control (Angelopoulos et al. 2022, arXiv 2208.02814, eq. 4) of a loss of
+    at most 1. Otherwise, with this confidence over the choice of the n scans, at most a share
+    1 − confidence of all scans has a larger loss. `scans`: the number n, if it is not that of the
+    losses.
     """
     n = scans or len(losses)
     if confidence is None:
@@ -56,9 +56,9 @@ def held_thresholds(
 
 
 def allowed_scans(scans: int, confidence: float) -> int:
-    """Return how many of n scans may be bad for 1 − confidence to bound their share; −1: too few.
+    """Return the number of bad scans among n that 1 − confidence still bounds; −1: n is too small.
 
-    The largest number for which the bound of Clopper and Pearson (1934) is low enough.
+    It is the largest for which the bound of Clopper and Pearson (1934) is low enough.
     """
     bad = 0
     while binomial(bad, scans, 1 - confidence) <= 1 - confidence:
@@ -67,7 +67,7 @@ def allowed_scans(scans: int, confidence: float) -> int:
 
 
 def binomial(most: int, count: int, chance: float) -> float:
-    """Return the probability of at most so many of `count` events of a chance above 0, up to 1."""
+    """Return the probability of at most `most` of `count` events, each of a chance in (0, 1]."""
     if most >= count or chance >= 1:
         return float(most >= count)
     logs = (
@@ -99,17 +99,17 @@ def enough_drives(drives: int, at_most: float, confidence: float | None) -> bool
 
 
 @dataclass(frozen=True, slots=True)
-class KeptLabels:
-    """Coverage and risk of labels of which some were rejected; points are those scored."""
+class AcceptedLabels:
+    """Coverage and risk of the labels of a run that rejected some, over scored points."""
 
-    points: int  # Number of points
-    kept: int  # Of them, those with a label, and of these, wrong ones
+    points: int
+    accepted: int  # Number of points with a label, and of wrong ones among them
     wrong: int
-    people: int  # Number of points of people, and of them, kept with a label of something else
+    people: int  # Number of points of people, and of those accepted with another label
     missed_people: int
-    # Kept points and wrong ones of them, by predicted class, those of people first
+    # Accepted and wrong points by predicted class, people first
     classes: dict[str, tuple[int, int]]
-    # Name, points, kept and wrong ones, of the scan with the largest share that is kept and wrong
+    # Name, points, accepted and wrong points of the scan with the largest share of wrong points
     worst: tuple[str, int, int, int]
 
     @classmethod
@@ -118,111 +118,120 @@ class KeptLabels:
     ) -> Self:
         """Count the points whose predicted class is not 0; `scans`: as `worst`, by name."""
         matrix = scored_rows(confusion, space)
-        kept, right = matrix[:, 1:].sum(axis=0), matrix.diagonal()[1:]
-        of_classes = zip(space.names[1:], kept.tolist(), (kept - right).tolist(), strict=True)
-        in_order = sorted(of_classes, key=lambda each: each[0] not in PEOPLE)
+        accepted, right = matrix[:, 1:].sum(axis=0), matrix.diagonal()[1:]
+        of_classes = zip(
+            space.names[1:], accepted.tolist(), (accepted - right).tolist(), strict=True
+        )
         people = np.isin(space.names, PEOPLE)
         worst = max(scans, key=lambda name: scans[name][2] / max(scans[name][0], 1))
         return cls(
             points=int(matrix.sum()),
-            kept=int(kept.sum()),
-            wrong=int((kept - right).sum()),
+            accepted=int(accepted.sum()),
+            wrong=int((accepted - right).sum()),
             people=int(matrix[people].sum()),
             missed_people=int(matrix[people][:, 1:][:, ~people[1:]].sum()),
-            classes={n: (k, w) for n, k, w in in_order if k},
+            classes={
+                name: (count, wrong)
+                for name, count, wrong in sorted(of_classes, key=lambda item: item[0] not in PEOPLE)
+                if count
+            },
             worst=(worst, *scans[worst]),
         )
 
     @property
     def coverage(self) -> float:
-        """Share of the points that is kept, 0…1."""
-        return self.kept / max(self.points, 1)
+        """Share of the points that is accepted, 0…1."""
+        return self.accepted / max(self.points, 1)
 
     @property
     def risk(self) -> float:
-        """Share of the kept points that is wrong, 0…1."""
-        return self.wrong / max(self.kept, 1)
+        """Share of the accepted points that is wrong, 0…1."""
+        return self.wrong / max(self.accepted, 1)
 
     @property
     def sentences(self) -> Iterator[str]:
-        """The same for people, without the classes."""
-        text = f"kept: {self.coverage:.1%} of {self.points:,} points, of which {self.risk:.1%} are"
-        yield f"{text} wrong ({self.wrong / max(self.points, 1):.1%} of all)"
-        name, in_worst, kept, errors = self.worst
-        loss, risk = errors / max(in_worst, 1), errors / max(kept, 1)
-        of_kept = f"{risk:.1%} of the {kept:,} kept"
-        yield f"worst scan: {name}, {loss:.1%} of its points are kept and wrong, {of_kept}"
+        """Coverage, risk, the worst scan and missed people."""
+        of_all = f"{self.wrong / max(self.points, 1):.1%} of all"
+        yield (
+            f"accepted: {self.coverage:.1%} of {self.points:,} points, "
+            f"{self.risk:.1%} of these are wrong ({of_all})"
+        )
+        name, points, accepted, wrong = self.worst
+        of_accepted = f"{wrong / max(accepted, 1):.1%} of the {accepted:,} accepted"
+        loss = f"{wrong / max(points, 1):.1%} of its points are accepted and wrong"
+        yield f"worst scan: {name}, {loss} ({of_accepted})"
         if self.people:
             missed = f"{self.missed_people:,} of {self.people:,} points of people"
-            yield f"missed people: {missed} are kept with a label of something else"
+            yield f"missed people: {missed} are accepted with another label"
+
+    def to_dict(self) -> dict[str, object]:
+        """Return plain data for JSON."""
+        content = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {"kept" if name == "accepted" else name: v for name, v in content.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class RiskBoundCheck:
-    """Promise about scans or drives beside the losses found, shares of their scored points."""
+    """Guarantee about scans or drives, and their losses, which are shares of scored points."""
 
     at_most: float
-    confidence: float | None  # None where the mean over them is at most that
+    confidence: float | None  # None if the guarantee is about the mean loss
     unit: str  # "scan" or "drive"
-    units: int  # Number of scans or drives, and of those of them that lose more
+    units: int  # Number of scans or drives, and of those with a larger loss
     above: int
-    mean: float  # Mean loss, and the largest
+    mean: float  # Mean and largest loss
     worst: float
 
     @classmethod
     def of_scans(
-        cls, promised: RiskThreshold, scans: Mapping[str, tuple[int, int, int]]
+        cls, guaranteed: RiskThreshold, scans: Mapping[str, tuple[int, int, int]]
     ) -> Self | None:
-        """Compare with points, kept and wrong ones of scans, by name; None without any points."""
+        """Compare with scored, accepted and wrong points of scans by name; None without points."""
         judged = {name: wrong / points for name, (points, _, wrong) in scans.items() if points}
         if not judged:
             return None
-        losses, unit = np.array([*judged.values()]), promised.unit
+        losses, unit = np.array([*judged.values()]), guaranteed.unit
         if unit == "drive":
             drives = np.array([name.rpartition("/")[0] for name in judged])
             losses = means_of_units(losses, drives)
-        above = int((losses > promised.at_most).sum())
-        found = len(losses), above, float(losses.mean()), float(losses.max())
-        return cls(promised.at_most, promised.confidence, unit, *found)
+        above = int((losses > guaranteed.at_most).sum())
+        measured = len(losses), above, float(losses.mean()), float(losses.max())
+        return cls(guaranteed.at_most, guaranteed.confidence, unit, *measured)
 
     @property
     def is_exceeded(self) -> bool:
-        """Say whether more was found than promised."""
+        """Return whether the losses are larger than the guarantee allows."""
         if self.confidence is None:
             return self.mean > self.at_most
         return self.above / self.units > round(1 - self.confidence, 9)
 
     @property
     def sentence(self) -> str:
-        """The same for people."""
-        level, worst = f"{100 * self.at_most:.3g} %", f"{100 * self.worst:.1f} % in the worst"
-        judged = counted(self.units, self.unit)
-        mean = f"{100 * self.mean:.1f} % on the mean of {judged}"
+        """Guarantee and measured losses in words."""
+        measured = f"{self.above} of {counted(self.units, self.unit)}"
         if self.confidence is None:
-            lost = f"at most {level} of the points of known classes of a new {self.unit}"
-            return f"promised: {lost} kept and wrong, on the mean; found: {mean}, {worst}"
-        sure, rest = f"{100 * self.confidence:.3g} %", f"{100 - 100 * self.confidence:.3g} %"
-        found = f"{self.above} of {judged}"
-        return (
-            f"promised with {sure} confidence: at most {rest} of {self.unit}s with more than "
-            f"{level} of their points of known classes kept and wrong; found: {found}, {worst}"
-        )
+            measured = f"{100 * self.mean:.1f} % on average over {counted(self.units, self.unit)}"
+        bound = _bound(self.at_most, self.confidence, self.unit)
+        return f"guaranteed: {bound}; measured: {measured}, {100 * self.worst:.1f} % in the worst"
 
 
-def promise(risk: RiskThreshold) -> str:
-    """Say what the threshold of weights holds for, of the `risk` in their card."""
-    level, scans = f"{100 * risk.at_most:.3g} %", counted(risk.scans, "scan")
-    kept = f"{risk.kind} up to {risk.threshold:.4g} kept"
-    chosen, unit = f"({scans} of {first_few(risk.sequences)})", risk.unit
-    like = f"of the drives that it was chosen on {chosen}, not of others"
-    if unit == "drive":
-        like = f"like those that it was chosen on {chosen}"
-    classes = [name for name, above in risk.classes.items() if above > KEEPS_NONE]
-    alike = f"; the same of the points labelled as each of {first_few(classes)}" if classes else ""
-    if risk.confidence is None:
-        expected = f"{level} of the points of known classes are expected to be kept and wrong"
-        return f"{kept}: of another {unit} {like}, at most {expected}{alike}"
-    sure = f"{100 * risk.confidence:.3g} %"
-    rest = f"{100 - 100 * risk.confidence:.3g} %"
-    more = f"more than {level} of their points of known classes kept and wrong"
-    return f"{kept}: with {sure} confidence, at most {rest} of {unit}s {like} have {more}{alike}"
+def guarantee(risk: RiskThreshold) -> str:
+    """Return the guarantee of the threshold of weights in words."""
+    chosen = f"was chosen on ({counted(risk.scans, 'scan')} of {first_few(risk.sequences)})"
+    scope = f"scans of the drives that the threshold {chosen}, not of other drives"
+    if risk.unit == "drive":
+        scope = f"drives like those that the threshold {chosen}"
+    classes = [name for name, above in risk.classes.items() if above > ACCEPTS_NONE]
+    alike = f"; the same for the points labelled {first_few(classes)}" if classes else ""
+    bound = _bound(risk.at_most, risk.confidence, risk.unit)
+    return f"{risk.kind} up to {risk.threshold:.4g} accepted: {bound}, for {scope}{alike}"
+
+
+def _bound(at_most: float, confidence: float | None, unit: str) -> str:
+    level = f"{100 * at_most:.3g} %"
+    if confidence is None:
+        return f"on average at most {level} of the points of known classes are accepted and wrong"
+    return (
+        f"with {100 * confidence:.3g} % confidence, at most {100 - 100 * confidence:.3g} % of "
+        f"{unit}s have more than {level} of their points of known classes accepted and wrong"
+    )

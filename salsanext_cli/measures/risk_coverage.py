@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Uncertainty as a detector of wrong points: scores, a threshold, and rank correlation.
 
-Functions of counts take the number of right and of wrong points in bins of ascending uncertainty,
-(B,) int64 each. Points in one bin are tied: scores are the mean over every order among them.
+Functions of counts take the numbers of right and of wrong points in bins of ascending uncertainty,
+(B,) int64. Points of one bin are tied: scores are the mean over every order among them.
 """
 
 import math
@@ -17,7 +17,7 @@ from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
 COVERAGE = np.arange(1, 101) / 100  # Shares of the least uncertain points
-PERCENT_KEPT = 80  # Share of the points, in percent, that a threshold keeps as nearly as it can
+PERCENT_ACCEPTED = 80  # Share of the points, in percent, that the suggested threshold aims at
 FEW_DIGITS = (1, 2, 3, 4)  # Significant digits of a rounded threshold
 SERIES_FROM = 16  # Harmonic numbers from here on: their series is exact to the last digit
 
@@ -26,15 +26,15 @@ SERIES_FROM = 16  # Harmonic numbers from here on: their series is exact to the 
 class RankingScores:
     """Scores of an uncertainty as a detector of wrong points; NaN where undefined."""
 
-    points: int  # Number of points, and of those whose label is not the true one
-    wrong: int
+    points: int
+    wrong: int  # Number of points whose label is not the true one
     mean: float  # Mean uncertainty
-    auroc: float  # Area under the receiver operating characteristic, 0…1; 0.5 is guessing
+    auroc: float  # Area under the receiver operating characteristic, 0…1; 0.5 is chance
     aupr: float  # Average precision with wrong points as the positives, 0…1; higher is better
     aurc: float  # Area under the risk-coverage curve, 0…1; lower is better
     excess_aurc: float  # Difference to the area of the best order, wrong points last
-    # Area between the sparsification curve and that of the best order, both as multiples of the
-    # share of wrong points among all; lower is better
+    # Area between the sparsification curves of this and of the best order, as multiples of the
+    # share of wrong points; lower is better
     ause: float
 
 
@@ -78,9 +78,9 @@ def average_precision(right: Counts, wrong: Counts) -> float:
 
 def aurc(right: Counts, wrong: Counts) -> float:
     """Return the mean over k = 1…n of the risk of the k least uncertain points."""
-    # The risk is the share of them that is wrong. Among the m tied points of a bin, w of them
-    # wrong, it is on average (E + (k − K) w/m) / k, with E wrong ones among the K points of the
-    # bins before; the sum over k is closed in harmonic numbers.
+    # The risk is the share of wrong points. Within a bin of m points, w of them wrong, its mean is
+    # (E + (k − K) w/m) / k, with E wrong points among the K points of the bins before. The sum over
+    # k is closed in harmonic numbers.
     tied = right + wrong
     held = tied > 0
     if not held.any():
@@ -95,15 +95,15 @@ def aurc(right: Counts, wrong: Counts) -> float:
 def risk_coverage(
     right: Counts, wrong: Counts, coverage: Ratios = COVERAGE
 ) -> tuple[Ratios, Ratios]:
-    """Return risks and thresholds (K,) of keeping shares (K,) of the points; NaN without points."""
+    """Return risks and thresholds (K,) at coverages (K,), float64; NaN without points."""
     reached = (right + wrong).cumsum()
-    kept = coverage * reached[-1]
+    accepted = coverage * reached[-1]
     if not reached[-1]:
-        return np.full(kept.shape, np.nan), np.full(kept.shape, np.nan)
-    errors = np.interp(kept, np.append(0, reached), np.append(0, wrong.cumsum()))
+        return np.full(accepted.shape, np.nan), np.full(accepted.shape, np.nan)
+    errors = np.interp(accepted, np.append(0, reached), np.append(0, wrong.cumsum()))
     # A share such as 0.07 of 100 points is 7.000000000000001 of them.
-    bins = np.searchsorted(reached, np.ceil(kept - 1e-6))
-    return errors / kept, highest_of_bins()[bins]
+    bins = np.searchsorted(reached, np.ceil(accepted - 1e-6))
+    return errors / accepted, highest_of_bins()[bins]
 
 
 def _harmonic(numbers: Counts) -> Ratios:
@@ -116,46 +116,47 @@ def _harmonic(numbers: Counts) -> Ratios:
 
 
 @dataclass(frozen=True, slots=True)
-class KeptPoints:
+class AcceptedPoints:
     """Points whose uncertainty is below a threshold."""
 
-    kind: str  # The kind of uncertainty
-    points: int  # Number of all points that have it
-    risk_of_all: float  # Share of these that is wrong, 0…1
+    kind: str  # Kind of uncertainty
+    points: int  # Number of points with this uncertainty
+    risk_of_all: float  # Share of these points that is wrong, 0…1
     # NaN where no threshold can help: no point is wrong, none is right, or all are tied
     threshold: float = math.nan
     coverage: float = math.nan  # Share of the points below the threshold, exact
-    risk: float = math.nan  # Share of those that is wrong, exact
+    risk: float = math.nan  # Share of the accepted points that is wrong, exact
 
     @property
     def sentence(self) -> str:
-        """The same for people."""
-        kind, points = self.kind, f"{self.points:,} points"
-        of_all = _percent(self.risk_of_all)
+        """Suggested threshold in words."""
+        kind, of_all = self.kind, _percent(self.risk_of_all)
         if math.isnan(self.threshold):
-            return f"no threshold of {kind} helps: of {points} {of_all} are wrong"
+            return f"no threshold of {kind} helps: {of_all} of {self.points:,} points are wrong"
         unit = UNCERTAINTY[kind].unit if kind in UNCERTAINTY else ""
         below = f"{kind} below {self.threshold:.4g} {unit}".rstrip()
-        # A little less than all is not all.
-        kept = f"the {min(100 * self.coverage, 99.9):.3g} % of points with {below}"
+        # 99.96 % is not 100 %.
+        accepted = f"the {min(100 * self.coverage, 99.9):.3g} % of points with {below}"
         risk = _percent(self.risk)
         if self.risk < self.risk_of_all and risk != of_all:
-            return f"keep {kept}: {risk} of them are wrong instead of {of_all}"
-        return f"{kind} does not find wrong points: of {kept} {risk} are wrong, of all {of_all}"
+            return f"accept {accepted}: {risk} of them are wrong instead of {of_all}"
+        return (
+            f"{kind} does not detect wrong points: {risk} of {accepted} are wrong, {of_all} of all"
+        )
 
 
-def kept_points(kind: str, histogram: Histogram) -> KeptPoints:
-    """Find the threshold that keeps nearly `PERCENT_KEPT` of the points, ties together."""
+def accepted_points(kind: str, histogram: Histogram) -> AcceptedPoints:
+    """Find the threshold whose coverage is nearest to `PERCENT_ACCEPTED`, ties together."""
     right, wrong = histogram.total().counts[:, 0]
     tied = right + wrong
     reached, errors = tied.cumsum(), wrong.cumsum()
     points, risk_of_all = int(reached[-1]), float(errors[-1] / reached[-1])
     held = np.flatnonzero(tied)
     if risk_of_all in (0, 1) or len(held) == 1:
-        return KeptPoints(kind, points, risk_of_all)
-    nearest = np.abs(100 * reached[held[:-1]] - PERCENT_KEPT * points).argmin()
+        return AcceptedPoints(kind, points, risk_of_all)
+    nearest = np.abs(100 * reached[held[:-1]] - PERCENT_ACCEPTED * points).argmin()
     last, following = held[nearest : nearest + 2]
-    return KeptPoints(
+    return AcceptedPoints(
         kind=kind,
         points=points,
         risk_of_all=risk_of_all,
@@ -170,7 +171,7 @@ def _between(highest: float, others: float) -> float:
     lowest_out = float(np.nextafter(np.float32(others), np.float32(np.inf)))
     middle = (highest + lowest_out) / 2
     rounded = (float(f"{middle:.{digits}g}") for digits in FEW_DIGITS)
-    return next((each for each in rounded if highest < each <= lowest_out), lowest_out)
+    return next((number for number in rounded if highest < number <= lowest_out), lowest_out)
 
 
 def _percent(share: float) -> str:
@@ -178,13 +179,13 @@ def _percent(share: float) -> str:
 
 
 def spearman(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
-    """Return Spearman's rank correlation of finite numbers (N,), -1…1; NaN if one does not vary."""
+    """Return Spearman's rank correlation of (N,) finite numbers, -1…1; NaN if one is constant."""
     ranks = [_centred_ranks(values) for values in (one, other)]
     norm = math.prod(math.sqrt(r @ r) for r in ranks)
     return float(ranks[0] @ ranks[1] / norm) if norm else math.nan
 
 
 def _centred_ranks(values: npt.NDArray[Any]) -> Ratios:
-    """Return ranks whose mean is 0, so that those of equal values are exactly 0."""
+    """Return ranks whose mean is 0; ranks of equal values are exactly 0."""
     _, rank_of, count = np.unique(values, return_inverse=True, return_counts=True)
     return (count.cumsum() - (count + len(values)) / 2)[rank_of]

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 from functools import cache
 from operator import add
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, RawIds, TrainIds
 from salsanext_cli.classes.merging import ClassMerging
-from salsanext_cli.errors import LabelError, counted, first_few
+from salsanext_cli.errors import LabelError, counted, first_few, with_hint
 from salsanext_cli.files.reading import present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
@@ -45,28 +45,28 @@ from salsanext_cli.measures.scores import (
 )
 from salsanext_cli.network.card import is_among
 from salsanext_cli.records import Float, Indices, Scan
+from salsanext_cli.results.manifest import Manifest, Rejection
 from salsanext_cli.results.paths import ScanFile, output_path
-from salsanext_cli.results.provenance import Provenance, Rejection
 from salsanext_cli.results.result_folder import read_kind
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 from salsanext_cli.sensors.sensor import Sensor
 
 SOFTMAX = "probabilities"  # Folder of the softmax, and key of the histograms of its confidence
 OF_SOFTMAX = {"least_confidence": lack_of_confidence, "softmax_entropy": softmax_entropy}
-"""Uncertainties that come from the probabilities, where no file has them or classes are merged."""
+"""Uncertainties computed from the probabilities if no file has them or classes are merged."""
 EVALUATED_KINDS = (*dict.fromkeys((*OF_SOFTMAX, *UNCERTAINTY)),)  # In the order of reports
 CLASS, DISTANCE = "class", "distance"
 OF_ERROR = ("error", "calibration")  # Key of the histogram of the error as a probability
 MIN_ACCURACY, MIN_JUDGED = 0.2, 10_000
-"""Least accuracy, over so many points or more, of labels that mean the same as the predictions;
-that of other ids was 0.02, that of the default weights in streets 0.75 or more."""
+"""Least accuracy, over at least so many points, of labels with the same raw ids as the predictions.
+Other ids had 0.02, the default weights have 0.75 or more in cities."""
 BAND_STARTS_M = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # The last band has no end
 BAND_NAMES = ("0–10 m", "10–20 m", "20–30 m", "30–40 m", "40–50 m", "over 50 m")
 
 
 @dataclass(frozen=True, slots=True)
 class ScanScores:
-    """Scores of one scan, as `Scores` has them."""
+    """Scores of one scan, as in `Scores`."""
 
     points: int
     accuracy: float
@@ -77,32 +77,32 @@ class ScanScores:
 class ScanCounts:
     """Counts over scans."""
 
-    confusion: Counts  # (C, C): of all points
-    segments: Ratios  # As `count_segments` returns, where objects were predicted
-    bands: tuple[Counts, ...] = ()  # One per name in `BAND_NAMES`; empty if not requested
-    # Number of points by raw id that the label space does not know
+    confusion: Counts  # (C, C) of all points
+    segments: Ratios  # (C, 5) of `count_segments`; 0 without predicted objects
+    bands: tuple[Counts, ...] = ()  # (C, C) for each of `BAND_NAMES`; empty if not requested
+    # Number of points by raw id that the label space lacks
     unknown_truth: Counter[int] = field(default_factory=Counter)
     unknown_predictions: Counter[int] = field(default_factory=Counter)
     scans: int = 0  # Number of scans counted, and of those that the weights were trained on
     trained_on: int = 0
-    left_out: int = 0  # Number of scans that are not counted since the weights were trained on them
+    skipped: int = 0  # Number of scans not counted because the weights were trained on them
     calibrated: int = 0  # Number of scans that the threshold of their rejection was chosen on
     missing: list[ScanFile] = field(default_factory=list)  # Scans without predictions
     files: Counter[str] = field(default_factory=Counter)  # Number of scans with a file, by folder
-    # Of each scan of a run that rejected labels: scored points, kept ones, and wrong ones of these
-    kept: dict[str, tuple[int, int, int]] = field(default_factory=dict)
+    # Scored, accepted and wrong points of each scan of a run that rejected labels, by name
+    accepted: dict[str, tuple[int, int, int]] = field(default_factory=dict)
     calibration_errors: list[float] = field(default_factory=list)  # Of each scan with a softmax
-    # Of each scan with the error: its mean, and the share of these points that is wrong
+    # Mean error and share of wrong points, of each scan with the error
     errors: list[tuple[float, float]] = field(default_factory=list)
-    # Of confidence, under `SOFTMAX`, and of each kind of uncertainty; by grouping: `DISTANCE`, or
-    # `CLASS`, which is the most probable class for the confidence, else the true one
+    # By kind of uncertainty, or `SOFTMAX` for the confidence, and by grouping: `DISTANCE` or
+    # `CLASS`, which is the most probable class for the confidence, else the true class
     histograms: dict[tuple[str, str], Histogram] = field(default_factory=dict)
     by_sequence: dict[str, Counts] = field(default_factory=dict)
     by_scan: dict[str, ScanScores] = field(default_factory=dict)  # By name of the scan
 
     @classmethod
     def none(cls, space: LabelSpace, by_distance: bool) -> ScanCounts:
-        """Return the counts of no scan at all."""
+        """Return the counts of no scan."""
         none = np.zeros((space.class_count, space.class_count), np.int64)
         bands = tuple(none.copy() for _ in BAND_NAMES) if by_distance else ()
         return cls(none, np.zeros((space.class_count, SEGMENT_COUNTS)), bands)
@@ -117,52 +117,54 @@ class ScanCounts:
         self.files += other.files
         self.scans += other.scans
         self.trained_on += other.trained_on
-        self.left_out += other.left_out
+        self.skipped += other.skipped
         self.calibrated += other.calibrated
         self.missing += other.missing
         self.calibration_errors += other.calibration_errors
         self.errors += other.errors
-        self.kept |= other.kept
+        self.accepted |= other.accepted
         self.by_scan |= other.by_scan
-        for key, histogram in other.histograms.items():
-            if key in self.histograms:
-                self.histograms[key] += histogram
-            else:
-                self.histograms[key] = histogram
-        for name, confusion in other.by_sequence.items():
-            if name in self.by_sequence:
-                self.by_sequence[name] += confusion
-            else:
-                self.by_sequence[name] = confusion
+        _add_by_key(self.histograms, other.histograms)
+        _add_by_key(self.by_sequence, other.by_sequence)
 
     def label_warnings(self, space: LabelSpace) -> Iterator[str]:
-        """Yield what the scores do not tell, or may tell wrongly, in words."""
-        if self.left_out:
-            every = counted(self.scans + self.left_out, "labelled scan")
-            were = "was" if self.left_out == 1 else "were"
-            yield f"{self.left_out:,} of {every} {were} trained on: left out of the scores"
+        """Yield reasons to doubt the scores, in words."""
+        if self.skipped:
+            share = f"{self.skipped:,} of {counted(self.scans + self.skipped, 'labelled scan')}"
+            yield f"{share} skipped: the weights were trained on them"
         elif self.trained_on:
-            yield "every labelled scan was trained on: what the scores are of others is unknown"
+            yield "the weights were trained on every labelled scan: scores on new scans are unknown"
         if self.calibrated:
             chosen = f"{self.calibrated:,} of {counted(self.scans, 'scan')}"
-            yield f"the threshold was chosen on {chosen}: these do not test what it promises"
+            yield f"the threshold was chosen on {chosen}: these scans do not test its guarantee"
         unknown = {"labels": self.unknown_truth, "predictions": self.unknown_predictions}
-        for what, ids in unknown.items():
+        for source, ids in unknown.items():
             if ids:
                 listed = first_few([f"{i} ({count:,}×)" for i, count in sorted(ids.items())])
-                yield f"{what}: unknown ids {listed} are taken as unlabelled"
+                yield f"{source}: unknown ids {listed} count as unlabelled"
         matrix = scored_rows(self.confusion, space)
-        matrix = accepted(matrix) if self.kept else matrix
+        matrix = accepted(matrix) if self.accepted else matrix
         points, right = int(matrix.sum()), int(np.trace(matrix))
         if points >= MIN_JUDGED and right < MIN_ACCURACY * points:
-            yield (
-                f"labels and predictions agree on {right / points:.1%} of the labelled points: "
-                "labels of another data set (--label-space), or a sensor set up otherwise?"
+            agreement = (
+                f"labels and predictions agree on {right / points:.1%} of the labelled points"
             )
+            yield with_hint(agreement, "check --label-space and the settings of the sensor")
+
+
+Sum = TypeVar("Sum", Histogram, Counts)
+
+
+def _add_by_key(sums: dict[Any, Sum], others: Mapping[Any, Sum]) -> None:
+    for key, other in others.items():
+        if key in sums:
+            sums[key] += other
+        else:
+            sums[key] = other
 
 
 class CountsApart:
-    """Counts of scans that the weights were trained on, apart from those of others."""
+    """Counts of scans that the weights were trained on, and of the other scans."""
 
     def __init__(self, space: LabelSpace, by_distance: bool) -> None:
         self.others = ScanCounts.none(space, by_distance)
@@ -173,16 +175,16 @@ class CountsApart:
         (self.trained_on if other.trained_on else self.others).add(other)
 
     def scored(self) -> ScanCounts:
-        """Return the counts to score: of the others, unless every scan was trained on."""
+        """Return the counts of the other scans, or of all if the weights were trained on all."""
         if self.others.scans or not self.trained_on.scans:
-            self.others.left_out = self.trained_on.scans
+            self.others.skipped = self.trained_on.scans
             return self.others
         self.trained_on.missing = self.others.missing
         return self.trained_on
 
 
 class JudgedLabels(NamedTuple):
-    """Labels of the N points of a scan beside the truth."""
+    """Labels and truth of the N points of a scan."""
 
     truth: TrainIds  # (N,)
     predicted: TrainIds  # (N,)
@@ -207,12 +209,12 @@ class JudgedLabels(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ScanComparison:
-    """Settings with which the results of scans are compared with their labels."""
+    """Settings of the comparison of results with labels."""
 
     out: Path  # Output folder
-    space: LabelSpace  # Classes that are compared, and meaning of the predicted raw ids
+    space: LabelSpace  # Compared classes, and meaning of the predicted raw ids
     labels: LabelSpace  # Meaning of the raw ids of the truth
-    merging: ClassMerging | None  # Of the classes of the probabilities into those of `space`
+    merging: ClassMerging | None  # From the classes of the probabilities to those of `space`
     sensor: Sensor  # Sensor of the range images, and origin of the scans
     rejection: Rejection | None = None
     trained_on: frozenset[str] = frozenset()  # Digests of scans
@@ -221,9 +223,9 @@ class ScanComparison:
 
     @classmethod
     def of_results(
-        cls, results: Provenance, space: LabelSpace, labels: LabelSpace, *, by_distance: bool
+        cls, results: Manifest, space: LabelSpace, labels: LabelSpace, *, by_distance: bool
     ) -> ScanComparison:
-        """Return the settings that the records of an output folder tell."""
+        """Return the settings that the records of an output folder imply."""
         return cls(
             results.root,
             space,
@@ -236,10 +238,10 @@ class ScanComparison:
         )
 
     def count(self, scan: ScanFile) -> ScanCounts:
-        """Count one scan; one without predictions counts as missing.
+        """Count one scan; a scan without predictions counts as missing.
 
-        Points whose truth is scored are counted by probability and uncertainty too, where there are
-        any. Points that were rejected are missed ones, and have no uncertainty.
+        Scored points are also counted by their probabilities and uncertainties, if there are any.
+        Rejected points count as misses and have no uncertainty.
         """
         space, counts = self.space, ScanCounts.none(self.space, self.by_distance)
         predictions = output_path(self.out, scan.sequence, "predictions", scan.stem)
@@ -257,8 +259,10 @@ class ScanComparison:
         counts.unknown_predictions.update(space.unknown_ids(raw_predicted))
         counts.confusion = confusion_matrix(truth, predicted, space.class_count)
         counts.by_sequence[scan.sequence] = counts.confusion.copy()
-        own = scores(counts.confusion, space)
-        counts.by_scan[scan.name] = ScanScores(own.points, own.accuracy, own.iou_mean_present)
+        of_scan = scores(counts.confusion, space)
+        counts.by_scan[scan.name] = ScanScores(
+            of_scan.points, of_scan.accuracy, of_scan.iou_mean_present
+        )
         if self.objects:
             instances = (truth, raw_truth), (predicted, raw_predicted)
             counts.segments = count_segments(*instances, space.scored)
@@ -275,17 +279,17 @@ class ScanComparison:
         values |= self._uncertainties(scan, judged, counts)
         if self.rejection:
             labelled = predicted[judged.scored] != 0
-            kept = int(labelled.sum()), int((labelled & judged.wrong).sum())
-            counts.kept[scan.name] = len(labelled), *kept
+            wrong = int((labelled & judged.wrong).sum())
+            counts.accepted[scan.name] = len(labelled), int(labelled.sum()), wrong
             counts.calibrated = int(is_among(self.rejection.chosen_on, len(truth), read))
-            values = {kind: np.where(labelled, each, np.nan) for kind, each in values.items()}
+            values = {kind: np.where(labelled, v, np.nan) for kind, v in values.items()}
         _count_uncertainties(values, judged, space.class_count, counts)
         return counts
 
     def _count_softmax(
         self, scan: ScanFile, judged: JudgedLabels, counts: ScanCounts
     ) -> dict[str, Float]:
-        """Count the probabilities of scored points, if any; return uncertainties of them."""
+        """Count the probabilities of scored points, if any; return uncertainties from them."""
         path = output_path(self.out, scan.sequence, SOFTMAX, scan.stem)
         if not present(path):
             return {}
@@ -311,7 +315,7 @@ class ScanComparison:
             folder = f"uncertainty/{kind}"
             if present(path := output_path(self.out, scan.sequence, folder, scan.stem)):
                 counts.files[folder] = 1
-                # Of merged classes the files do not tell the confidence.
+                # The files contain the confidence before classes are merged.
                 if self.merging is None or kind not in OF_SOFTMAX or SOFTMAX not in counts.files:
                     values[kind] = read_kind(path, kind, len(judged.scored))[judged.scored]
         return values
@@ -335,11 +339,11 @@ def _count_uncertainties(
 def read_softmax(
     path: Path, selected: Mask, space: LabelSpace, merging: ClassMerging | None
 ) -> npt.NDArray[Any]:
-    """Read the probabilities of selected points, those of merged classes added; NaN for none."""
+    """Read the probabilities of selected points, summed over merged classes; NaN for none."""
     count = space.class_count if merging is None else len(merging.targets)
     softmax = read_probabilities(path, len(selected), count)[selected]
     if not space.scored[0]:
-        # `predict` marks points without a pixel as certainly unlabelled; no softmax is that.
+        # `predict` marks points without a pixel by a probability of 1, which no softmax reaches.
         softmax[softmax[:, 0] == 1] = np.nan
     return softmax if merging is None else merging.add(softmax.T.astype(np.float32)).T
 
@@ -347,7 +351,7 @@ def read_softmax(
 def _labels(
     scan: ScanFile, predictions: Path, sensor: Sensor, cloud: Scan | None
 ) -> tuple[RawIds, RawIds]:
-    """Read truth and predictions; where their lengths differ, the scan tells which is wrong."""
+    """Read truth and predictions; if their lengths differ, the scan shows which is wrong."""
     if cloud is None:
         raw_predicted = read_labels(predictions)
         try:
@@ -358,6 +362,6 @@ def _labels(
 
 
 def band_of_point(points: Float) -> Indices:
-    """Return the index into `BAND_NAMES` of points (N, 3) in metres; -1 without a measurement."""
+    """Return indices into `BAND_NAMES` of points (N, 3) in metres; -1 without a measurement."""
     ranges, measured = measured_ranges(points)
     return np.where(measured, np.digitize(np.nan_to_num(ranges), BAND_STARTS_M) - 1, -1)

@@ -30,28 +30,25 @@ from salsanext_cli.sensors.sensor import Sensor
 CLASSES_SHOWN = 5  # Classes that a summary names
 MAX_SHARE = 0.75  # Largest credible share of a class in a scan; an empty crossroads had 0.6
 FEW_CLASSES, MAX_SHARE_OF_FEW = 10, 0.85
-"""The same of so many classes or fewer, as `coarse` has; 0.67 or less with right settings."""
+"""The same for at most so many classes, as in `coarse`; right settings gave at most 0.67."""
 MIN_CLASSES = 5
-"""Of fewer, one may take nearly all of a scan. Both numbers include the class "unlabelled"."""
-MIN_CONFIDENCE = 0.575  # Least usual mean of a scan; that of streets was 0.58 or more
-USUAL = (
-    "of the default weights, 0.58 or more is usual in streets: the place, the sensor or its "
-    "settings may be others"
-)
-APART = "put the scans of each sensor into a folder of their own"
-LOOK = "look at them: `salsanext export-ply OUT`"
+"""One of fewer classes may cover a whole scan. Both numbers include the class "unlabelled"."""
+MIN_CONFIDENCE = 0.575  # Least usual mean of a scan; scans of cities had 0.58 or more
+USUAL = "check the sensor and its settings; the default weights have 0.58 or more in cities"
+APART = "put the scans of each sensor into a separate folder"
+LOOK = "look at the labels: `salsanext export-ply OUT`"
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class ScanSummary:
-    """Numbers about one scan; small, since workers send them to the process that leads the run."""
+    """Numbers of one scan; small, because workers send them to the main process."""
 
     file: ScanFile
     check: ScanCheck = UNCHECKED  # Reasons to doubt the scan or its labels
-    class_points: Counts | None = None  # (C,): number of points by predicted train id, if any
-    rejected_points: int = 0  # Number of points unlabelled for their error
-    confidence: float = math.nan  # Mean of the largest probabilities of the points, if any are
+    class_points: Counts | None = None  # (C,): number of points by predicted train id
+    rejected_points: int = 0  # Number of points rejected by their error
+    confidence: float = math.nan  # Mean of the largest probabilities of the points
 
     @classmethod
     def of_labels(
@@ -63,7 +60,7 @@ class ScanSummary:
         rejected_points: int = 0,
         confidence: float = 1.0,
     ) -> ScanSummary:
-        """Count the predicted train ids (N,) of a scan; look at them and their mean probability."""
+        """Count the predicted train ids (N,) of a scan; check them and their mean probability."""
         points = np.bincount(labels, minlength=space.class_count)
         findings = (*check.findings, *_label_findings(points, confidence, space))
         check = replace(check, findings=findings)
@@ -73,29 +70,29 @@ class ScanSummary:
     def of_scan(
         cls, scan: LabelledScan, space: LabelSpace, rejected_points: int = 0
     ) -> ScanSummary:
-        """Summarise a labelled scan; doubt labels of a low probability."""
+        """Summarise a labelled scan, with a warning if the probabilities are low."""
         confidence = scan.pixels.confidence[scan.image.channels[0] > 0]
         mean = float(confidence.mean()) if len(confidence) else 1.0
         return cls.of_labels(scan.file, scan.labels, space, scan.check, rejected_points, mean)
 
 
 def _label_findings(points: Counts, confidence: float, space: LabelSpace) -> Iterator[Finding]:
-    """Doubt labels by the number of points of each class (C,) and their mean probability."""
+    """Yield warnings by the number of points of each class (C,) and their mean probability."""
     few = space.class_count <= FEW_CLASSES
     if space.class_count >= MIN_CLASSES:
         total, largest = int(points[1:].sum()), int(points[1:].argmax()) + 1
         most = MAX_SHARE_OF_FEW if few else MAX_SHARE
         if total >= MIN_TRAIT_POINTS and points[largest] > most * total:
-            found = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
-            yield Finding("one-class", found, LOOK)
+            share = f"{points[largest] / total:.0%} of the points are {space.names[largest]}"
+            yield Finding("one-class", share, LOOK)
     if not few and confidence < MIN_CONFIDENCE:
-        found = f"the labels have a mean probability of {confidence:.2f}"
-        yield Finding("low-confidence", found, f"{USUAL}; {LOOK}")
+        mean = f"the labels have a mean probability of {confidence:.2f}"
+        yield Finding("low-confidence", mean, f"{USUAL}; {LOOK}")
 
 
 @dataclass(frozen=True, slots=True)
 class ScanWarning:
-    """Reason to doubt some scans, in the words for the first of them."""
+    """Reason to doubt some scans, with the text of the first of them."""
 
     code: str
     message: str
@@ -105,16 +102,16 @@ class ScanWarning:
 
 @dataclass(slots=True)
 class RunSummary:
-    """Summary of the scans that a run has worked on."""
+    """Summary of the scans of a run."""
 
     sensor: Sensor  # Sensor that the scans were projected for
     space: LabelSpace | None = None  # Classes of the predicted points, if any are predicted
     class_points: Counts | None = None  # (C,): number of points by predicted train id
-    # Names of scans and sequences by code of what was found, in the order of the first of each
+    # Names and findings of scans and sequences by code
     findings: dict[str, list[tuple[str, Finding]]] = field(default_factory=dict)
     traits: dict[ScanFile, ScanTraits] = field(default_factory=dict)  # Traits of the sensor by scan
-    looked_at: set[str] = field(default_factory=set)  # Names of the scans that were added
-    rejected_points: int = 0  # Number of points unlabelled for their error
+    names: set[str] = field(default_factory=set)  # Names of the added scans and sequences
+    rejected_points: int = 0  # Number of points rejected by their error
     # Share of the points on the vehicle, and number of points, of each scan
     ego_shares: list[tuple[float, int]] = field(default_factory=list)
     # Mean of the largest probabilities of the points, 0…1, by name of the scan
@@ -135,12 +132,12 @@ class RunSummary:
 
     @property
     def labelled(self) -> bool:
-        """True if the first scan has labels."""
+        """Whether the first scan has labels."""
         return self.first is not None and present(self.first.label_path)
 
     def add(self, scan: ScanSummary) -> None:
-        """Add a scan; say at once what is found for the first time."""
-        self.looked_at.add(scan.file.name)
+        """Add a scan; log the first finding of each code at once."""
+        self.names.add(scan.file.name)
         self.rejected_points += scan.rejected_points
         points = 1 if scan.class_points is None else int(scan.class_points.sum())
         self.ego_shares.append((scan.check.ego_share, points))
@@ -155,36 +152,36 @@ class RunSummary:
             self.class_points = before + scan.class_points
 
     def add_finding(self, name: str, finding: Finding) -> None:
-        """Add a reason to doubt a scan; log it at once if it is the first of its kind."""
+        """Add a reason to doubt a scan; log it if it is the first of its code."""
         if finding.code not in self.findings:
             log_finding(name, finding)
         self.findings.setdefault(finding.code, []).append((name, finding))
 
     def add_sequence(self, name: str, findings: Iterable[Finding]) -> None:
-        """Add what is doubtful about a whole sequence, and log it."""
-        self.looked_at.add(name)
+        """Add and log reasons to doubt a whole sequence."""
+        self.names.add(name)
         for finding in findings:
             log_finding(f"sequence {name}", finding)
             self.findings.setdefault(finding.code, []).append((name, finding))
 
     def compare_scans(self) -> None:
-        """Compare the scans that were added since the last call with each other."""
+        """Compare the sensors of the scans added since the last call."""
         for file, finding in mixed_sensors(self.traits).items():
             self.add_finding(file.name, finding)
         self.traits.clear()
 
     def finished(self) -> RunSummary:
-        """Compare the scans, and log which others have what was logged; return the summary."""
+        """Compare the scans, log the number of further warnings, and return the summary."""
         self.compare_scans()
-        for code, found in sorted(self.findings.items()):
-            if others := sorted(name for name, _ in found[1:] if "/" in name):
+        for code, findings in sorted(self.findings.items()):
+            if others := sorted(name for name, _ in findings[1:] if "/" in name):
                 count, names = counted(len(others), "more scan"), _text(first_few(others))
                 log.warning("%s in %s: %s", code, count, names)
         return self
 
     @contextmanager
-    def kept_in(self, run: OutputRun, scans: Sequence[ScanFile]) -> Iterator[None]:
-        """Finish the summary when the run ends, and keep what it and earlier runs found."""
+    def recorded_in(self, run: OutputRun, scans: Sequence[ScanFile]) -> Iterator[None]:
+        """Finish the summary when the run ends; record its and add earlier findings."""
         try:
             yield
         finally:
@@ -192,7 +189,7 @@ class RunSummary:
             texts_of_scan: dict[str, list[Texts]] = {}
             for name, finding in chain.from_iterable(self.findings.values()):
                 texts_of_scan.setdefault(name, []).append(finding)
-            earlier = run.keep_findings(texts_of_scan, self.looked_at)
+            earlier = run.record_findings(texts_of_scan, self.names)
             there = {file.name for file in scans if run.is_there(file)}
             for name in sorted(earlier.keys() & there):
                 for texts in earlier[name]:
@@ -200,7 +197,7 @@ class RunSummary:
             self.finished()
 
     def warnings(self) -> list[ScanWarning]:
-        """Return what was found, by code, in the words of the first scan, with all scans."""
+        """Return a warning for each code, with the text of its first scan and the names of all."""
         warnings = []
         for code in sorted(self.findings):
             names, (first, *_) = zip(*sorted(self.findings[code], key=itemgetter(0)), strict=True)
@@ -209,18 +206,18 @@ class RunSummary:
 
     @property
     def ego_share(self) -> float:
-        """Share of the points, 0…1, of housing and vehicle, over the scans of this run."""
+        """Share of the points, 0…1, on the housing and the vehicle, over the scans of this run."""
         shares = math.fsum(share * points for share, points in self.ego_shares)
         return shares / max(sum(points for _, points in self.ego_shares), 1)
 
     @property
     def unlabelled_share(self) -> float:
-        """Share of the points, 0…1, without a label; before any are labelled, `ego_share`."""
+        """Share of the points, 0…1, without a label; `ego_share` if no scan is labelled."""
         points = self.class_points
         return self.ego_share if points is None else float(points[0] / max(points.sum(), 1))
 
     def expected_accuracy(self) -> ExpectedAccuracy | None:
-        """Return the accuracy to expect of the scans of this run, None if the weights lack it."""
+        """Return the estimated accuracy of this run, None if the weights contain no estimate."""
         warnings = {code: [name for name, _ in given] for code, given in self.findings.items()}
         return expected_accuracy(self.accuracy, self.confidences, warnings)
 
@@ -238,24 +235,28 @@ def log_finding(name: str, finding: Finding) -> None:
 
 
 def log_recorded(warnings: Iterable[ScanWarning]) -> None:
-    """Log what an earlier run found."""
-    for each in warnings:
-        log_finding(first_few(each.scans), Finding(each.code, each.message, each.hint))
+    """Log the warnings of an earlier run."""
+    for warning in warnings:
+        finding = Finding(warning.code, warning.message, warning.hint)
+        log_finding(first_few(warning.scans), finding)
 
 
 def _text(names: str) -> str:
-    # Handlers of other programs may not take what is no text.
+    # Log handlers of other programs may refuse names that are no valid text.
     return names.encode(errors="backslashreplace").decode()
 
 
 def largest_classes(space: LabelSpace, points: Counts) -> dict[str, float]:
-    """Return the share of points (C,) by train id, 0…1, of the largest classes but 0, by name."""
+    """Return the shares, 0…1, of the largest classes except class 0, by name.
+
+    `points` (C,): number of points by train id.
+    """
     largest = np.argsort(-points[1:], kind="stable")[:CLASSES_SHOWN] + 1
     return {space.names[i]: float(points[i] / points.sum()) for i in largest if points[i]}
 
 
 def mixed_sensors(traits: Mapping[ScanFile, ScanTraits]) -> dict[ScanFile, Finding]:
-    """Return the scans of other sensors than most with the same fit, and the reason."""
+    """Return a finding for each scan that differs in its sensor from most with the same fit."""
     findings: dict[ScanFile, Finding] = {}
     for sensor in dict.fromkeys(traits[file].sensor for file in sorted(traits)):
         files = [file for file in sorted(traits) if traits[file].sensor == sensor]
@@ -263,7 +264,7 @@ def mixed_sensors(traits: Mapping[ScanFile, ScanTraits]) -> dict[ScanFile, Findi
         first = files[groups.index(0)]
         for file, group in zip(files, groups, strict=True):
             if group:
-                own = f"seems to be of another sensor ({traits[file]})"
-                found = f"{own} than the others, such as {first.name} ({traits[first]})"
-                findings[file] = Finding("mixed-sensors", found, APART)
+                others = f"the others, such as {first.name} ({traits[first]})"
+                problem = f"seems to be of another sensor ({traits[file]}) than {others}"
+                findings[file] = Finding("mixed-sensors", problem, APART)
     return findings

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: MIT
 """Confusion matrix, and its scores by the formulas of the official SemanticKITTI evaluator.
 
-With the points whose truth is ignored left out and n_tp the number of points of true class t
-predicted as class p::
+With n_tp the number of points of true class t predicted as class p, without points whose truth is
+ignored::
 
     IoU_c    = n_cc / (Σ_t n_tc + Σ_p n_cp − n_cc + 10⁻¹⁵)     0 for a class that is absent
-    mean IoU = mean of IoU_c over all scored classes           absent ones included
+    mean IoU = mean of IoU_c over all scored classes           including absent ones
     accuracy = Σ_c n_cc / (Σ_t Σ_p n_tp + 10⁻¹⁵)               p over scored classes only
 
-So a labelled point predicted "unlabelled" lowers the IoU of its class, but the official accuracy
-does not see it. `Scores.accuracy` is the plain share of labelled points that are right.
+So a labelled point predicted "unlabelled" lowers the IoU of its class, but not the official
+accuracy. `Scores.accuracy` is the plain share of labelled points that are right.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ FREQUENT_POINTS = 500  # Of a class; the IoU of fewer is mostly chance
 def confusion_matrix(
     truth: npt.NDArray[Any], predicted: npt.NDArray[Any], class_count: int
 ) -> Counts:
-    """Count pairs of train ids, ignored ones too, of arrays of the same shape: (C, C) int64."""
+    """Count pairs of train ids, including ignored ones: (C, C) int64."""
     size = (class_count, class_count)
     cell = np.ravel_multi_index((truth.ravel(), predicted.ravel()), size)
     return np.bincount(cell, minlength=class_count**2).reshape(size)
 
 
 def scored_rows(confusion: Counts, space: LabelSpace) -> Counts:
-    """Return the matrix (C, C), rows of ignored classes 0; their columns, misses, stay."""
+    """Return the matrix (C, C) with rows of 0 for ignored classes; their columns are misses."""
     return np.where(space.scored[:, None], confusion, 0)
 
 
 def accepted(confusion: Counts) -> Counts:
-    """Return the matrix (C, C) of the points with a label: those predicted as class 0 are none."""
+    """Return the matrix (C, C) without the points predicted as class 0, which have no label."""
     return np.where(np.arange(len(confusion)) > 0, confusion, 0)
 
 
@@ -68,20 +68,20 @@ class ClassScore:
     iou: float  # Intersection over union; NaN if the class is in neither truth nor prediction
     iou_official: float  # The same by the official formula, 0 if absent
     precision: float  # Share of the points predicted as this class that are of it
-    recall: float  # Share of the points of this class that were found
+    recall: float  # Share of the points of this class that were predicted as it
     points: int  # Number of points of this class
     predicted: int  # Number of labelled points predicted as this class
 
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """The scores of a set of points; shares are 0…1."""
+    """Scores of a set of points; shares are 0…1."""
 
     accuracy: float  # Share of labelled points that are right; NaN without any
-    accuracy_official: float  # The same with points predicted "unlabelled" left out
+    accuracy_official: float  # The same without the points predicted "unlabelled"
     iou_mean_official: float  # Mean IoU over all scored classes, an absent class counting 0
-    iou_mean_present: float  # Mean IoU over the classes that the truth holds; NaN without any
-    iou_mean_frequent: float  # The same over those with `FREQUENT_POINTS` points or more
+    iou_mean_present: float  # Mean IoU over the classes in the truth; NaN without any
+    iou_mean_frequent: float  # The same over classes of at least `FREQUENT_POINTS` points
     points: int  # Number of labelled points
     classes: tuple[ClassScore, ...]  # Every scored class, in the order of the train ids
 
@@ -93,9 +93,11 @@ class Scores:
 
 
 def band_rows(bands: Mapping[str, Scores]) -> list[tuple[str, Scores, float, list[str]]]:
-    """Return name, scores, mean IoU of the same classes, and absent classes of each band."""
-    # The same ones are those that the truth holds in every band with points; absent ones are in
-    # other bands only.
+    """Return name, scores, mean IoU of the same classes, and absent classes of each band.
+
+    The same classes are in the truth of every band with points; absent classes are in other bands
+    only.
+    """
     held = {name: {c.name for c in band.classes if c.points} for name, band in bands.items()}
     every = set[str]().union(*held.values())
     same = every.intersection(*filter(None, held.values()))

@@ -18,7 +18,7 @@ from salsanext_cli.records import CHANNELS, RangeImage, Scan
 ELEVATION_STEP_DEG = 0.05
 ELEVATION_BINS = round(180 / ELEVATION_STEP_DEG)
 EXTREMES = {"smallest": min, "largest": max, "farthest": max, "brightest": max}
-"""Fields of a survey that are not added."""
+"""Fields of a survey that are not added up."""
 
 
 @dataclass(slots=True)
@@ -57,7 +57,7 @@ class Survey:
         return tuple(float(np.sqrt(v)) if v > 0 else 1.0 for v in variances)
 
     def field_of_view(self) -> tuple[float, float]:
-        """Return the upper and lower edge in degrees that leave out `OUTLIERS` on either side."""
+        """Return the upper and lower edge in degrees, without `OUTLIERS` on either side."""
         cumulated = np.cumsum(self.elevations) / max(self.elevations.sum(), 1)
         lowest = int(np.searchsorted(cumulated, OUTLIERS))
         highest = int(np.searchsorted(cumulated, 1 - OUTLIERS)) + 1

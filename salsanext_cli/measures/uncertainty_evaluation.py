@@ -19,9 +19,9 @@ from salsanext_cli.measures.calibration import (
 )
 from salsanext_cli.measures.histograms import Histogram
 from salsanext_cli.measures.risk_coverage import (
-    KeptPoints,
+    AcceptedPoints,
     RankingScores,
-    kept_points,
+    accepted_points,
     ranking_scores,
     risk_coverage,
     spearman,
@@ -40,7 +40,7 @@ from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
 log = logging.getLogger(__name__)
 
-KINDS_OF_THRESHOLD = ("error", "entropy")  # A threshold is suggested for the first known
+KINDS_OF_THRESHOLD = ("error", "entropy")  # A threshold is suggested for the first available
 
 Scores = TypeVar("Scores", CalibrationScores, RankingScores)
 
@@ -50,8 +50,8 @@ class GroupedScores(Generic[Scores]):
     """Scores of all points, by class and by distance."""
 
     scores: Scores  # Over all points
-    scans: int  # Number of scans with points, and of points without a value
-    left_out: int
+    scans: int  # Number of scans with points
+    without_value: int  # Number of points
     classes: dict[int, Scores]  # Scores by train id
     by_distance: dict[str, Scores]  # Scores by name of the distance band; empty if not requested
 
@@ -59,8 +59,8 @@ class GroupedScores(Generic[Scores]):
         """Return plain data for JSON, the scores first; null stands for NaN."""
         data = {f.name: v for f in fields(self) if (v := getattr(self, f.name)) is not None}
         scores, classes, bands = (plain(data.pop(k)) for k in ("scores", "classes", "by_distance"))
-        counts = {key: data.pop(key) for key in ("scans", "left_out")}
-        named = [{"name": space.names[i], "train_id": i, **each} for i, each in classes.items()]
+        counts = {"scans": data.pop("scans"), "left_out": data.pop("without_value")}
+        named = [{"name": space.names[i], "train_id": i, **v} for i, v in classes.items()]
         return {**counts, **scores, **plain(data), "classes": named, "by_distance": bands}
 
 
@@ -68,7 +68,7 @@ class GroupedScores(Generic[Scores]):
 class CalibrationResult(GroupedScores[CalibrationScores]):
     """Calibration of probabilities, by most probable class.
 
-    Among the points of such a class, a calibrated network is right as often as its confidence says;
+    Among the points of a predicted class, a calibrated network is right as often as its confidence;
     among the points of a true class it need not be.
     """
 
@@ -84,8 +84,8 @@ class RankingResult(GroupedScores[RankingScores]):
     class_size_correlation: float
     risk_coverage: Ratios  # (100,): share of wrong points among the least uncertain 1 %, … 100 %
     thresholds: Ratios  # (100,) float64: largest uncertainty of these points, at most 1 % too large
-    # Of the error, a probability: expected calibration error, 0…1, its diagram, and of each scan
-    # (S, 2) its mean and the share of wrong points
+    # Only for the error, which is a probability: expected calibration error, 0…1, its diagram, and
+    # (S, 2) mean error and share of wrong points of each scan
     ece: float | None = None
     reliability: Reliability | None = None
     by_scan: Ratios | None = None
@@ -93,18 +93,18 @@ class RankingResult(GroupedScores[RankingScores]):
 
 @dataclass(frozen=True, slots=True)
 class UncertaintyEvaluation:
-    """Evaluation of the probabilities and uncertainties that lie beside predictions."""
+    """Evaluation of the probabilities and uncertainties of predictions."""
 
     calibration: CalibrationResult | None  # Result for the probabilities; None without any
     kinds: dict[str, RankingResult]  # Results by kind of uncertainty
-    kept: KeptPoints | None = None  # A threshold worth using, if a kind is known of all scans
+    accepted: AcceptedPoints | None = None  # Suggested threshold, if all scans have a kind
 
     def to_json(self, space: LabelSpace) -> dict[str, object]:
         """Return plain data for JSON, without absent parts; null stands for NaN."""
         parts = {
             "calibration": self.calibration and self.calibration.to_json(space),
-            "uncertainty": {kind: each.to_json(space) for kind, each in self.kinds.items()},
-            "kept": self.kept and plain(self.kept) | {"sentence": self.kept.sentence},
+            "uncertainty": {kind: result.to_json(space) for kind, result in self.kinds.items()},
+            "kept": self.accepted and plain(self.accepted) | {"sentence": self.accepted.sentence},
         }
         return {name: part for name, part in parts.items() if part}
 
@@ -113,29 +113,29 @@ def evaluate_uncertainty(counts: ScanCounts, space: LabelSpace) -> UncertaintyEv
     """Divide the counts of all scans; warn of files that only some of the scans have."""
     for folder in (SOFTMAX, *(f"uncertainty/{kind}" for kind in UNCERTAINTY)):
         if 0 < counts.files[folder] < counts.scans:
-            log.warning("%s of %d of %d scans only", folder, counts.files[folder], counts.scans)
+            log.warning("only %d of %d scans have %s", counts.files[folder], counts.scans, folder)
     known = (kind for kind in EVALUATED_KINDS if (kind, CLASS) in counts.histograms)
     kinds = {kind: _ranking_result(counts, kind, space) for kind in known}
     has_softmax = (SOFTMAX, CLASS) in counts.histograms
     softmax = _calibration_result(counts, space) if has_softmax else None
     error, confidence = kinds.get("error"), kinds.get("least_confidence")
-    if counts.kept:
-        error = None  # Known of kept points only, the softmax of all
+    if counts.accepted:
+        error = None  # Only accepted points have it, all points have the softmax.
     if error and confidence and error.scores.aurc > confidence.scores.aurc:
         log.warning("the error ranks labels worse than the confidence: use --reject with care")
     if error and error.ece and softmax and error.ece > softmax.scores.ece:
         log.warning("the error is calibrated worse than the softmax: do not read it as a share")
-    return UncertaintyEvaluation(softmax, kinds, _kept(counts))
-
-
-def _kept(counts: ScanCounts) -> KeptPoints | None:
-    """Return a threshold of the first kind that some points have."""
-    for kind in KINDS_OF_THRESHOLD:
-        histogram = counts.histograms.get((kind, CLASS))
-        complete = counts.files[f"uncertainty/{kind}"] == counts.scans
-        if complete and histogram and histogram.points.any():
-            return kept_points(kind, histogram)
-    return None
+    accepted = next(
+        (
+            accepted_points(kind, histogram)
+            for kind in KINDS_OF_THRESHOLD
+            if counts.files[f"uncertainty/{kind}"] == counts.scans
+            and (histogram := counts.histograms.get((kind, CLASS)))
+            and histogram.points.any()
+        ),
+        None,
+    )
+    return UncertaintyEvaluation(softmax, kinds, accepted)
 
 
 def _calibration_result(counts: ScanCounts, space: LabelSpace) -> CalibrationResult:
@@ -143,7 +143,7 @@ def _calibration_result(counts: ScanCounts, space: LabelSpace) -> CalibrationRes
     return CalibrationResult(
         scores=calibration_scores(by_class),
         scans=by_class.scans,
-        left_out=by_class.left_out,
+        without_value=by_class.without_value,
         classes=_of_classes(calibration_scores, by_class, space),
         by_distance=_of_bands(calibration_scores, counts, SOFTMAX),
         ece_per_scan=math.fsum(errors) / len(errors) if errors else math.nan,
@@ -160,7 +160,7 @@ def _ranking_result(counts: ScanCounts, kind: str, space: LabelSpace) -> Ranking
     return RankingResult(
         scores=ranking_scores(by_class),
         scans=by_class.scans,
-        left_out=by_class.left_out,
+        without_value=by_class.without_value,
         classes=_of_classes(ranking_scores, by_class, space),
         by_distance=_of_bands(ranking_scores, counts, kind),
         class_size_correlation=spearman(means[present], by_class.points[present]),

@@ -21,10 +21,10 @@ NIGHT = "#{:02x}{:02x}{:02x}".format(*(c // 2 for c in EMPTY))
 INK = "#e8e8ea"
 FAINT = "#8a8f98"
 DIM = "#5d626b"
-"""Colours of text, of grid lines and of text that matters less, on `NIGHT`."""
+"""Colours of text, grid lines and secondary text on `NIGHT`."""
 DARK = "#22262c"
 PALE = "#c9ced6"
-"""The same on `PAPER`."""
+"""Colours of text and grid lines on `PAPER`."""
 MARGIN_PX = 28
 LEGEND_STEP_PX = 165
 LEGEND_ROW_PX = 26
@@ -41,7 +41,7 @@ def new_figure(width: int, height: int, background: str = NIGHT) -> Figure:
 def new_picture(
     width: int, height: int, legend: Legend, legend_width: int, absent: Container[str] = ()
 ) -> Figure:
-    """Return an empty figure, in pixels, above a legend in which absent entries are faint."""
+    """Return an empty figure above a legend; sizes in pixels, absent entries faint."""
     columns = max(1, legend_width // LEGEND_STEP_PX)
     rows = -(-len(legend) // columns)
     figure = new_figure(width, height + (rows * LEGEND_ROW_PX + MARGIN_PX) * bool(legend))
@@ -55,7 +55,7 @@ def new_picture(
 
 
 def _show_swatch(figure: Figure, colour: tuple[int, int, int], left: int, top: int) -> None:
-    """Fill a rectangle; axes for each entry of a legend would take most of the time to draw."""
+    """Fill a rectangle; separate axes for each entry of a legend would take most of the time."""
     from matplotlib.patches import Rectangle
 
     width, height = figure.get_size_inches() * DPI
@@ -69,21 +69,21 @@ def _show_swatch(figure: Figure, colour: tuple[int, int, int], left: int, top: i
 def show_pixels(
     figure: Figure, picture: Colours, left: int, top: int, width: int, height: int
 ) -> None:
-    """Show a picture (H, W, 3) at a place of the figure, stretched to a size in pixels."""
+    """Show a picture (H, W, 3), stretched to a size in pixels, at a position of a figure."""
     axes = axes_at(figure, left, top, width, height)
     axes.set_axis_off()
     axes.imshow(picture, aspect="auto", interpolation="nearest")
 
 
 def axes_at(figure: Figure, left: int, top: int, width: int, height: int) -> Axes:
-    """Add axes at a place in pixels, measured from the upper left corner."""
+    """Add axes at a position in pixels from the upper left corner."""
     across, down = figure.get_size_inches() * DPI
     bottom = down - top - height
     return figure.add_axes((left / across, bottom / down, width / across, height / down))
 
 
 def text_at(figure: Figure, left: int, top: int, text: str, size: int, colour: str = INK) -> None:
-    """Write text, a dollar sign too, with its middle at `top`, in pixels from the upper left."""
+    """Write plain text with its middle at `top`, in pixels from the upper left corner."""
     width, height = figure.get_size_inches() * DPI
     style: dict[str, Any] = {"fontsize": size * 72 / DPI, "color": colour, "parse_math": False}
     figure.text(left / width, 1 - top / height, text, va="center_baseline", **style)
@@ -112,7 +112,7 @@ def png_of(figure: Figure) -> bytes:
     """Return a figure as the content of a PNG file."""
     png = BytesIO()
     with warnings.catch_warnings():
-        # A name in a script that the font lacks is drawn as boxes.
+        # The font lacks some scripts, whose letters are drawn as boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         figure.savefig(png, format="png", dpi=DPI, metadata={"Software": None})
     return png.getvalue()

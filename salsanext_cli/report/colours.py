@@ -2,7 +2,7 @@
 """Colours of labels and values, for pictures and point clouds, and scales of values."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from colorsys import hsv_to_rgb
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,13 +22,13 @@ from salsanext_cli.sensors.sensor import Sensor
 Colours = npt.NDArray[np.uint8]
 Values = npt.NDArray[np.float64]
 Legend = Sequence[tuple[str, tuple[int, int, int]]]  # Names with their red, green, blue
-Scale = tuple[float, ...]  # Rising values at equal steps along the colour map, both ends at least
+Scale = tuple[float, ...]  # Two or more rising values at equal steps along the colour map
 Scales = dict[str, Scale]  # Scales by colour
 FIXED_SCALES: Scales = {"error": (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)}
-"""Those that are the same for every run: most errors are below 0.1, as those of kept points."""
+"""Scales that are the same for every run: most errors are below 0.1."""
 
-EMPTY = (36, 38, 45)  # Colour of a place without a measurement
-COLOUR_MAP = "viridis"  # matplotlib's map for values; it is perceptually uniform
+EMPTY = (36, 38, 45)  # Colour where there is no measurement
+COLOUR_MAP = "viridis"  # Perceptually uniform
 MIN_CONTRAST = 2.5  # Least ratio of luminances of a colour and `EMPTY`, as WCAG 2 defines it
 ON_SCREEN = {
     (100, 150, 245): (83, 146, 255),  # car
@@ -39,18 +39,17 @@ ON_SCREEN = {
     (255, 240, 150): (255, 252, 186),  # pole
     (255, 0, 0): (255, 160, 143),  # traffic-sign
 }
-"""Colours of SemanticKITTI that resemble others of it on a dark background, and those instead."""
+"""Replacements of SemanticKITTI's colours that look alike on a dark background."""
 PALETTE = bytes.fromhex(
     "17c7fa 7b20ff fdaafe ffe5e8 03ffff c0cfff 7a8c6e 007325 "
     "c0ae94 05aca5 9d9b03 706517 ecffff 03e8a1 066f70 4361a5"
 )
-"""Colours of classes that have the colour of an earlier class, three bytes each."""
-GOLDEN_RATIO = 0.618034  # Steps of this share of the circle of hues never come close to each other
-MAX_HUES = 1024  # More than a label space has classes
+"""Colours for classes that have the colour of an earlier class, three bytes each."""
+GOLDEN_RATIO = 0.618034  # Steps of this share of the circle of hues never meet
 RIGHT = (92, 100, 112)
 WRONG = (255, 72, 48)
 """Colours of points with a right and with a wrong label."""
-SCALE_PERCENTILES = (1.0, 99.0)  # Ends of a colour scale, which leave out outliers
+SCALE_PERCENTILES = (1.0, 99.0)  # Ends of a colour scale, which exclude outliers
 SCANS_FOR_SCALE = 20
 OUTCOME_LEGEND = (("right", RIGHT), ("wrong", WRONG))
 OUTCOMES = np.array((EMPTY, RIGHT, WRONG), np.uint8)  # Not judged, right and wrong
@@ -69,29 +68,28 @@ def value_range(values: npt.NDArray[Any]) -> tuple[float, float]:
 def common_scales(
     out: Path, scans: Sequence[ScanFile], colours: Iterable[str], space: LabelSpace, sensor: Sensor
 ) -> Scales:
-    """Find what most points of some evenly spaced scans span, for values without a fixed scale."""
+    """Return the fixed scale of each value, or its range over some evenly spaced scans."""
     folder, scales = ResultFolder(out), dict[str, Scale]()
     values: dict[str, list[npt.NDArray[Any]]] = {}
     sampled: dict[ScanFile, list[str]] = {}
-    for colour in [each for each in colours if each not in CLASS_COLOURS]:
+    for colour in colours:
         if colour in FIXED_SCALES:
             scales[colour] = FIXED_SCALES[colour]
-            continue
-        values[colour] = [np.empty(0, np.float32)]
-        known = folder.with_column(colour, scans)
-        for file in known[:: -(-len(known) // SCANS_FOR_SCALE) or 1]:
-            sampled.setdefault(file, []).append(colour)
+        elif colour not in CLASS_COLOURS:
+            values[colour] = [np.empty(0, np.float32)]
+            known = folder.with_column(colour, scans)
+            for file in known[:: -(-len(known) // SCANS_FOR_SCALE) or 1]:
+                sampled.setdefault(file, []).append(colour)
     for file, known_colours in sampled.items():
-        # A scan that cannot be read is named when it is worked on.
-        with suppress(SalsanextError):
+        with suppress(SalsanextError):  # The run itself reports scans that cannot be read.
             columns = scalar_columns(folder.read(file, sensor), space)
             for colour in known_colours:
                 values[colour].append(columns[colour])
-    return scales | {name: value_range(np.concatenate(each)) for name, each in values.items()}
+    return scales | {name: value_range(np.concatenate(arrays)) for name, arrays in values.items()}
 
 
 def require_colouring(colours: Iterable[str], scale: tuple[float, float] | None) -> None:
-    """Refuse colours that there are not, and a scale that is none."""
+    """Refuse unknown colours and an invalid scale."""
     for colour in colours:
         if colour not in COLOURS:
             raise UsageError("--colour", colour, f"one of {', '.join(COLOURS)}")
@@ -108,7 +106,7 @@ def on_dark(colours: npt.ArrayLike) -> Colours:
 
 
 def _luminance(colours: npt.NDArray[Any]) -> Values:
-    """Return the relative luminance of sRGB, to which WCAG 2 adds the light of a room."""
+    """Return the relative luminance of sRGB colours plus the 0.05 that WCAG 2 adds."""
     share = colours / 255
     linear = np.where(share > 0.04045, ((share + 0.055) / 1.055) ** 2.4, share / 12.92)
     return linear @ (0.2126, 0.7152, 0.0722) + 0.05
@@ -117,31 +115,26 @@ def _luminance(colours: npt.NDArray[Any]) -> Values:
 def screen_colours(space: LabelSpace) -> Colours:
     """Return the colours of the classes in pictures, plots and pages, (C, 3) uint8.
 
-    They are those of the label space, dark ones lightened. A class with the colour of an earlier
-    class gets one of `PALETTE`, and after these one of evenly spread hues.
+    Dark colours of the label space are lightened. A class with the colour of an earlier class gets
+    one of `PALETTE`, and after these one of evenly spread hues.
     """
     known = {*label_space().names, *label_space("coarse").names}
     changed = ON_SCREEN if known.issuperset(space.names) else {}
-    own = on_dark([changed.get((*rgb,), rgb) for rgb in space.colours.tolist()])
-    unused = _unused_colours({*map(tuple, own.tolist())})
-    colours: dict[tuple[int, ...], None] = {}
-    for rgb in map(tuple, own.tolist()):
-        colours[next(unused) if rgb in colours else rgb] = None
-    return np.array([*colours], np.uint8).reshape(-1, 3)
-
-
-def _unused_colours(used: set[tuple[int, ...]]) -> Iterator[tuple[int, ...]]:
-    hues = [hsv_to_rgb(GOLDEN_RATIO * n % 1, 0.3 + n % 3 * 0.3, 1.0) for n in range(MAX_HUES)]
+    colours = on_dark([changed.get((*rgb,), rgb) for rgb in space.colours.tolist()])
+    hues = [hsv_to_rgb(GOLDEN_RATIO * n % 1, 0.3 + n % 3 * 0.3, 1.0) for n in range(1024)]
     palette = np.frombuffer(PALETTE, np.uint8).reshape(-1, 3)
-    for rgb in map(tuple, on_dark([*palette, *np.multiply(hues, 255)]).tolist()):
-        if rgb not in used:
-            used.add(rgb)
-            yield rgb
+    spare = dict.fromkeys(map(tuple, on_dark([*palette, *np.multiply(hues, 255)]).tolist()))
+    wanted = [*map(tuple, colours.tolist())]
+    unused = (rgb for rgb in spare if rgb not in wanted)
+    chosen: dict[tuple[int, ...], None] = {}
+    for rgb in wanted:
+        chosen[next(unused) if rgb in chosen else rgb] = None
+    return np.array([*chosen], np.uint8).reshape(-1, 3)
 
 
 @cache
 def map_on_dark() -> Colours:
-    """Return the 256 colours of `COLOUR_MAP` as pictures have them, (256, 3) uint8."""
+    """Return the 256 colours of `COLOUR_MAP`, dark ones lightened, (256, 3) uint8."""
     return on_dark(map_colours(COLOUR_MAP))
 
 
@@ -164,7 +157,7 @@ def map_colours(name: str) -> Colours:
 
 
 def legend_of(space: LabelSpace, *labels: npt.NDArray[Any]) -> Legend:
-    """Return names and colours, as pictures have them, of the classes that occur."""
+    """Return the names of the classes in some labels, and their `screen_colours`."""
     present = np.unique(np.concatenate([train.ravel() for train in labels]))
     colours = screen_colours(space)[present].tolist()
     return [(space.names[i], (*rgb,)) for i, rgb in zip(present, colours, strict=True)]
@@ -174,14 +167,14 @@ def legend_of(space: LabelSpace, *labels: npt.NDArray[Any]) -> Legend:
 class PointColours:
     """Colouring of points, the same for all scans of a run."""
 
-    colour: str  # One of `COLOURS`, "uncertainty" aside
+    colour: str  # One of `COLOURS` except "uncertainty"
     scale: Scale  # Of colours that are values
     space: LabelSpace  # Colours of the classes
-    dark: bool = False  # Whether they are seen on `EMPTY`, and not in a file for other tools
+    dark: bool = False  # Whether the background is `EMPTY`, unlike in files for other tools
 
     @property
     def legend(self) -> str:
-        """One line with the meaning of the colours."""
+        """Meaning of the colours, on one line."""
         if self.colour in CLASS_COLOURS:
             return self.colour
         return " ".join((self.colour, COLOUR_MAP, *(f"{mark:.6g}" for mark in self.scale)))
@@ -189,9 +182,9 @@ class PointColours:
     def of_points(self, columns: Mapping[str, npt.NDArray[Any]]) -> Colours:
         """Return red, green and blue of every point, (N, 3), from its `scalar_columns`."""
         if self.colour not in CLASS_COLOURS:
-            of_files = None if self.dark else map_colours(COLOUR_MAP)
-            return value_colours(columns[self.colour], *self.scale, colour_map=of_files)
+            colour_map = None if self.dark else map_colours(COLOUR_MAP)
+            return value_colours(columns[self.colour], *self.scale, colour_map=colour_map)
         if self.colour == "wrong":
             return OUTCOMES[np.nan_to_num(columns["wrong"] + 1).astype(np.intp)]
-        of_classes = screen_colours(self.space) if self.dark else self.space.colours
-        return of_classes[self.space.to_train(columns[self.colour], strict=False)]
+        class_colours = screen_colours(self.space) if self.dark else self.space.colours
+        return class_colours[self.space.to_train(columns[self.colour], strict=False)]

@@ -9,8 +9,8 @@ from salsanext_cli.errors import counted
 from salsanext_cli.measures.paired import Difference, RunComparison, changed
 from salsanext_cli.report.tables import ABSENT, percent, table_of
 
-INTERVAL = "* the interval, over scans, leaves out 0; of scans of one drive it is too narrow\n"
-ACCEPTED = "coverage: share of the points with a label; risk: share of these that is wrong"
+INTERVAL = "* the interval over scans excludes 0; for scans of one drive it is too narrow\n"
+ACCEPTED = "coverage: share of points with a label; risk: share of wrong labels among them"
 DIFFERENCE = ("before %", "after %", "difference", "95 % interval")
 
 
@@ -26,28 +26,24 @@ def _cells(score: Difference) -> tuple[str, ...]:
 
 
 def comparison_tables(compared: RunComparison) -> Group:
-    """Return tables of the scores if there are any, of turned classes, and of changed scans."""
+    """Return tables of the scores, if any, of changed labels and of the most changed scans."""
     tables: list[Table | str] = []
     if compared.scores:
         rows = [(name, *_cells(score)) for name, score in compared.scores.items()]
-        title = f"{counted(len(compared.sums), 'scan')} with truth, not trained on"
+        title = f"{counted(len(compared.sums), 'scan')} with labels, not trained on"
         caption = INTERVAL + (ACCEPTED if compared.rejecting else "score of a class: its IoU")
         tables.append(table_of(("score", *DIFFERENCE), rows, title=title, caption=caption))
-    if compared.bands:
-        rows = [(name, *_cells(mean)) for name, (_, mean) in compared.bands.items()]
-        title = "Risk" if compared.rejecting else "Mean IoU of the same classes"
-        tables.append(table_of(("distance", *DIFFERENCE), rows, title=title))
     if seen := sum(pair.trained_on for pair in compared.pairs):
         which = "all scans" if seen == len(compared.pairs) else counted(seen, "scan")
         tables.append(f"{which} not scored: the weights of a run were trained on them")
-    of_scans = f"Labels of {counted(len(compared.pairs), 'scan')}"
+    labels = f"Labels of {counted(len(compared.pairs), 'scan')}"
     if not (most_changed := compared.most_changed()):
-        return Group(*tables, f"{of_scans}: all are the same")
+        return Group(*tables, f"{labels}: all are the same")
     turns = (
         (before, after, f"{points:,}", percent(share))
         for before, after, points, share in compared.turns()
     )
-    title = f"{of_scans}: {percent(1 - changed(compared.turned))} % are the same"
+    title = f"{labels}: {percent(1 - changed(compared.turned))} % are the same"
     headings = ("before", "after", "points", "share %")
     tables.append(table_of(headings, turns, texts=["after"], title=title))
     scans = []
@@ -55,4 +51,4 @@ def comparison_tables(compared: RunComparison) -> Group:
         numbers = percent(changed(pair.turned)), _signed(compared.difference(pair))
         scans.append((pair.file.name, *numbers, "trained on" * pair.trained_on))
     headings = ("scan", "changed %", "risk" if compared.rejecting else "accuracy", "note")
-    return Group(*tables, table_of(headings, scans, title="Scans that changed most"))
+    return Group(*tables, table_of(headings, scans, title="Most changed scans"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Picked scans as a table, as coloured clouds, and the reasons in words."""
+"""Picked scans as a table and as coloured clouds, and the reasons in words."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from salsanext_cli.results.paths import ScanFile
 
 
 def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) -> bytes:
-    """Return a PLY of a scan, coloured by its labels, with scalars that CloudCompare shows."""
+    """Return a PLY of a scan, coloured by label, with scalars for CloudCompare."""
     scan, labels = labelled.scan, labelled.labels
     columns: dict[str, npt.NDArray[Any]] = dict(zip("xyz", scan.points.T, strict=True))
     columns |= zip(("red", "green", "blue"), space.colours[labels].T, strict=True)
-    # CloudCompare takes properties of such names for scalars, without asking.
+    # CloudCompare takes properties with the prefix scalar_ for scalars.
     columns["scalar_label"] = space.to_raw(labels)
     pixels = labelled.image.pixel_of_point
     columns["scalar_uncertainty"] = points_from_pixels(uncertainty, pixels, np.nan)
@@ -39,46 +39,44 @@ def picked_cloud(labelled: LabelledScan, uncertainty: Float, space: LabelSpace) 
 
 
 def reason(choice: Choice, scans: int, nearest: str | None) -> str:
-    """State why one of so many scans was picked; `nearest`: the scan picked before."""
+    """Return why one of a number of scans was picked; `nearest`: the most similar earlier scan."""
     if scans == 1:
         return "the only scan"
     if nearest is None:
         return f"most uncertain of {counted(scans, 'scan')}"
     if choice.distance == 0:
-        return f"equal to {nearest}; no other is left"
+        return f"equal to {nearest}; no others remain"
     uncertain = f"number {choice.uncertainty_rank} of {scans:,} by uncertainty"
     return f"{uncertain}, {choice.distance:.2f} from {nearest}"
 
 
 def picked_scans(choices: Sequence[Choice], files: Sequence[ScanFile]) -> list[PickedScan]:
-    """Return the chosen ones of some scans, with the reasons in words."""
+    """Return the chosen scans with the reasons in words."""
     picked = []
     for rank, choice in enumerate(choices, start=1):
         file, nearest, distance = files[choice.scan], None, None
         if choice.nearest is not None:
-            before, distance = files[choice.nearest], choice.distance
-            nearest = before.name
-        why = reason(choice, len(files), nearest)
-        of_choice = (choice.uncertainty, distance, nearest, why)
-        picked.append(PickedScan(rank, file.sequence, file.stem, *of_choice))
+            nearest, distance = files[choice.nearest].name, choice.distance
+        numbers = (choice.uncertainty, distance, nearest, reason(choice, len(files), nearest))
+        picked.append(PickedScan(rank, file.sequence, file.stem, *numbers))
     return picked
 
 
 def picked_table(picked: Sequence[PickedScan]) -> Table:
-    """Return a table with a row per picked scan, the one most worth labelling first."""
+    """Return a table of the picked scans, the most useful to label first."""
     rows = []
-    for each in picked:
-        distance = ABSENT if each.distance is None else f"{each.distance:.2f}"
-        rows.append((str(each.rank), each.name, f"{each.uncertainty:.4f}", distance, each.reason))
+    for scan in picked:
+        distance = ABSENT if scan.distance is None else f"{scan.distance:.2f}"
+        rows.append((str(scan.rank), scan.name, f"{scan.uncertainty:.4f}", distance, scan.reason))
     headings = ("rank", "scan", "uncertainty,\nnats", "distance", "reason")
     return table_of(headings, rows, texts=("scan", "reason"))
 
 
 def picked_csv(picked: Sequence[PickedScan]) -> bytes:
-    """Return the content of a CSV file with a row per picked scan."""
+    """Return a CSV table of the picked scans."""
     text = io.StringIO()
     names = [field.name for field in fields(PickedScan)]
     table = csv.DictWriter(text, names, lineterminator="\n")
     table.writeheader()
-    table.writerows(asdict(each) for each in picked)
+    table.writerows(map(asdict, picked))
     return text.getvalue().encode("utf-8", "backslashreplace")

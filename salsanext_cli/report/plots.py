@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Plots of scores, confusions, probabilities and uncertainties."""
+"""Plots of scores, confusions, probabilities and uncertainty."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.measures.calibration import Reliability
 from salsanext_cli.measures.risk_coverage import COVERAGE
-from salsanext_cli.measures.scores import Counts, Ratios, Scores, ratio, scored_rows
+from salsanext_cli.measures.scores import Counts, Scores, ratio, scored_rows
 from salsanext_cli.measures.uncertainty_evaluation import (
     CalibrationResult,
     RankingResult,
@@ -33,11 +33,9 @@ PICTURES = {
     "eval_confusion.png": "Confusion matrix",
     "eval_reliability.png": "Calibration of the softmax: accuracy against confidence",
     "eval_error.png": "Calibration of the error: share of wrong points against the error",
-    "eval_risk_coverage.png": "Wrong points among the least uncertain ones",
-    "eval_sparsification.png": "Wrong points that are left as the most uncertain are removed",
-    "eval_class_uncertainty.png": "Mean epistemic uncertainty of the classes",
+    "eval_risk_coverage.png": "Share of wrong points among the least uncertain points",
 }
-"""All plots, by the name of the file, in words."""
+"""Titles of all plots by the name of the file."""
 ROW_PX, CELL_PX = 28, 46
 NAMES_PX = 150
 MIN_SHARE = 0.005  # Shares below this round to 0 % and are not written into their cell
@@ -47,39 +45,34 @@ LINES = {
     **{name: (k.colour, DASHED if k.is_dashed else "-") for name, k in UNCERTAINTY.items()},
 }
 """Colour and dashes of each kind of uncertainty."""
-PLOT_PX = 720, 560  # Size of every plot here, so that text is of one size on a page
-LEFT, TOP, WIDTH = MAIN_PX = 80, 60, 600
-HEIGHT, HEIGHT_ABOVE = 430, 330  # Of the main axes, alone and above a legend or other axes
-NAME_PX, LINE_PX = 90, 13  # Room for the name of a class
+PLOT_PX = 720, 560  # Size of the plots of uncertainty: text has one size on a page
+LEFT, TOP, WIDTH, HEIGHT = MAIN_PX = 80, 60, 600, 330  # Axes above a legend or other axes
 BELOW_PX = 90  # Height of the axes below them, which show the distribution of the points
 
 
 def evaluation_pictures(
     scores: Scores, confusion: Counts, uncertainty: UncertaintyEvaluation, space: LabelSpace
 ) -> dict[str, bytes]:
-    """Draw what there is to an evaluation, PNG by name, in the order of `PICTURES`."""
+    """Draw all results of an evaluation: PNG by name, in the order of `PICTURES`."""
     pictures = {"eval_iou.png": iou_bars(scores, space)}
     pictures["eval_confusion.png"] = confusion_picture(confusion, space)
-    return pictures | uncertainty_pictures(uncertainty, space)
+    return pictures | uncertainty_pictures(uncertainty)
 
 
-def uncertainty_pictures(uncertainty: UncertaintyEvaluation, space: LabelSpace) -> dict[str, bytes]:
-    """Draw what there is to probabilities and uncertainties, as `evaluation_pictures`."""
+def uncertainty_pictures(uncertainty: UncertaintyEvaluation) -> dict[str, bytes]:
+    """Draw the results for probabilities and uncertainty, as `evaluation_pictures`."""
     pictures = {}
     if uncertainty.calibration:
         pictures["eval_reliability.png"] = reliability_diagram(uncertainty.calibration)
     if error := uncertainty.kinds.get("error"):
-        pictures["eval_error.png"] = error_diagram(error, space)
+        pictures["eval_error.png"] = error_diagram(error)
     if uncertainty.kinds:
         pictures["eval_risk_coverage.png"] = risk_coverage(uncertainty.kinds)
-        pictures["eval_sparsification.png"] = sparsification(uncertainty.kinds)
-    if epistemic := uncertainty.kinds.get("epistemic"):
-        pictures["eval_class_uncertainty.png"] = class_uncertainty(epistemic, space)
     return pictures
 
 
 def iou_bars(result: Scores, space: LabelSpace) -> bytes:
-    """Draw the IoU of every class that the truth holds as a bar in its colour, as a PNG."""
+    """Draw the IoU of every class in the truth as a bar in its colour, as a PNG."""
     height = ROW_PX * len(result.classes)
     title = f"{result.points:,} labelled points · accuracy {percent(result.accuracy, 1, ' %')}"
     figure, axes = canvas.new_plot(900, height + 130, (NAMES_PX, 70, 690, height), title)
@@ -147,22 +140,14 @@ def reliability_diagram(result: CalibrationResult) -> bytes:
     return canvas.png_of(figure)
 
 
-def error_diagram(result: RankingResult, space: LabelSpace) -> bytes:
-    """Draw the share of wrong points against the error, of each true class and scan too, as PNG."""
+def error_diagram(result: RankingResult) -> bytes:
+    """Draw the share of wrong points against the error, also of every scan, as a PNG."""
     title = f"Calibration of the error · {result.scores.points:,} points"
     figure, axes = _diagram(result.reliability, title, "error", "share of wrong points")
-    present = {i: scores for i, scores in result.classes.items() if scores.points}
-    dots = np.array([(100 * s.mean, 100 * s.wrong / s.points) for s in present.values()])
-    dots = dots.reshape(-1, 2)
-    colours = screen_colours(space)[[*present]] / 255
-    ring: dict[str, Any] = {"edgecolors": DARK, "linewidths": 0.8, "zorder": 3}
-    label = "true class, on the mean"
-    axes.scatter(dots[:, 0], dots[:, 1], s=40, c=colours, label=label, **ring)
     scans = 100 * (np.empty((0, 2)) if result.by_scan is None else result.by_scan)
     cross: dict[str, Any] = {"marker": "x", "linewidths": 1, "zorder": 3}
-    axes.scatter(scans[:, 0], scans[:, 1], s=22, c=DARK, label="scan, on the mean", **cross)
-    axes.legend(loc="lower right", framealpha=0.9, fontsize=10)
-    _name_dots(axes, dots, [space.names[i] for i in present])
+    axes.scatter(scans[:, 0], scans[:, 1], s=22, c=DARK, label="mean of a scan", **cross)
+    axes.legend(loc="upper left", frameon=False, fontsize=10)
     return canvas.png_of(figure)
 
 
@@ -173,7 +158,7 @@ def _diagram(
     diagram = diagram or Reliability(np.zeros(1, int), np.zeros(1), np.zeros(1))
     points = int(diagram.points.sum())
     title += f" · ECE {percent(diagram.error, 2, ' %')}" if points else ""
-    figure, axes = canvas.new_plot(*PLOT_PX, (*MAIN_PX, HEIGHT_ABOVE), title)
+    figure, axes = canvas.new_plot(*PLOT_PX, MAIN_PX, title)
     bins = len(diagram.points)
     edges, width = 100 * np.arange(bins) / bins, 100 / bins
     shares = np.nan_to_num(100 * diagram.accuracy)
@@ -185,117 +170,40 @@ def _diagram(
     axes.plot([0, 100], [0, 100], color=DARK, linestyle=DASHED, linewidth=1, label="calibrated")
     axes.set_ylim(0, 100)
     axes.set_ylabel(f"{share} in %")
-    below = canvas.axes_at(figure, LEFT, TOP + HEIGHT_ABOVE + 14, WIDTH, BELOW_PX)
-    held = 100 * diagram.points / max(points, 1)
-    below.bar(edges, held, width, align="edge", color=canvas.FAINT, edgecolor=canvas.PAPER)
+    below = canvas.axes_at(figure, LEFT, TOP + HEIGHT + 14, WIDTH, BELOW_PX)
+    points_in_bin = 100 * diagram.points / max(points, 1)
+    below.bar(edges, points_in_bin, width, align="edge", color=canvas.FAINT, edgecolor=canvas.PAPER)
     below.set_ylabel("points in %")
-    below.set_ylim(0, max(1.0, 1.1 * float(held.max())))
+    below.set_ylim(0, max(1.0, 1.1 * float(points_in_bin.max())))
     below.set_xlabel(f"{value} in %")
     axes.set_xticks(range(0, 101, 20), [""] * 6)
     below.set_xticks(range(0, 101, 20))
-    for each in (axes, below):
-        each.set_xlim(0, 100)
-        canvas.plain_frame(each)
+    for part in (axes, below):
+        part.set_xlim(0, 100)
+        canvas.plain_frame(part)
     return figure, axes
 
 
 def risk_coverage(kinds: Mapping[str, RankingResult]) -> bytes:
     """Draw the share of wrong points among the least uncertain, a curve per kind, as a PNG."""
-    curves = {
-        kind: (f"AURC {percent(result.scores.aurc, 2, ' %')}", 100 * result.risk_coverage)
-        for kind, result in kinds.items()
-    }
-    return _curves(
-        "Wrong points among those that are kept",
-        100 * COVERAGE,
-        curves,
-        best_orders=[100 * risk for risk in _best_orders(kinds)],
-        xlabel="coverage: least uncertain points that are kept, in %",
-        ylabel="risk: wrong points among them, in %",
-    )
-
-
-def sparsification(kinds: Mapping[str, RankingResult]) -> bytes:
-    """Draw the share of wrong points that remain as the most uncertain are removed, as a PNG."""
-    curves = {
-        kind: (f"AUSE {result.scores.ause:.3f}", result.risk_coverage / result.risk_coverage[-1])
-        for kind, result in kinds.items()
-        if result.scores.wrong
-    }
-    return _curves(
-        "Wrong points that are left as the most uncertain are removed",
-        100 * (1 - COVERAGE),
-        curves,
-        best_orders=[risk / risk[-1] for risk in _best_orders(kinds)],
-        xlabel="most uncertain points that are removed, in %",
-        ylabel="share of wrong points, of that among all",
-    )
-
-
-def _curves(
-    title: str,
-    x: Ratios,
-    curves: Mapping[str, tuple[str, Ratios]],
-    best_orders: Sequence[Ratios],
-    **axis_labels: str,
-) -> bytes:
-    """Draw a score and a curve per kind, and the curves of the best orders, as a PNG."""
-    figure, axes = canvas.new_plot(*PLOT_PX, (*MAIN_PX, HEIGHT_ABOVE), title)
-    for kind, (score, y) in curves.items():
+    title = "Share of wrong points among the accepted points"
+    figure, axes = canvas.new_plot(*PLOT_PX, MAIN_PX, title)
+    for kind, result in kinds.items():
         colour, dashes = LINES[kind]
-        axes.plot(x, y, color=colour, linestyle=dashes, label=f"{kind} · {score}")
+        label = f"{kind} · AURC {percent(result.scores.aurc, 2, ' %')}"
+        risk = 100 * result.risk_coverage
+        axes.plot(100 * COVERAGE, risk, color=colour, linestyle=dashes, label=label)
     dotted: dict[str, Any] = {"color": canvas.FAINT, "linestyle": (0, (1, 2)), "linewidth": 1.4}
-    for i, y in enumerate(best_orders):
-        axes.plot(x, y, **dotted, label="" if i else "best order")
-    axes.set(**axis_labels)
+    # Kinds may be known of different points, with different shares of wrong ones.
+    scores = [result.scores for result in kinds.values()]
+    for i, rate in enumerate(sorted({s.wrong / s.points for s in scores if s.wrong})):
+        risk = np.maximum(0, 1 - (1 - rate) / COVERAGE)
+        axes.plot(100 * COVERAGE, 100 * risk, **dotted, label="" if i else "best order")
+    axes.set_xlabel("coverage: least uncertain points that are accepted, in %")
+    axes.set_ylabel("risk: wrong points among them, in %")
     axes.set_xlim(0, 100)
     axes.set_ylim(bottom=0)
-    if axes.lines:
-        below: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.15), "ncols": 2}
-        axes.legend(frameon=False, fontsize=10, handlelength=2.6, **below)
+    below: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (-0.02, -0.15), "ncols": 2}
+    axes.legend(frameon=False, fontsize=10, handlelength=2.6, **below)
     canvas.plain_frame(axes)
     return canvas.png_of(figure)
-
-
-def _best_orders(kinds: Mapping[str, RankingResult]) -> list[Ratios]:
-    """Return the risks of the best order; several, as kinds may be known of different points."""
-    scores = [result.scores for result in kinds.values()]
-    rates = sorted({s.wrong / s.points for s in scores if s.wrong})
-    return [np.maximum(0, 1 - (1 - rate) / COVERAGE) for rate in rates]
-
-
-def class_uncertainty(result: RankingResult, space: LabelSpace) -> bytes:
-    """Draw the mean epistemic uncertainty of each class against its number of points, as a PNG."""
-    present = {i: scores for i, scores in result.classes.items() if scores.points}
-    points = np.array([scores.points for scores in present.values()], np.float64)
-    means = np.array([scores.mean for scores in present.values()])
-    title = "Epistemic uncertainty of the classes"
-    if not math.isnan(result.class_size_correlation):
-        title += f" · rank correlation {result.class_size_correlation:+.2f}"
-    figure, axes = canvas.new_plot(*PLOT_PX, (*MAIN_PX, HEIGHT), title)
-    colours = screen_colours(space)[[*present]] / 255
-    axes.scatter(points, means, 60, colours, edgecolors=DARK, linewidths=0.8, zorder=3)
-    axes.set_xscale("log")
-    if present:
-        axes.set_xlim(points.min() / 3, points.max() * 3)
-    axes.set_ylim(0, max(1.12 * float(means.max(initial=0)), 1e-12))
-    axes.ticklabel_format(axis="y", style="sci", scilimits=(-2, 2), useMathText=True)
-    axes.set_xlabel("points of the class")
-    axes.set_ylabel("mean epistemic uncertainty")
-    canvas.plain_frame(axes)
-    _name_dots(axes, np.stack([points, means], axis=1), [space.names[i] for i in present])
-    return canvas.png_of(figure)
-
-
-def _name_dots(axes: Axes, dots: Ratios, names: Sequence[str]) -> None:
-    """Write a name to the right of each dot (N, 2), above those that it would lie on."""
-    style: dict[str, Any] = {"size": 9, "color": DARK, "va": "center", "parse_math": False}
-    places, written = axes.transData.transform(dots), list[tuple[float, float]]()
-    for i in np.argsort(places[:, 1]):
-        x, y = places[i]
-        for other_x, other_y in written:  # From the lowest
-            if abs(x - other_x) < NAME_PX and y < other_y + LINE_PX:
-                y = other_y + LINE_PX
-        written = sorted([*written, (x, y)], key=lambda place: place[1])
-        beside = 10, y - places[i, 1]
-        axes.annotate(names[i], dots[i], beside, textcoords="offset pixels", **style)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Picture of a scan: from above and as strips of its range image, by everything known of it."""
+"""Picture of a scan and its results: from above and as strips of its range image."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ if TYPE_CHECKING:
 
 WIDTH_PX, NARROW_PX = 2048, 1024
 HEAD_PX = 56
-VIEW_TITLE_PX, STRIP_TITLE_PX = 40, 34  # Pixels above each view and each strip for its title
-BAR_PX = 160  # Pixels beside the strips for colour bars and their numbers
-STRIP_HEIGHT_PX = 128  # Height of a strip: 64 rows are drawn twice as high as they are
+VIEW_TITLE_PX, STRIP_TITLE_PX = 40, 34  # Heights of titles
+BAR_PX = 160  # Width of a colour bar with its numbers
+STRIP_HEIGHT_PX = 128  # Twice the 64 rows of an HDL-64
 MAX_IN_A_ROW = 4
 OVERSAMPLING = 2
 GRIDS_M = {5.0: 1.0, 10.0: 2.0, 20.0: 5.0, 45.0: 10.0}
-"""Metres from the middle to an edge, of which few are chosen, and between two circles."""
+"""Possible distances from the middle to an edge, and between two circles, metres."""
 REACH_M = max(GRIDS_M)
-INSIDE = 0.99  # Least share of the points of a small scan that are shown
+INSIDE = 0.99  # Least share of the points inside the picture of a small scan
 TITLES = {
     "label": "prediction",
     "wrong": "errors of the prediction",
@@ -65,8 +65,8 @@ class Strip(NamedTuple):
 
     title: str
     picture: Colours  # (H, W, 3) uint8: red, green, blue of every pixel; row 0 is the highest beam
-    scale: Scale | None = None  # Of its colour bar
-    unit: str = ""  # Unit of these values
+    scale: Scale | None = None  # Of the colour bar
+    unit: str = ""  # Of the scale
 
 
 def picture_of_results(
@@ -78,25 +78,25 @@ def picture_of_results(
     views: Collection[str],
     strips: Collection[str],
 ) -> bytes:
-    """Draw a scan and its results, as a PNG: `views` from above and `strips`, of `COLOURINGS`."""
+    """Draw a scan as a PNG: `views` from above and `strips` of its range image, by colour."""
     columns, sensor = scalar_columns(results, space), results.sensor or sensor
     image = project(results.scan, sensor)
     shown = dict.fromkeys((*views, *strips))
-    of_views: dict[str, Colours] = {}
-    of_strips: list[Strip] = []
+    view_colours: dict[str, Colours] = {}
+    strip_list: list[Strip] = []
     for colour in shown:
         scale = scales.get(colour)
         colours = PointColours(colour, scale or (0.0, 1.0), space, dark=True).of_points(columns)
         title = TITLES.get(colour, colour)
-        if colour == "wrong" and (found := results.accepted_text(space)):
-            title = f"errors of the accepted labels: {found}"
+        if colour == "wrong" and (scores := results.accepted_text(space)):
+            title = f"errors of the accepted labels: {scores}"
         if colour in views:
-            of_views[title] = colours
+            view_colours[title] = colours
         if colour in strips:
             pixels = pixels_from_points(colours, image.point_of_pixel, EMPTY)
-            of_strips.append(Strip(title, pixels, scale, UNITS.get(colour, "")))
-    of_classes = [colour for colour in ("label", "truth") if colour in shown]
-    labels = [space.to_train(columns[colour], strict=False) for colour in of_classes]
+            strip_list.append(Strip(title, pixels, scale, UNITS.get(colour, "")))
+    label_colours = [colour for colour in ("label", "truth") if colour in shown]
+    labels = [space.to_train(columns[colour], strict=False) for colour in label_colours]
     legend: list[tuple[str, tuple[int, int, int]]] = []
     absent: set[str] = set()
     if labels:
@@ -107,11 +107,11 @@ def picture_of_results(
     classes = f"classes of {space.name}   " if labels else ""
     heading = f"{name}   {counted(len(results.scan), 'point')}   {classes}sensor {sensor.name}"
     points = in_sensor_frame(results.scan, sensor).points
-    return scan_picture(printable(heading), points, of_views, of_strips, legend, absent)
+    return scan_picture(printable(heading), points, view_colours, strip_list, legend, absent)
 
 
 def known_views(columns: Collection[str]) -> list[str]:
-    """Return 2 to 4 columns to show from above: labels, errors, uncertainty, measurements."""
+    """Return two to four columns to show from above: labels, errors, uncertainty, measurements."""
     views = [colour for colour in ("truth", "label", "wrong") if colour in columns]
     views += [kind for kind in ("error", "entropy", *UNCERTAINTY) if kind in columns][:1]
     return (views + ["intensity", "range"])[: max(2, len(views))]
@@ -127,12 +127,14 @@ def scan_picture(
     reach: float | None = None,
     way: Float | None = None,
 ) -> bytes:
-    """Draw a scan from above and its strips below that, as a PNG.
+    """Draw views of a scan from above, strips and a legend below each other, as a PNG.
 
     `points` (N, 3) float32, metres, sensor frame; `views`: colours of the points (N, 3) by title;
     `absent`: faint entries of the legend; `reach`: metres from the middle to an edge, by default
-    as far as the scan needs, `REACH_M` at most; `way` (S, 3): of a drive, else the sensor's place.
+    as far as the scan needs, `REACH_M` at most; `way` (S, 3): positions along a drive, by default
+    the sensor's.
     """
+    way = np.zeros((1, 3), np.float32) if way is None else way
     if reach is None:
         far = np.abs(points[:, :2]).max(axis=1)
         far = far[(far > 0) & np.isfinite(far)]
@@ -152,8 +154,7 @@ def scan_picture(
         view_top = HEAD_PX + i // in_row * row_px
         canvas.text_at(figure, left, view_top + VIEW_TITLE_PX // 2, title, 18)
         axes = canvas.axes_at(figure, left, view_top + VIEW_TITLE_PX, size, size)
-        of_drive = np.zeros((1, 3), np.float32) if way is None else way
-        _draw_from_above(axes, points, colours, size, reach, of_drive)
+        _draw_from_above(axes, points, colours, size, reach, way)
     for strip in strips:
         canvas.text_at(figure, MARGIN_PX, top + STRIP_TITLE_PX // 2 + 2, strip.title, 18)
         top += STRIP_TITLE_PX
@@ -170,7 +171,7 @@ def _draw_bar(figure: Figure, scale: Scale, unit: str, left: int, top: int) -> N
     height = STRIP_HEIGHT_PX
     rows = np.linspace(255, 0, height).round().astype(np.intp)
     canvas.show_pixels(figure, map_on_dark()[rows][:, None], left, top, 16, height)
-    # Digits by the span of the scale: its lower end is "0" rather than "0.00035".
+    # Digits depend on the span of the scale: its lower end is "0" rather than "0.00035".
     digits = 2 - math.floor(math.log10(max(high - low, 1e-9)))
     for value, down in zip(marks, np.linspace(height - 9, 9, len(marks)), strict=True):
         text = f"{round(value, digits):.4g} {unit}".strip()
@@ -178,10 +179,10 @@ def _draw_bar(figure: Figure, scale: Scale, unit: str, left: int, top: int) -> N
 
 
 def raster(points: Float, colours: Colours, reach: float, size: int, spread: int = 1) -> Colours:
-    """Draw points (N, 3), metres, from above, higher ones over lower ones: (size, size, 3) uint8.
+    """Draw points (N, 3), metres, from above, higher points last: (size, size, 3) uint8.
 
-    x, forward, points up, y left; `reach`: metres from the middle to an edge; `spread`: size in
-    pixels of a point.
+    x, forward, points up, y left; `reach`: metres from the middle to an edge; `spread`: size of a
+    point in pixels.
     """
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     order = finite[np.argsort(points[finite, 2], kind="stable")]
@@ -189,7 +190,7 @@ def raster(points: Float, colours: Colours, reach: float, size: int, spread: int
     inside = ((corner > -spread) & (corner < size)).all(axis=1)
     row, column = corner[inside].astype(np.intp).T
     picture = np.full((size + 2 * spread, size + 2 * spread, 3), EMPTY, np.uint8)
-    # All offsets of one point before the next point: a higher one stays whole.
+    # All pixels of a point come before the next point, which hides it.
     across, down = np.meshgrid(np.arange(spread), np.arange(spread))
     rows = (row[:, None] + down.ravel() + spread).ravel()
     columns = (column[:, None] + across.ravel() + spread).ravel()
@@ -200,11 +201,11 @@ def raster(points: Float, colours: Colours, reach: float, size: int, spread: int
 def _draw_from_above(
     axes: Axes, points: Float, colours: Colours, size: int, reach: float, way: Float
 ) -> None:
-    """Draw points from above, with circles around the middle, and the way."""
+    """Draw points from above, circles around the middle and the way of the sensor."""
     from matplotlib.patches import Circle
     from matplotlib.patheffects import withStroke
 
-    # Drawn larger and averaged down, so that edges of points are soft.
+    # Drawing larger and averaging makes the edges of points soft.
     step = GRIDS_M.get(reach) or GRIDS_M[REACH_M] * max(1, round(reach / REACH_M))
     large = raster(points, colours, reach, size * OVERSAMPLING, spread=3)
     blocks = large.reshape(size, OVERSAMPLING, size, OVERSAMPLING, 3)
@@ -224,7 +225,7 @@ def _draw_from_above(
 
 def draw_sample(out: BinaryIO, file: ScanFile, network: Network) -> Colours:
     """Draw range, truth, prediction and errors of a scan as PNG; return it, (H, W, 3) uint8."""
-    from matplotlib.image import imread  # a second to import, and only this needs it
+    from matplotlib.image import imread  # Takes a second to import
 
     space, sensor = network.space, network.sensor
     scan = read_scan(file.path, sensor)

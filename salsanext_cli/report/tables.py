@@ -14,7 +14,7 @@ from rich.text import Text
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import counted, first_few, printable
 from salsanext_cli.labelling.label_records import ImportedScan, LabelImport
-from salsanext_cli.measures.risk_control import promise
+from salsanext_cli.measures.risk_control import guarantee
 from salsanext_cli.measures.scores import FREQUENT_POINTS, Scores, band_rows
 from salsanext_cli.measures.survey import Survey
 from salsanext_cli.measures.uncertainty_evaluation import (
@@ -34,11 +34,11 @@ BAND_HEADINGS = (
     *("distance", "mean IoU % of\nthe same classes", "accuracy %", "points", "absent classes"),
 )
 IMPORTED = ("points", "labelled", "unlabelled", "ambiguous", "missing")
-"""Numbers of points of a scan whose labels are imported."""
+"""Fields of `ImportedScan` that are numbers of points."""
 
 
 def percent(share: float, digits: int = 1, unit: str = "") -> str:
-    """Return a share as a number of percent; "–" for NaN."""
+    """Return a share in percent, "–" for NaN."""
     return ABSENT if math.isnan(share) else f"{100 * share:.{digits}f}{unit}"
 
 
@@ -51,7 +51,7 @@ def table_of(
     title: str = "",
     caption: str = "",
 ) -> Table:
-    """Return a table of names, of numbers and of `texts`, with `totals` below a line."""
+    """Return a table of a name, of columns of numbers or `texts`, and of `totals` below a line."""
     table = Table(title=Text(title) if title else None, caption=caption or None)
     table.title_justify = table.caption_justify = "left"
     for heading in headings:
@@ -67,7 +67,7 @@ def table_of(
 
 
 def score_table(result: Scores, title: str = "") -> Table:
-    """Return a table of IoU, precision, recall and points by class, then accuracies and means."""
+    """Return a table of IoU, precision, recall and points by class, then of accuracy and means."""
     rows = []
     for c in result.classes:
         iou = c.iou if c.points else math.nan
@@ -88,19 +88,19 @@ def score_table(result: Scores, title: str = "") -> Table:
 
 
 def band_cells(bands: Mapping[str, Scores]) -> Iterator[tuple[str, ...]]:
-    """Yield the cells of each distance band, in the order of `BAND_HEADINGS`."""
+    """Yield the cells of every distance band, in the order of `BAND_HEADINGS`."""
     for name, band, mean, absent in band_rows(bands):
-        shares = percent(mean), percent(band.accuracy)
-        yield name, *shares, f"{band.points:,}", ", ".join(absent)
+        scores = percent(mean), percent(band.accuracy)
+        yield name, *scores, f"{band.points:,}", ", ".join(absent)
 
 
 def band_table(bands: Mapping[str, Scores]) -> Table:
-    """Return a table with a row per distance band: mean IoU of the same classes, accuracy."""
+    """Return a table of mean IoU of the same classes and accuracy by distance band."""
     return table_of(BAND_HEADINGS, band_cells(bands), texts=BAND_HEADINGS[-1:])
 
 
 def uncertainty_tables(evaluation: UncertaintyEvaluation) -> list[Table]:
-    """Return a table of the calibration and one of the kinds of uncertainty; none without any."""
+    """Return a table of the calibration and one of the kinds of uncertainty, as far as known."""
     softmax, error = evaluation.calibration, evaluation.kinds.get("error")
     tables = [_calibration_table(softmax, error)] if softmax or error else []
     return [*tables, _ranking_table(evaluation.kinds)] if evaluation.kinds else tables
@@ -112,14 +112,14 @@ def _calibration_table(softmax: CalibrationResult | None, error: RankingResult |
     if softmax:
         scores = softmax.scores
         likelihood = (_number(scores.nll), _number(scores.brier))
-        shares = (percent(each, 2) for each in (scores.ece, softmax.ece_per_scan, scores.ace))
+        shares = (percent(s, 2) for s in (scores.ece, softmax.ece_per_scan, scores.ace))
         rows.append(("softmax", *likelihood, *shares, f"{softmax.scans:,}", f"{scores.points:,}"))
     if error and error.ece is not None:
-        counts = (f"{error.scans:,}", f"{error.scores.points:,}")
+        points = error.scores
+        counts = (f"{error.scans:,}", f"{points.points:,}")
         rows.append(("error", "", "", percent(error.ece, 2), "", "", *counts))
-        of_points = error.scores
-        means = percent(of_points.mean), percent(of_points.wrong / max(of_points.points, 1))
-        caption = "error: the probability that a label is wrong, mean {} %; {} % are".format(*means)
+        mean, wrong = percent(points.mean), percent(points.wrong / max(points.points, 1))
+        caption = f"error: the probability that a label is wrong; mean {mean} %, wrong {wrong} %"
     errors = ("ECE %", "ECE per\nscan %", "ACE %")
     headings = ("calibration", "NLL,\nnats", "Brier", *errors, "scans", "points")
     return table_of(headings, rows, caption=caption)
@@ -131,8 +131,8 @@ def _ranking_table(kinds: Mapping[str, RankingResult]) -> Table:
         scores = result.scores
         wrong = scores.wrong / scores.points if scores.points else math.nan
         areas = (percent(scores.auroc), percent(scores.aupr), percent(scores.aurc, 2))
-        rows.append((kind, *areas, _number(scores.ause), percent(wrong), f"{scores.points:,}"))
-    headings = ("AUROC\n%", "AUPR\n%", "AURC\n%", "AUSE", "wrong\n%", "points")
+        rows.append((kind, *areas, percent(wrong), f"{scores.points:,}"))
+    headings = ("AUROC\n%", "AUPR\n%", "AURC\n%", "wrong\n%", "points")
     return table_of(("uncertainty", *headings), rows)
 
 
@@ -143,8 +143,13 @@ def _number(value: float) -> str:
 def temperature_table(tuned: Mapping[str, Any]) -> Table:
     """Return a table of `temperature`, `nll` in nats and `ece` as a share, before and after."""
     rows = (
-        (name, f"{each['temperature']:.4f}", f"{each['nll']:.4f}", percent(each["ece"], 2))
-        for name, each in (("before", tuned["before"]), ("after", tuned["after"]))
+        (
+            name,
+            f"{tuned[name]['temperature']:.4f}",
+            f"{tuned[name]['nll']:.4f}",
+            percent(tuned[name]["ece"], 2),
+        )
+        for name in ("before", "after")
     )
     headings = ("", "temperature", "NLL in nats", "ECE in %")
     return table_of(headings, rows, title=f"Held-out scans, {counted(tuned['folds'], 'fold')}")
@@ -156,24 +161,25 @@ def error_table(tuned: Mapping[str, Any]) -> Table:
     rows = []
     for key, name in names.items():
         if scores := tuned[key]:
-            numbers = (f"{scores[each]:.4f}" for each in ("auroc", "aurc", "nll"))
-            rows.append((name, *numbers, *(percent(scores[each]) for each in ("ece", "risk_80"))))
+            numbers = (f"{scores[score]:.4f}" for score in ("auroc", "aurc", "nll"))
+            rows.append((name, *numbers, percent(scores["ece"]), percent(scores["risk_80"])))
     headings = ("", "AUROC", "AURC", "NLL", "ECE in %", "wrong of the best 80 %, in %")
     return table_of(headings, rows, title=f"Held-out scans, {counted(tuned['folds'], 'fold')}")
 
 
-def kept_table(
+def accepted_table(
     classes: Mapping[str, tuple[int, int]], thresholds: Mapping[str, float] = MappingProxyType({})
 ) -> Table:
-    """Return a table of kept and wrong points by predicted class, with thresholds of their own."""
+    """Return a table of accepted and wrong points, and any threshold, by predicted class."""
     rows = []
     for name in dict.fromkeys([*classes, *thresholds]):
-        kept, wrong = classes.get(name, (0, 0))
-        share = percent(wrong / kept if kept else math.nan)
-        own = [f"{thresholds[name]:.4g}" if kept else "none kept"] if name in thresholds else []
-        rows.append((name, f"{kept:,}", share, *own))
-    headings = ("labelled as", "kept points", "wrong %", *(["own threshold"] * bool(thresholds)))
-    return table_of(headings, rows, title="Kept labels")
+        accepted, wrong = classes.get(name, (0, 0))
+        row = [name, f"{accepted:,}", percent(wrong / accepted if accepted else math.nan)]
+        if name in thresholds:
+            row.append(f"{thresholds[name]:.4g}" if accepted else "none accepted")
+        rows.append(row)
+    headings = ("labelled as", "accepted points", "wrong %", *["threshold"] * bool(thresholds))
+    return table_of(headings, rows, title="Accepted labels")
 
 
 def rate_table(rates: Sequence[float], objectives: Sequence[float], best: float) -> Table:
@@ -213,15 +219,15 @@ def card_table(file: DescribedWeights) -> Table:
     view = f"{sensor.fov_up:+g}° to {sensor.fov_down:+g}°"
     rows = {
         "weights": f"default weights version {card.version}" if card.version else "",
-        "what": card.description or ABSENT,
+        "description": card.description or ABSENT,
         "architecture": ", ".join(f"{k} {v}" for k, v in card.architecture.items()),
         "temperature": f"{card.temperature:.4g}",
         "label space": f"{card.space.name}, {card.space.class_count} classes",
         "sensor": f"{sensor.name}, {sensor.height}×{sensor.width}, {view}",
-        "scores of the scans that chose the weights": _scores(card.scores) or ABSENT,
+        "scores on the scans that chose the weights": _scores(card.scores) or ABSENT,
         "error model, on held-out scans": error and (_scores(error.scores) or ABSENT),
-        "threshold of risk": card.risk and promise(card.risk),
-        "scans known from training": card.trained_on and f"{len(card.trained_on):,}",
+        "risk threshold": card.risk and guarantee(card.risk),
+        "training scans": card.trained_on and f"{len(card.trained_on):,}",
         "size": f"{file.size / 1e6:.1f} MB",
         "SHA-256": file.sha256,
     }
@@ -232,14 +238,14 @@ def card_table(file: DescribedWeights) -> Table:
 
 
 def _scores(scores: Mapping[str, Any]) -> str:
-    """Return names and rounded numbers; further digits depend on a few scans."""
+    """Return names and rounded scores: further digits depend on a few scans."""
     return ", ".join(f"{name} {_rounded(value)}" for name, value in scores.items())
 
 
 def _rounded(value: Any) -> str:
-    """Return a score as text; of several, each with its name or without."""
+    """Return a score, or several with or without names, as text."""
     if isinstance(value, Mapping):
-        return f"({', '.join(f'{name} {_rounded(each)}' for name, each in value.items())})"
+        return f"({_scores(value)})"
     if isinstance(value, list):
         return " ".join(map(str, value))
     return f"{value:.3f}" if isinstance(value, float) else str(value)
@@ -248,7 +254,7 @@ def _rounded(value: Any) -> str:
 def survey_tables(
     sequences: Mapping[str, Survey], total: Survey, space: LabelSpace, sensor: Sensor
 ) -> Group:
-    """Return tables of the sequences, of the channels and, if there are labels, of the classes."""
+    """Return tables of the sequences, the channels and, with labels, the classes."""
     surveys = dict(sequences) | ({"all": total} if len(sequences) > 1 else {})
     counts, measured = [], []
     for name, survey in surveys.items():
@@ -257,7 +263,7 @@ def survey_tables(
         counts.append((name, f"{survey.scans:,}", f"{survey.labelled:,}", per_scan, invalid))
         largest = (f"{survey.farthest:.1f}", f"{survey.brightest:.3g}")
         measured.append((name, *largest, f"{up:+.2f}° to {down:+.2f}°"))
-    of_counts = ("sequence", "scans", "labelled", "points per scan", "invalid points")
+    headings = ("sequence", "scans", "labelled", "points per scan", "invalid points")
     title = f"Range images of {sensor.name}, {sensor.height}×{sensor.width}"
     channels = (
         (name, f"{mean:.3f}", f"{std:.3f}")
@@ -265,7 +271,7 @@ def survey_tables(
     )
     classes = [_class_table(total, space)] if total.classes else []
     return Group(
-        table_of(of_counts, counts, title="Scans"),
+        table_of(headings, counts, title="Scans"),
         table_of(("sequence", "farthest, m", "brightest", "field of view"), measured),
         table_of(("channel", "mean", "standard deviation"), channels, title=title),
         *classes,
@@ -284,7 +290,7 @@ def _class_table(total: Survey, space: LabelSpace) -> Table:
 
 
 def imported_table(scans: Sequence[ImportedScan]) -> Table:
-    """Return a table with the numbers of points of each imported scan, and of all."""
+    """Return a table of the numbers of points of every imported scan, and of all."""
     points = [[getattr(scan, name) for name in IMPORTED] for scan in scans]
     rows = (
         (scan.scan, *map("{:,}".format, numbers), scan.scalar)
@@ -296,7 +302,7 @@ def imported_table(scans: Sequence[ImportedScan]) -> Table:
 
 
 def imported_lines(made: LabelImport, dataset: Path) -> Iterator[str]:
-    """Yield a line about what was imported, and one about each group of scans that was not."""
+    """Yield a line about the imported scans, and one about every group of other scans."""
     failed = sum(len(failure.files) for failure in made.failures)
     others = f", {counted(failed, 'file')} failed" if failed else ""
     yield f"import-labels: {counted(len(made.scans), 'scan')}{others} → {dataset}"
@@ -305,9 +311,9 @@ def imported_lines(made: LabelImport, dataset: Path) -> Iterator[str]:
         yield f"largest classes: {named}"
     if made.unedited:
         files = f"{counted(len(made.unedited), 'file')}: {first_few(made.unedited)}"
-        yield f"not imported, since they hold the first guess of `pick`, {files}"
+        yield f"not imported, unedited pre-labels of `pick`: {files}"
     if made.kept:
-        yield f"without an edited file, as they were: {counted(made.kept, 'scan')}"
+        yield f"unchanged, without an edited file: {counted(made.kept, 'scan')}"
     if made.first_guesses:
         scans = f"{counted(len(made.first_guesses), 'scan')}: {first_few(made.first_guesses)}"
-        yield f"warning: labelled by the network only, as `pick` left them, {scans}"
+        yield f"warning: labels are unedited pre-labels of `pick`, {scans}"

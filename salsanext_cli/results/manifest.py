@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Manifest of a folder that stages fill: who wrote what, with which settings, of which scans.
+"""Manifest of a folder that stages fill: stages, settings, scans, classes, sensor and weights.
 
 ``FOLDER/<stage>.json`` is the record of a stage: its settings, the folders of results that it
 fills, and the scans that it was asked for. `OwnedFolder` lists the files themselves.
@@ -7,14 +7,15 @@ fills, and the scans that it was asked for. `OwnedFolder` lists the files themse
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.errors import OutputError, first_few, shortened
+from salsanext_cli.classes.merging import ClassMerging, contradiction
+from salsanext_cli.errors import LabelError, OutputError, first_few, shortened
 from salsanext_cli.files.identity import identity
 from salsanext_cli.files.json_files import (
     Json,
@@ -26,11 +27,14 @@ from salsanext_cli.files.json_files import (
     write_json,
 )
 from salsanext_cli.formats import scan_suffix
-from salsanext_cli.results.paths import COLOURINGS, SUFFIX_OF_FOLDER
+from salsanext_cli.network.card import RiskThreshold, parted
+from salsanext_cli.results.paths import COLOURINGS, ERROR, SUFFIX_OF_FOLDER, ScanFile
+from salsanext_cli.results.selection import space_of
 from salsanext_cli.results.settings import StageSettings
+from salsanext_cli.sensors.sensor import Sensor, sensor
 from salsanext_cli.version import __version__
 
-MAX_PATH_CHARACTERS = 500
+Kind = TypeVar("Kind")
 RESULT_STAGES = (
     *("project", "predict", "knn-refine", "uncertainty", "fuse", "picture", "export-ply"),
     *(f"export-ply-{colour}" for colour in COLOURINGS),
@@ -39,21 +43,18 @@ RESULT_STAGES = (
 
 @dataclass(frozen=True, slots=True)
 class ScanSource:
-    """Scans of one sequence that a stage worked on."""
+    """Scans of one sequence that runs of a stage were asked for."""
 
-    folder: str  # Folder of the scans, absolute
-    # Suffixes of the files by stem, of those that the stage was asked for in any of its runs, done
-    # or failed; empty for scans of a recording, and in older records
-    suffixes: Mapping[str, str]
+    folder: str  # Absolute
+    suffixes: Mapping[str, str]  # By stem; empty for scans of a recording, and in older records
 
     def to_dict(self) -> dict[str, object]:
         """Return the entry of a sequence, with the names of its files."""
-        names = sorted(map("".join, self.suffixes.items()))
-        return {"folder": self.folder, "asked_for": names}
+        return {"folder": self.folder, "asked_for": sorted(map("".join, self.suffixes.items()))}
 
     @classmethod
     def from_dict(cls, entry: Json) -> "ScanSource":
-        """Read the entry of a sequence; anything amiss raises a `TypeError` or the like."""
+        """Read the entry of a sequence; raise a `TypeError` or the like for any other data."""
         folder, *names = decoded(list[str], [entry["folder"], *entry["asked_for"]])
         if "\0" in folder:
             raise ValueError("a folder with a NUL in its name")
@@ -61,10 +62,10 @@ class ScanSource:
         return cls(folder, {s: n[len(s) :] for s, n in zip(stems, names, strict=True)})
 
 
-def merged_sources(several: Iterable[Mapping[str, ScanSource]]) -> dict[str, ScanSource]:
-    """Return all files of each sequence."""
+def merged_sources(sources: Iterable[Mapping[str, ScanSource]]) -> dict[str, ScanSource]:
+    """Return the union of the files of each sequence."""
     merged: dict[str, ScanSource] = {}
-    for name, source in (item for sources in several for item in sources.items()):
+    for name, source in (item for of_stage in sources for item in of_stage.items()):
         known = merged.get(name, source).suffixes
         added = {stem: suffix or known.get(stem, "") for stem, suffix in source.suffixes.items()}
         merged[name] = ScanSource(source.folder, {**known, **added})
@@ -75,48 +76,50 @@ def merged_sources(several: Iterable[Mapping[str, ScanSource]]) -> dict[str, Sca
 class StageRecord:
     """Record of the runs of a stage, all with the same settings."""
 
-    stage: str  # Its name on the command line
+    stage: str  # Name on the command line
     settings: Mapping[str, object]  # As `settings_json` returns them
-    # Folders of results that the stage fills, keys of `SUFFIX_OF_FOLDER`
-    writes: tuple[str, ...] = ()
-    # By sequence; empty for a stage that works on what earlier ones recorded
+    writes: tuple[str, ...] = ()  # Folders of results, keys of `SUFFIX_OF_FOLDER`
+    # By sequence; empty for a stage that works on the results of earlier stages
     scans: Mapping[str, ScanSource] = field(default_factory=dict)
-    # Results of other settings or origin that were not removed, as paths below the folder
-    kept: tuple[str, ...] = ()
-    version: str = __version__  # Of the program that wrote it
+    # Files of other settings or origin that were not removed, as paths below the folder
+    foreign: tuple[str, ...] = ()
+    version: str = __version__
 
     def __post_init__(self) -> None:
         if unknown := {*self.writes} - {*SUFFIX_OF_FOLDER}:
-            raise ValueError(f"no folder of results is named {min(unknown)}")
+            raise ValueError(f"unknown folder of results {min(unknown)}")
 
     def to_dict(self) -> dict[str, object]:
-        """Return the content of the record's file; what may be long comes last."""
-        names = ("stage", "version", "writes", "settings", "scans", "kept")
+        """Return the content of the record's file, long values last."""
+        names = ("stage", "version", "writes", "settings", "scans", "foreign")
         content = {name: plain(getattr(self, name)) for name in names}
         return {name: value for name, value in content.items() if value or name == "settings"}
 
     def has_settings(self, settings: Mapping[str, object]) -> bool:
-        """Return whether settings are those of the record."""
+        """Return whether the record has the same settings."""
         return not differences(self.settings, settings)
 
 
 def settings_json(settings: object) -> dict[str, object]:
-    """Return settings as a record has them: as a file gives them back, without what is None."""
+    """Return settings as a record contains them: read back from JSON, without None."""
     return {key: value for key, value in as_json(settings).items() if value is not None}
 
 
-@lru_cache(4 * len(RESULT_STAGES))  # Of some folders
+RENAMED = {"promised": "guarantee", "kept": "foreign"}
+"""Keys of older records."""
+
+
+@lru_cache(4 * len(RESULT_STAGES))  # Enough for some folders
 def _read(path: Path, stage: str, _: tuple[object, ...]) -> StageRecord | None:
     content = read_json(path)
     if content is None:
         return None
     if content.get("stage") != stage:
         hint = "delete it or use another folder"
-        raise OutputError(path, f"not what `{stage}` writes", hint=hint)
-    if "settings" not in content and stage not in RESULT_STAGES:
-        # Some stages of older versions wrote their settings without a table.
-        settings = {key: each for key, each in content.items() if key not in ("stage", "version")}
-        content = {"stage": stage, "settings": settings}
+        raise OutputError(path, f"is not a record of `{stage}`", hint=hint)
+    content = {RENAMED.get(key, key): value for key, value in content.items()}
+    if isinstance(settings := content.get("settings"), dict):
+        content["settings"] = {RENAMED.get(key, key): v for key, v in settings.items()}
     return record_of(StageRecord, content, path)
 
 
@@ -126,9 +129,16 @@ def _settings(path: Path, stage: str, state: tuple[object, ...]) -> StageSetting
     return record_of(StageSettings, record.settings, path) if record else None
 
 
+class Rejection(NamedTuple):
+    """Rule by which a run rejected points."""
+
+    above: float  # Threshold of the uncertainty; some classes may have other thresholds
+    chosen_on: frozenset[str]  # Digests of the scans that `tune risk` chose the threshold on
+
+
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """Records of the stages that ran in a folder, read when they are asked for."""
+    """Records of the stages that ran in a folder, read on demand."""
 
     root: Path
 
@@ -137,7 +147,7 @@ class Manifest:
         return self.root / f"{stage}.json"
 
     def record(self, stage: str) -> StageRecord | None:
-        """Return the record of a stage, shared by all that ask; None if it did not run here."""
+        """Return the shared record of a stage, None if it did not run here."""
         path = self.path(stage)
         return _read(path, stage, identity(path))
 
@@ -147,54 +157,161 @@ class Manifest:
         return {stage: record for stage, record in records.items() if record is not None}
 
     def write(self, record: StageRecord) -> None:
-        """Write the record of a stage, durably, unless it is there."""
+        """Write the record of a stage durably if it has changed."""
         if self.record(record.stage) != record:
             write_json(self.path(record.stage), record)
 
     def sources(self) -> dict[str, ScanSource]:
-        """Return where the scans of all stages came from, by sequence."""
+        """Return the sources of the scans of all stages, by sequence."""
         return merged_sources(record.scans for record in self.records().values())
 
     def settings(self, stage: str) -> StageSettings | None:
-        """Return the settings a stage ran with, None if it did not."""
+        """Return the settings of a stage, None if it did not run here."""
         path = self.path(stage)
         return _settings(path, stage, identity(path))
 
     def owner(self, *folders: str) -> str | None:
-        """Return the stage that writes the first of some folders of results that any writes."""
+        """Return the stage that writes the first recorded one of some folders of results."""
         writers = {f: stage for stage, r in reversed(self.records().items()) for f in r.writes}
         return next((writers[folder] for folder in folders if folder in writers), None)
 
     def settings_of(self, *folders: str) -> StageSettings | None:
-        """Return the settings behind the first of some folders of results that a stage recorded."""
+        """Return the settings of the owner of some folders of results."""
         stage = self.owner(*folders)
         return self.settings(stage) if stage else None
 
     def origins(self, stages: Iterable[str]) -> dict[str, str]:
-        """Return a digest of the settings of each of the stages that ran, for later records."""
+        """Return digests of the settings of stages that ran, for the records of later stages."""
         records = filter(None, map(self.record, stages))
-        texts = {each.stage: json.dumps(each.settings, sort_keys=True) for each in records}
+        texts = {record.stage: json.dumps(record.settings, sort_keys=True) for record in records}
         return {s: hashlib.sha256(text.encode()).hexdigest()[:12] for s, text in texts.items()}
+
+    def label_space(self, *folders: str) -> LabelSpace | None:
+        """Return the classes of the first recorded folder, by default of the predictions."""
+        settings = self.settings_of(*(folders or ("predictions", "pixel_labels")))
+        return self._recorded(settings.label_space, "label space") if settings else None
+
+    def compared_space(
+        self,
+        scans: Sequence[ScanFile],
+        space: LabelSpace | None = None,
+        classes: LabelSpace | None = None,
+        *,
+        other_ids: bool = False,
+    ) -> LabelSpace:
+        """Return the classes in which predictions and labels are compared, with the labels' splits.
+
+        They are the classes of the predictions, which may be merged classes of the labels, or
+        `classes`, into which both are merged. `space`: classes of the labels, by default of the
+        data set; `other_ids`: whether labels may have other raw ids for classes of the same names.
+        """
+        recorded = self.label_space()
+        space = space or space_of(scans, recorded)
+        target = classes or recorded or space
+        named_alike = other_ids and space.names == target.names
+        if classes is not None:
+            for finer in (recorded or space, *(() if named_alike else (space,))):
+                ClassMerging.needed(finer, classes)
+        elif target.fits(space):
+            return space
+        elif not named_alike and contradiction(space, target):
+            named = first_few(target.differences(space))
+            problem = f"has predictions in the classes of {target.name} ({named})"
+            hint = (
+                "predict with weights for the classes of the labels, or merge both with --classes"
+            )
+            raise LabelError(self.root, problem, f"{space.name}, as the labels", hint)
+        return replace(target, splits=space.splits or (classes or space).splits)
+
+    def merging_into(self, space: LabelSpace) -> ClassMerging | None:
+        """Return the merging of the classes of the probabilities into a label space, if needed."""
+        finer = self.label_space("probabilities")
+        return None if finer is None or finer.fits(space) else ClassMerging.between(finer, space)
+
+    def guarantee(self, space: LabelSpace) -> RiskThreshold | None:
+        """Return the guarantee of `tune risk` for the labels, if they are in its classes."""
+        recorded, settings = self.label_space("predictions"), self.settings_of("predictions")
+        return settings.guarantee if settings and recorded and recorded.fits(space) else None
+
+    def known_sensor(self) -> Sensor | None:
+        """Return the recorded sensor of the results, if there is one."""
+        folders = ("pixel_labels", "predictions", "uncertainty/epistemic", "range")
+        settings = self.settings_of(*folders)
+        return self._recorded(settings.sensor, "sensor") if settings else None
+
+    def sensor(self) -> Sensor:
+        """Return the recorded sensor of the results, else the HDL-64."""
+        return self.known_sensor() or sensor("hdl64")
+
+    def weights(self, folder: str) -> str | None:
+        """Return the SHA-256 of the weights of a folder of results, if it is recorded."""
+        settings = self._network_of(folder)
+        return settings.weights if settings else None
+
+    def trained_on(self) -> frozenset[str]:
+        """Return the digests of the scans that the weights of the predictions were trained on."""
+        settings = self._network_of("predictions")
+        return frozenset(parted(settings.trained_on or "")) if settings else frozenset()
+
+    def _network_of(self, folder: str) -> StageSettings | None:
+        """Return the settings of the stage that ran the network for a folder of results."""
+        settings = self.settings_of(folder)
+        if settings and self.owner(folder) == "knn-refine" and settings.labels is None:
+            return self._network_of("pixel_labels")
+        return settings
+
+    def require_same_weights(self) -> None:
+        """Refuse an uncertainty of other weights or classes than the labels."""
+        labels, space = self.weights("predictions"), self.label_space("predictions")
+        hint = f"run `salsanext uncertainty SCANS {self.root} --overwrite` with the"
+        for folder in ("uncertainty/epistemic", ERROR):
+            estimated, other = self.weights(folder), self.label_space(folder)
+            if labels and estimated and labels != estimated:
+                problem = (
+                    f"has labels of the weights {labels[:12]}…, uncertainty of {estimated[:12]}…"
+                )
+                raise OutputError(
+                    self.root, problem, "the same weights", f"{hint} weights of the labels"
+                )
+            if labels and space and other and not space.fits(other):
+                problem = f"has labels in the classes of {space.name}, uncertainty in {other.name}"
+                hint = f"{hint} --classes of the labels"
+                raise OutputError(self.root, problem, "the same classes", hint)
+
+    def rejection(self, folder: str = "predictions") -> Rejection | None:
+        """Return the rule by which the run of a folder of results rejected points, if it did."""
+        settings = self.settings_of(folder)
+        if settings is None or settings.reject is None:
+            return None
+        digests = settings.guarantee.digests if settings.guarantee else ""
+        return Rejection(settings.reject, frozenset(parted(digests)))
+
+    def _recorded(self, value: Kind | None, name: str) -> Kind:
+        """Return a setting that the record must contain."""
+        if value is None:
+            hint = "delete the record or use another folder"
+            raise OutputError(self.root, f"has a record without {name}", hint=hint)
+        return value
 
 
 def require_same_settings(
     path: Path, recorded: Mapping[str, object], settings: Mapping[str, object]
 ) -> None:
-    """Refuse to mix or to replace what was made with other settings, and name these."""
-    if found := differences(recorded, settings):
+    """Refuse to mix or to replace results of other settings, and name the differences."""
+    if changed := differences(recorded, settings):
         hint = "use another output folder, or --overwrite to replace all its results"
-        raise OutputError(path, f"made with other settings: {found}", hint=hint)
+        raise OutputError(path, f"was made with other settings: {changed}", hint=hint)
 
 
 def differences(recorded: Mapping[str, object], settings: Mapping[str, object]) -> str:
-    """Describe how settings that were recorded differ from others, empty if they do not."""
+    """Describe how recorded settings differ from others; empty if they do not."""
     before, after = dict(_flat(recorded)), dict(_flat(settings))
     changed = sorted(k for k in before.keys() | after if before.get(k) != after.get(k))
     return first_few([_difference(k, before.get(k), after.get(k)) for k in changed])
 
 
 def _difference(key: str, before: Any, after: Any) -> str:
-    """Describe how a setting differs; of lists of one length, name the first value that does."""
+    """Describe how a setting differs, in lists of equal length by the first differing value."""
     if key == "sensor.intensity_quantiles":
         was, now = (("matched" if any(q) else "none") if q else "raw" for q in (before, after))
         now = "matched to other scans" if now == was else now
@@ -215,7 +332,7 @@ def _difference(key: str, before: Any, after: Any) -> str:
 
 
 def _flat(settings: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield dotted key and value of nested settings that are set; a label space stays whole."""
+    """Yield dotted keys and values that are set; a label space stays whole."""
     for key, value in settings.items():
         if isinstance(value, dict) and key != "label_space":
             yield from _flat(value, f"{prefix}{key}.")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The owner of an output folder, in which several stages leave results of the same scans."""
+"""Runs of stages in an output folder, where several stages write results of the same scans."""
 
 import io
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -13,11 +13,10 @@ import numpy.typing as npt
 from numpy.lib import format as npy
 
 from salsanext_cli.classes.label_space import RawIds
-from salsanext_cli.errors import OutputError, shortened
+from salsanext_cli.errors import OutputError
 from salsanext_cli.files.reading import filled
 from salsanext_cli.formats.kitti import encode_labels
 from salsanext_cli.results.manifest import (
-    MAX_PATH_CHARACTERS,
     Manifest,
     ScanSource,
     StageRecord,
@@ -25,42 +24,40 @@ from salsanext_cli.results.manifest import (
     require_same_settings,
     settings_json,
 )
-from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.results.paths import DISAGREEMENT, ERROR, ScanFile, find_outputs, output_path
 from salsanext_cli.results.settings import StageSettings
 
 
 @dataclass(frozen=True, slots=True)
 class OutputRun(OwnedFolder):
-    """One run of a stage in an output folder, which others with the same settings may share."""
+    """One run of a stage in an output folder, shared with other runs of the same settings."""
 
-    # Folders of results that a scan is given, keys of `SUFFIX_OF_FOLDER`
-    folders: tuple[str, ...] = ()
-    overwrite: bool = False  # Whether results that are there are made again
-    # Results that are not as salsanext wrote them, of scans that lack a result or have one of other
-    # settings: they are never replaced
-    kept: frozenset[Path] = frozenset()
+    folders: tuple[str, ...] = ()  # Folders of results, keys of `SUFFIX_OF_FOLDER`
+    overwrite: bool = False  # Whether existing results are computed again
+    # Foreign files in the place of results that are missing or of other settings
+    foreign: frozenset[Path] = frozenset()
 
     def path(self, file: ScanFile, folder: str) -> Path:
-        """Return where a result of a scan lies."""
+        """Return the path of a result of a scan."""
         return output_path(self.root, file.sequence, folder, file.stem)
 
     def paths(self, file: ScanFile) -> list[Path]:
-        """Return where all results of a scan lie."""
+        """Return the paths of all results of a scan."""
         return [self.path(file, folder) for folder in self.folders]
 
     def is_there(self, file: ScanFile) -> bool:
-        """Say whether a scan has all its results."""
-        return all(filled(path) and path not in self.kept for path in self.paths(file))
+        """Return whether a scan has all its results."""
+        return all(filled(path) and path not in self.foreign for path in self.paths(file))
 
     def is_done(self, file: ScanFile) -> bool:
-        """Say whether a scan has all its results, and they are not to be made again."""
+        """Return whether a scan has all its results, which are not to be overwritten."""
         return not self.overwrite and self.is_there(file)
 
     def require_replaceable(self, file: ScanFile) -> None:
-        """Refuse to replace a result of a scan that is not as salsanext wrote it."""
-        for path in self.kept.intersection(self.paths(file)):
-            raise not_own(path)
+        """Refuse to replace a foreign file by a result of a scan."""
+        for path in self.foreign.intersection(self.paths(file)):
+            raise foreign_file(path)
 
     def write_array(self, file: ScanFile, folder: str, array: npt.NDArray[Any]) -> None:
         """Write a result of a scan as a `.npy` file."""
@@ -71,59 +68,59 @@ class OutputRun(OwnedFolder):
         self.write(self.path(file, "predictions"), encode_labels(raw))
 
     def claim(self, wanted: StageRecord) -> StageRecord:
-        """Bring the records, which are locked, and the results to what the run wants, or refuse."""
+        """Update the locked records and remove outdated results for this run, or refuse."""
         known = self.manifest.records()
         before = known.pop(self.stage, None) or StageRecord(self.stage, wanted.settings)
         same = before.has_settings(wanted.settings)
-        others = [each for each in known.values() if {*each.writes} & {*wanted.writes}]
+        others = [record for record in known.values() if {*record.writes} & {*wanted.writes}]
         if "predictions" in wanted.writes and not same and "fuse" in known:
             others.append(known["fuse"])
         if not self.overwrite:
             require_same_settings(self.record_path, before.settings, wanted.settings)
             for other in others:
                 folder = next(name for name in wanted.writes if name in other.writes)
-                found = f"{folder}/ holds the results of `{other.stage}`"
+                problem = f"{folder}/ contains results of `{other.stage}`"
                 hint = "use another output folder, or --overwrite to replace them"
-                raise OutputError(self.manifest.path(other.stage), found, hint=hint)
-        # Nothing is removed before it is certain that the run may begin, but locks of killed runs.
-        for each in (before, *others):
-            of_stage = OwnedFolder(self.root, each.stage)
-            if of_stage.is_shared() and not (same and each is before):
+                raise OutputError(self.manifest.path(other.stage), problem, hint=hint)
+        # Nothing but locks of killed runs is removed before it is certain that the run may begin.
+        for record in (before, *others):
+            of_stage = OwnedFolder(self.root, record.stage)
+            if of_stage.is_shared() and not (same and record is before):
                 raise of_stage.busy()
-        kept = [] if same else self.remove_own(self._results_in(before.writes))
+        foreign = [] if same else self.remove_written(self._results_in(before.writes))
         for other in others:
-            kept += self._take_over(other, wanted.writes)
-        taken = {folder for each in (before, *others) for folder in each.writes}
-        kept += self._remove_unrecorded(name for name in wanted.writes if name not in taken)
-        names = {path.relative_to(self.root).as_posix() for path in kept}
-        merged = replace(wanted, kept=tuple(sorted(names)))
+            foreign += self._take_over(other, wanted.writes)
+        recorded = {folder for record in (before, *others) for folder in record.writes}
+        foreign += self._remove_unrecorded(name for name in wanted.writes if name not in recorded)
+        names = {path.relative_to(self.root).as_posix() for path in foreign}
+        merged = replace(wanted, foreign=tuple(sorted(names)))
         if same:
             merged = replace(
                 merged,
                 settings=before.settings,
                 writes=tuple(sorted({*before.writes, *wanted.writes})),
                 scans=merged_sources((before.scans, wanted.scans)),
-                kept=tuple(sorted({*before.kept, *names})),
+                foreign=tuple(sorted({*before.foreign, *names})),
             )
-        # The record comes last: without it, a run that was killed before begins anew.
+        # The record comes last, so that the next run repeats what a killed run did not finish.
         self.manifest.write(merged)
         return merged
 
     def _take_over(self, other: StageRecord, folders: Collection[str]) -> list[Path]:
-        """Remove the results of another stage from folders, and what is known of its labels."""
+        """Remove results of another stage from folders, and results that depend on its labels."""
         taken = {*folders, ERROR, DISAGREEMENT, "views"} if "predictions" in folders else {*folders}
-        kept = self.remove_own(self._results_in(each for each in other.writes if each in taken))
-        left = tuple(name for name in other.writes if name not in taken)
-        self.manifest.write(replace(other, writes=left))
-        return kept
+        foreign = self.remove_written(self._results_in(n for n in other.writes if n in taken))
+        remaining = tuple(name for name in other.writes if name not in taken)
+        self.manifest.write(replace(other, writes=remaining))
+        return foreign
 
     def _remove_unrecorded(self, folders: Iterable[str]) -> list[Path]:
-        """Refuse results that no stage recorded, or remove them: their settings are not known."""
+        """Refuse or remove results that no stage recorded: their settings are unknown."""
         results = self._results_in(folders)
         if results and not self.overwrite:
             hint = "use another output folder, or --overwrite to work beside it"
             raise OutputError(results[0], "is a result that no stage recorded", hint=hint)
-        return self.remove_own(results)
+        return self.remove_written(results)
 
     def _results_in(self, folders: Iterable[str]) -> list[Path]:
         return [path for name in folders for path in find_outputs(self.root, name).values()]
@@ -138,7 +135,7 @@ def encode_array(array: npt.NDArray[Any]) -> bytes:
 
 
 def _scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]:
-    """Return where scans lie, and their files, by sequence; refuse others than recorded ones."""
+    """Return the sources of scans by sequence; refuse others than the recorded sources."""
     known, suffixes = Manifest(out).sources(), dict[str, dict[str, str]]()
     folders = dict[str, str]()
     for scan in scans:
@@ -147,11 +144,9 @@ def _scan_sources(out: Path, scans: Iterable[ScanFile]) -> dict[str, ScanSource]
         recorded = known.get(scan.sequence, ScanSource(folder, {}))
         other = scan.stem + (recorded.suffixes.get(scan.stem) or suffix)
         if recorded.folder != str(scan.path.parent) or other != scan.path.name:
-            came_from = shortened(str(Path(recorded.folder, other)), MAX_PATH_CHARACTERS)
-            found = f"results of sequence {scan.sequence} came from {came_from}"
-            raise OutputError(
-                out, found, f"that file, not {scan.path}", "use another output folder"
-            )
+            problem = f"results of sequence {scan.sequence} are of {Path(recorded.folder, other)}"
+            hint = f"use another output folder for {scan.path}"
+            raise OutputError(out, problem, "the same scans", hint)
         suffixes.setdefault(scan.sequence, {})[scan.stem] = suffix
     return {name: ScanSource(folders[name], suffixes[name]) for name in folders}
 
@@ -167,12 +162,12 @@ def output_run(
     overwrite: bool,
     record_scans: bool = True,
 ) -> Iterator[OutputRun]:
-    """Record what a stage does in `OUT/<stage>.json`, or refuse to mix it with other results.
+    """Record the run of a stage in `OUT/<stage>.json`, or refuse to mix it with other results.
 
-    Runs with the same settings may work beside it, and none with others may remove its results.
-    `record_scans`: not for a stage that works on what an earlier one recorded.
+    Runs with the same settings may share the folder; runs with other settings must wait.
+    `record_scans`: False for a stage that works on the scans of an earlier one.
     """
-    # A contradiction of the scans themselves is an error before a folder is made.
+    # Contradicting scans are an error before a folder is created.
     sources = _scan_sources(out, scans) if record_scans else {}
     run = OutputRun(out, stage, folders=tuple(folders), overwrite=overwrite)
     wanted = StageRecord(stage, settings_json(settings), tuple(sorted(run.folders)), sources)
@@ -180,11 +175,12 @@ def output_run(
         with run.locked_records():
             recorded = run.claim(wanted)
             stack.enter_context(run.open(shared=True))
-        # First those of other settings: they are no results of this run.
-        run = replace(run, kept=frozenset(run.foreign_files(out / name for name in recorded.kept)))
+        # Foreign files of other settings are no results, so that their scans are not done.
+        others = run.foreign_files(out / name for name in recorded.foreign)
+        run = replace(run, foreign=frozenset(others))
         todo = [path for file in scans if not run.is_done(file) for path in run.paths(file)]
-        yield replace(run, kept=frozenset(run.foreign_files(todo)))
+        yield replace(run, foreign=frozenset(run.foreign_files(todo)))
         record = run.manifest.record(stage)
         if record is None or not record.has_settings(wanted.settings):
-            found = "was removed or replaced while results were written into it"
-            raise OutputError(out, found, hint="run again with --overwrite")
+            problem = "was removed or replaced while results were written into it"
+            raise OutputError(out, problem, hint="run again with --overwrite")

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Folder that a stage fills: its locks, the list of the files that were written, its findings.
+"""Folder that a stage fills: its locks, the list of written files, warnings of its runs.
 
-``FOLDER/.salsanext.files/<machine>.tsv`` holds a line per file: its path below the folder
+``FOLDER/.salsanext.files/<machine>.tsv`` has a line per file: its path below the folder
 (percent-encoded), its size in bytes and its time of modification in nanoseconds. Lines are only
-ever appended, each before its file gets its name. Every machine of a cluster has a list of its
-own, since appending to one file over a network loses lines. Files that are not on a list, or were
-changed since, are never removed; `OwnedFolder.remove_own` is all that removes results.
+appended, each before its file gets its name. Each machine of a cluster has a separate list, since
+appending to one file over a network loses lines. A file is foreign if it is not listed, was changed
+since, or lies behind a link. Foreign files are never replaced or removed.
 """
 
 import logging
@@ -33,19 +33,19 @@ PLACES = (
     *("sequences/*/", "sequences/*/*/", "sequences/*/*/*/"),
     *("samples/", "folds/*/", "folds/*/samples/", "eval/*/"),
 )
-"""Folders below that stages write into."""
+"""Subfolders that stages write into."""
 RECORDS_LOCK_TIMEOUT_S = 1800.0
-"""There may be a hundred others, which hold the lock for seconds each if it is a million scans."""
+"""A hundred other processes may hold the lock for seconds each in runs on a million scans."""
 LINE = re.compile(rb"(\S+)\t(\d{1,19})\t(\d{1,19})")
 States = dict[Path, set[tuple[int, int]]]  # Size and time of modification at each writing
-Texts = tuple[str, str, str]  # Code, message and hint of a finding
+Texts = tuple[str, str, str]  # Code, message and hint of a warning
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class _Findings:
-    """Reasons to doubt the scans of all runs of a stage."""
+    """Warnings about the scans of all runs of a stage."""
 
     stage: str
     scans: dict[str, list[Texts]]  # By name of the scan
@@ -55,9 +55,9 @@ class _Findings:
 class OwnedFolder:
     """Folder that a stage fills; small enough to be sent to other processes."""
 
-    root: Path  # The folder; it need not exist
+    root: Path  # The folder may not exist yet
     stage: str = ""  # Name of the stage on the command line
-    part: str = ""  # Folder below the root that has lock and record, if it is not the root
+    part: str = ""  # Subfolder with lock and record, if it is not the root
 
     @property
     def manifest(self) -> Manifest:
@@ -66,14 +66,14 @@ class OwnedFolder:
 
     @property
     def record_path(self) -> Path:
-        """Path of the record of the stage's settings."""
+        """Path of the record of the stage."""
         return self.manifest.path(self.stage)
 
     @contextmanager
     def open(self, *, shared: bool = False) -> Iterator[None]:
-        """Keep other runs of the stage out of the folder, unless it is shared; sweep it."""
+        """Lock the folder against other runs of the stage, unless it is shared; sweep it."""
         mark = uuid4().hex
-        # Runs of other threads of this process keep their temporary files.
+        # Temporary files of other threads of this process stay.
         token = MARK.set(mark)
         name = f".{self.stage}.{mark}.lock" if shared else f".{self.stage}.lock"
         try:
@@ -89,7 +89,7 @@ class OwnedFolder:
             MARK.reset(token)
 
     def is_shared(self) -> bool:
-        """Say whether runs of the stage share the folder now; locks of killed runs are removed."""
+        """Return whether runs of the stage use the folder now; remove locks of killed runs."""
         busy = False
         for lock in self.root.glob(f".{self.stage}.*.lock"):
             try:
@@ -100,23 +100,23 @@ class OwnedFolder:
         return busy
 
     def busy(self) -> OutputError:
-        """Return the error of a folder that a run of the stage fills now."""
+        """Return the error of a folder that a run of the stage uses now."""
         hint = "wait until it has ended, or use another folder"
-        return OutputError(self.root, f"a run of `{self.stage}` is at work in it", hint=hint)
+        return OutputError(self.root, f"is in use by a run of `{self.stage}`", hint=hint)
 
     def locked_records(self) -> AbstractContextManager[None]:
-        """Keep other processes from the records of the folder while the body runs."""
+        """Lock the records of the folder against other processes."""
         return locked(self.root / ".records.lock", RECORDS_LOCK_TIMEOUT_S)
 
     def _places(self) -> list[Path]:
         return [self.root, *(place for below in PLACES for place in self.root.glob(below))]
 
     def require_new(self) -> None:
-        """Refuse a folder that holds something, but no record of the stage."""
+        """Refuse a folder that contains files, but no record of the stage."""
         if present(self.record_path) or not present(self.root):
             return
         if not self.root.is_dir() or any(p.name[0] != "." for p in self.root.iterdir()):
-            raise OutputError(self.root, "holds something else", "a new or empty folder")
+            raise OutputError(self.root, "contains other files", "a new or empty folder")
 
     @contextmanager
     def writing(self, path: Path, *, durable: bool = False) -> Iterator[BinaryIO]:
@@ -126,65 +126,65 @@ class OwnedFolder:
             yield file
 
     def write(self, path: Path, content: bytes, *, durable: bool = False) -> None:
-        """Write a file of the folder whole or not at all, and list it."""
+        """Write a file of the folder atomically, and list it."""
         with self.writing(path, durable=durable) as file:
             file.write(content)
 
     def write_missing(self, path: Path, content: bytes) -> None:
-        """Write a file of the folder, unless it is there: it may be edited."""
+        """Write a file of the folder unless it exists, since it may be edited."""
         if not filled(path):
             self.write(path, content)
 
     def replace(self, files: Mapping[Path, bytes], absent: Iterable[Path] = ()) -> None:
-        """Write files durably in the place of earlier ones; remove those that are to be absent."""
+        """Replace files durably, and remove the absent ones; refuse foreign files."""
         absent = list(absent)
         with self.locked_records():
             sweep_stale(self.root)
-            self.require_own([*files, *absent])
-            self.remove_own(absent)
+            self.refuse_foreign([*files, *absent])
+            self.remove_written(absent)
             for path, content in files.items():
                 self.write(path, content, durable=True)
 
     def add(self, path: Path) -> None:
-        """List a file of the folder as it is now."""
+        """List a file of the folder in its present state."""
         self._list(path, path.lstat())
 
     def foreign_files(self, paths: Iterable[Path], states: States | None = None) -> list[Path]:
-        """Return those of some files that are there and changed, not listed, or behind a link."""
+        """Return the foreign files among some paths; `states`: as of `states()`."""
         there = {path: path.lstat() for path in paths if os.path.lexists(path)}
         if states is None:
             states = self.states() if there else {}
 
-        def is_own(path: Path, status: os.stat_result) -> bool:
-            # An empty file, as a power cut leaves it, is one of ours.
+        def is_written(path: Path, status: os.stat_result) -> bool:
+            # A power cut may leave an empty file.
             listed = (status.st_size, status.st_mtime_ns) in states.get(path, ())
             return (listed or status.st_size == 0) and not self._behind_link(path)
 
-        return [path for path, status in there.items() if not is_own(path, status)]
+        return [path for path, status in there.items() if not is_written(path, status)]
 
-    def require_own(self, paths: Iterable[Path]) -> None:
-        """Refuse to replace files that salsanext did not write, or that were changed since."""
-        if others := self.foreign_files(paths):
-            raise not_own(others[0])
+    def refuse_foreign(self, paths: Iterable[Path]) -> None:
+        """Raise an error if a path is a foreign file."""
+        if foreign := self.foreign_files(paths):
+            raise foreign_file(foreign[0])
 
-    def remove_own(self, paths: Iterable[Path]) -> list[Path]:
-        """Remove some files if they are as salsanext wrote them; name and return the others."""
+    def remove_written(self, paths: Iterable[Path]) -> list[Path]:
+        """Remove the files among some paths that are not foreign; log and return the others."""
         paths = list(paths)
-        kept = self.foreign_files(paths)
-        for path in {*paths} - {*kept}:
-            # A folder of that name is not ours; who wants to write there will name it.
+        foreign = self.foreign_files(paths)
+        for path in {*paths} - {*foreign}:
             if path.is_dir():
                 continue
             try:
                 path.unlink(missing_ok=True)
             except OSError as error:
                 raise refusal(path, error) from error
-        if kept:
-            log.warning("kept, since changed or not written by salsanext: %s", first_few(kept))
-        return kept
+        if foreign:
+            text = "not removed, because changed or not written by salsanext: %s"
+            log.warning(text, first_few(foreign))
+        return foreign
 
     def written(self) -> list[Path]:
-        """Return every listed file that is there, whatever became of it, sorted."""
+        """Return every listed file that exists, whether foreign or not, sorted."""
         return sorted(path for path in self.states() if os.path.lexists(path))
 
     def states(self) -> States:
@@ -192,32 +192,31 @@ class OwnedFolder:
         states: States = {}
         for listing in sorted((self.root / FILE_LISTS).glob("*.tsv")):
             with reading(listing) as file:
-                # A line that was cut off says nothing.
+                # Truncated lines are skipped.
                 lines = [match for line in file if (match := LINE.fullmatch(line.rstrip()))]
             for name, size, time_ns in (line.groups() for line in lines):
                 below = Path(os.fsdecode(unquote_to_bytes(name)))
-                # Anybody may have written a list; it is of files below the folder only.
+                # A list from elsewhere must not name files outside the folder.
                 if not below.is_absolute() and ".." not in below.parts:
                     state = int(size), int(time_ns)
                     states.setdefault(self.root / below, set()).add(state)
         return states
 
     def findings(self) -> dict[str, list[Texts]]:
-        """Return what runs of the stage found, by the name of the scan; empty if none is kept."""
+        """Return the recorded warnings of all runs of the stage, by name of the scan."""
         recorded = read_record(_Findings, self._findings_path)
         return recorded.scans if recorded else {}
 
-    def keep_findings(
-        self, found: Mapping[str, list[Texts]], looked_at: Collection[str]
+    def record_findings(
+        self, findings: Mapping[str, list[Texts]], checked: Collection[str]
     ) -> dict[str, list[Texts]]:
-        """Keep what a run found, by scan; return what earlier runs found of scans not looked at."""
+        """Record warnings of checked scans by name; return earlier ones of the other scans."""
         with self.locked_records():
-            known = self.findings()
-            earlier = {name: texts for name, texts in known.items() if name not in looked_at}
-            if present(self._findings_path) or found:
-                everything = {**earlier, **{name: sorted(texts) for name, texts in found.items()}}
-                scans = dict(sorted(everything.items()))
-                write_json(self._findings_path, _Findings(self.stage, scans))
+            earlier = {name: t for name, t in self.findings().items() if name not in checked}
+            if present(self._findings_path) or findings:
+                scans = earlier | {name: sorted(texts) for name, texts in findings.items()}
+                record = _Findings(self.stage, dict(sorted(scans.items())))
+                write_json(self._findings_path, record)
         return earlier
 
     @property
@@ -236,8 +235,7 @@ class OwnedFolder:
         append_line(listing, line, durable=durable)
 
 
-def not_own(path: Path) -> OutputError:
-    """Return the error of a file that is kept, since it is not as salsanext wrote it."""
-    found = "was changed, or not written by salsanext, and is kept"
-    found = "is a link, and is kept" if path.is_symlink() else found
-    return OutputError(path, found, hint="move it, or use another output folder")
+def foreign_file(path: Path) -> OutputError:
+    """Return the error of a foreign file that would be replaced."""
+    problem = "is a link" if path.is_symlink() else "was changed, or not written by salsanext"
+    return OutputError(path, problem, hint="move it, or use another output folder")

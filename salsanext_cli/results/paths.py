@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Layout of scans, labels and results: the folders of SemanticKITTI, and plain ones."""
+"""Paths of scans, labels and results in the folders of SemanticKITTI and in plain ones."""
 
 import os
 import re
@@ -17,15 +17,15 @@ from salsanext_cli.formats.recordings import is_recording, recorded_paths, recor
 from salsanext_cli.results.uncertainty_kinds import UNCERTAINTY
 
 OWN_TABLES = ("scores.txt", "log.csv", "picked.csv")
-"""Tables that `eval`, `train` and `pick` write, which are no scans unless they are named."""
+"""Tables of `eval`, `train` and `pick`, which are scans only if they are named."""
 SINGLE_SCAN_STAGES = ("predict", "knn-refine", "uncertainty")
-PREDICTION_STAGES = (*SINGLE_SCAN_STAGES, "fuse")  # The stages whose results later ones read
+PREDICTION_STAGES = (*SINGLE_SCAN_STAGES, "fuse")  # Stages whose results later stages read
 ERROR = "uncertainty/error"
 LEAST_CONFIDENCE = "uncertainty/least_confidence"  # 1 − the largest probability
-DISAGREEMENT = "uncertainty/disagreement"  # Share of the views against the label
+DISAGREEMENT = "uncertainty/disagreement"  # Share of the scans against the label
 COLOURINGS = ("label", "truth", "wrong", "intensity", "range", *UNCERTAINTY)
-"""Values that point clouds may be coloured by."""
-COLOURS = (*COLOURINGS, "uncertainty")  # The last: see `ResultFolder.meant_uncertainty`
+"""Values for the colours of point clouds."""
+COLOURS = (*COLOURINGS, "uncertainty")  # "uncertainty": see `ResultFolder.meant_uncertainty`
 SUFFIX_OF_FOLDER = {
     "range": ".npy",
     "pixels": ".npy",
@@ -47,45 +47,45 @@ SCAN_FOLDER = "velodyne"
 
 
 def names_in(folder: Path) -> list[str]:
-    """Return the names of everything in a folder but folders and what is hidden."""
-    # Not is_file(): a link to a scan that is gone must fail when read, not be passed over.
+    """Return the names of the files in a folder that are not hidden."""
+    # Not is_file(): a link to a missing scan must fail when it is read.
     with os.scandir(folder) as entries:
         return [e.name for e in entries if not e.name.startswith(".") and not is_folder(e)]
 
 
 def counted_by_suffix(paths: Iterable[Path]) -> str:
     """Return the numbers of files by suffix, in words."""
-    counts = Counter(path.suffix.lower() for path in paths)
-    return ", ".join(f"{counts[each]} {each or 'without a suffix'}" for each in sorted(counts))
+    counts = sorted(Counter(path.suffix.lower() for path in paths).items())
+    return ", ".join(f"{count} {suffix or 'without a suffix'}" for suffix, count in counts)
 
 
 def _nothing_in(source: Path, others: list[Path]) -> NoInputError:
-    """Return the error of a source without scans, which says what else it holds."""
+    """Return the error of a source without scans, with the other files in it."""
     expected = f"{suffixes_in_words()} files, or sequences/*/velodyne"
     inside = sorted(filter(is_recording, source.iterdir())) if source.is_dir() else []
     if inside:
-        found = f"holds no scans, but recordings: {first_few([each.name for each in inside])}"
-        return NoInputError(source, found, expected, f"give one of these: {inside[0]}")
-    found = f"holds no scans{f', but {counted_by_suffix(others)}' if others else ''}"
-    return NoInputError(source, found, f"{expected}, or a recording")
+        problem = f"contains no scans, but recordings: {first_few([r.name for r in inside])}"
+        return NoInputError(source, problem, expected, f"give one recording, such as {inside[0]}")
+    problem = f"contains no scans{f', but {counted_by_suffix(others)}' if others else ''}"
+    return NoInputError(source, problem, f"{expected}, or a recording")
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class ScanFile:
     """One scan on disk; sorted by sequence and stem."""
 
-    sequence: str  # Name of the sequence it belongs to
+    sequence: str  # Name of its sequence
     stem: str  # File name without suffix; unique within the sequence
-    path: Path  # The file, absolute; of a scan in a recording, the recording with topic and time
+    path: Path  # Absolute; for a scan in a recording, the recording with topic and time
 
     @property
     def name(self) -> str:
-        """Sequence and stem, ``08/000000``, as records and messages name the scan."""
+        """Sequence and stem, ``08/000000``, the name in records and messages."""
         return f"{self.sequence}/{self.stem}"
 
     @property
     def label_path(self) -> Path:
-        """Path of the labels of this scan; the file may not exist."""
+        """Path of the labels of the scan, which may not exist."""
         name = f"{self.stem}.label"
         folder = self.path.parent
         if folder.name == SCAN_FOLDER:
@@ -95,7 +95,7 @@ class ScanFile:
 
 
 def drive_order(file: ScanFile) -> tuple[Any, ...]:
-    """Return a key by which scan 10 of a drive comes after scan 9."""
+    """Return a key that sorts scan 10 of a drive after scan 9."""
     words = re.split(r"(\d+)", file.stem)
     return file.sequence, [int(word) if word.isdecimal() else word for word in words], file.stem
 
@@ -103,15 +103,18 @@ def drive_order(file: ScanFile) -> tuple[Any, ...]:
 def find_scans(
     source: Path, sequences: Collection[str] | None = None, *, unique: bool = True
 ) -> list[ScanFile]:
-    """Find the scans of a file, folder, data set or recording, sorted; of `unique` names."""
+    """Find the scans of a file, folder, data set or recording, sorted.
+
+    `unique`: whether to refuse several files of one name.
+    """
     try:
         is_file = present(source) and not source.is_dir()
         if is_file and not recording_of(_absolute(source)) and not scan_suffix(source.name):
-            kind = (
-                f"a {source.suffix} file, which is not read" if source.suffix else "has no suffix"
+            problem = (
+                f"{source.suffix} files are not supported" if source.suffix else "has no suffix"
             )
-            hint = "convert it to .ply or .las, with CloudCompare or PDAL for example"
-            raise NoInputError(source, kind, f"one of {suffixes_in_words()}", hint)
+            hint = "convert it to .ply or .las, for example with CloudCompare or PDAL"
+            raise NoInputError(source, problem, f"one of {suffixes_in_words()}", hint)
         scans = sorted(_scans_of(_absolute(source)))
         others = names_in(source) if not scans and source.is_dir() else []
     except OSError as error:
@@ -126,8 +129,8 @@ def find_scans(
 
 
 def _absolute(path: Path) -> Path:
-    """Make a path absolute; names stay as typed unless ``..`` makes following links necessary."""
-    # Path.resolve() fails at a link to itself, which is for the reader of that scan to refuse.
+    """Make a path absolute without following links, unless it contains ``..``."""
+    # Path.resolve() fails at a link to itself, which the reader of that scan refuses.
     return Path(os.path.realpath(path)) if ".." in path.parts else path.absolute()
 
 
@@ -140,28 +143,27 @@ def _scans_of(path: Path) -> Iterator[ScanFile]:
         if suffix := scan_suffix(path.name):
             yield ScanFile(_sequence_of(path.parent), path.name[: -len(suffix)], path)
     else:
-        # What holds no scans hides none: `sequences` may be of results beside them.
+        # A `sequences` folder without scans may contain results.
         of_data_set = [*_scans_of_sequences(path / "sequences")]
         yield from of_data_set or [*_scans_in(path / SCAN_FOLDER)] or _scans_at(path)
 
 
 def require_none_hidden(root: Path) -> None:
-    """Refuse to write sequences with scans into a folder in which other scans are found."""
+    """Refuse to write sequences of scans into a folder if they would hide other scans there."""
     place = _absolute(root)
     first = next(_scans_of(place), None) if place.is_dir() else None
     if first is None or is_table(first.path.name):
         return
     if place / "sequences" not in first.path.parents:
-        found = f"holds scans, such as {first.path.name}, which `sequences` there would hide"
-        hint = "give another, such as data/"
-        raise OutputError(root, found, "an output folder of its own", hint)
+        problem = f"contains scans, such as {first.path.name}, that `sequences` would hide"
+        raise OutputError(root, problem, "a separate output folder", "use another, such as data/")
 
 
 def _scans_at(path: Path) -> list[ScanFile]:
-    """Return the scans in a folder itself, else in folders of sequences."""
+    """Return the scans in a folder, else in folders of sequences in it."""
     scans = [*_scans_in(path)]
     clouds = any(not is_table(scan.path.name) for scan in scans[:1])
-    # Tables beside the folders of sequences are something else.
+    # Tables beside folders of sequences are usually no scans.
     return scans if clouds else [*_scans_of_sequences(path)] or scans
 
 
@@ -178,7 +180,7 @@ def _scans_in(folder: Path) -> Iterator[ScanFile]:
     names = names_in(folder) if folder.is_dir() else []
     suffix_of = {name: scan_suffix(name) for name in names if name not in OWN_TABLES}
     known, sequence = {*suffix_of.values()} - {""}, _sequence_of(folder)
-    # Tables are often something else: they count where there are no clouds, and of one kind only.
+    # Tables are often no scans: they count only without clouds, and only of one suffix.
     tables = [*(s for s in SCAN_SUFFIXES if s in known), *sorted(known)][:1]
     suffixes = [suffix for suffix in known if not is_table(suffix)] or tables
     for name, suffix in suffix_of.items():
@@ -187,7 +189,7 @@ def _scans_in(folder: Path) -> Iterator[ScanFile]:
 
 
 def _sequence_of(folder: Path) -> str:
-    """Name the sequence of a folder of scans; at the top of a disk a folder has no parent name."""
+    """Return the name of the sequence of a folder of scans; the root of a disk has no name."""
     named = folder.parent.name if folder.name == SCAN_FOLDER else ""
     return named or folder.name or "scans"
 
@@ -195,7 +197,7 @@ def _sequence_of(folder: Path) -> str:
 def of_sequences(
     scans: list[ScanFile], sequences: Collection[str], source: object
 ) -> list[ScanFile]:
-    """Choose the scans of some sequences; "8" also means "08"."""
+    """Return the scans of some sequences; "8" also means "08"."""
     existing = {scan.sequence for scan in scans}
     chosen: set[str] = set()
     for name in sequences:
@@ -203,43 +205,42 @@ def of_sequences(
         matches = {name} & existing or {*same}
         if not matches:
             expected = f"one of {', '.join(sorted(existing))}"
-            raise NoInputError(source, f"no scans of sequence {name}", expected)
+            raise NoInputError(source, f"has no scans of sequence {name}", expected)
         chosen |= matches
     return [scan for scan in scans if scan.sequence in chosen]
 
 
 def require_unique_stems(scans: list[ScanFile]) -> None:
-    """Refuse scans of the same name, which lie beside each other in the order of `ScanFile`."""
+    """Refuse several scans of one name among sorted scans."""
     for name, group in groupby(scans, lambda scan: scan.name):
         paths = [scan.path for scan in group]
         if len(paths) > 1:
-            found = f"{len(paths)} scans of that name: {', '.join(map(str, paths))}"
-            expected = "one, so that results do not overwrite each other"
-            raise OutputError(name, found, expected, "move or rename the others")
+            problem = f"{len(paths)} files of this name: {', '.join(map(str, paths))}"
+            raise OutputError(name, problem, "one file per scan", "move or rename the others")
 
 
 def output_path(out: Path, sequence: str, folder: str, stem: str) -> Path:
-    """Return where a stage keeps the result of a scan in a folder, a key of `SUFFIX_OF_FOLDER`."""
+    """Return the path of the result of a scan in a folder, a key of `SUFFIX_OF_FOLDER`."""
     for name in (sequence, stem):
         if name in ("", ".", "..") or "\0" in name or Path(name).name != name:
-            raise OutputError(repr(name), "cannot name a file", "a plain name without slashes")
+            raise OutputError(repr(name), "is no file name", "a plain name without slashes")
     return out / "sequences" / sequence / folder / f"{stem}{SUFFIX_OF_FOLDER[folder]}"
 
 
 def find_outputs(out: Path, folder: str) -> dict[tuple[str, str], Path]:
-    """Return the results in one folder of every sequence by sequence and stem, sorted."""
+    """Return the results in a folder of all sequences, by sequence and stem, sorted."""
     if not present(out / "sequences"):
         return {}
     suffix = SUFFIX_OF_FOLDER[folder]
-    found = {
+    paths = {
         (sequence.name, path.name.removesuffix(suffix)): path
         for sequence in (out / "sequences").glob("*")
         for path in (sequence / folder).glob(f"[!.]*{suffix}")
     }
-    return dict(sorted(found.items()))
+    return dict(sorted(paths.items()))
 
 
 def with_outputs(scans: Iterable[ScanFile], out: Path, *folders: str) -> list[ScanFile]:
-    """Return those scans that have a result in one of some folders of an output folder."""
-    found = {key for name in folders for key in find_outputs(out, name)}
-    return [scan for scan in scans if (scan.sequence, scan.stem) in found]
+    """Return the scans that have a result in one of some folders of an output folder."""
+    keys = {key for name in folders for key in find_outputs(out, name)}
+    return [scan for scan in scans if (scan.sequence, scan.stem) in keys]

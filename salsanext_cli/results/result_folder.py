@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The one reader of an output folder: its scans, their results, classes and provenance."""
+"""Reader of an output folder: its scans, their results, classes and provenance."""
 
 import logging
 import os
@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from salsanext_cli.classes.label_space import LabelSpace, RawIds
-from salsanext_cli.errors import NoInputError, OutputError, counted, first_few, shortened
+from salsanext_cli.errors import NoInputError, OutputError, counted, first_few
 from salsanext_cli.files.reading import is_folder, present
-from salsanext_cli.formats import read_scan, scan_suffix
+from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_uncertainty
 from salsanext_cli.formats.recordings import recording_of
@@ -24,7 +24,7 @@ from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges
 from salsanext_cli.geometry.scan_traits import sensor_of
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.records import Float, Scan
-from salsanext_cli.results.manifest import MAX_PATH_CHARACTERS, Manifest, ScanSource
+from salsanext_cli.results.manifest import Manifest, ScanSource
 from salsanext_cli.results.paths import (
     PREDICTION_STAGES,
     SCAN_FOLDER,
@@ -33,12 +33,10 @@ from salsanext_cli.results.paths import (
     ScanFile,
     find_outputs,
     find_scans,
-    names_in,
     output_path,
     require_unique_stems,
     with_outputs,
 )
-from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.query import DATASET_VARIABLE, ResultQuery
 from salsanext_cli.results.selection import (
     MissingResults,
@@ -54,8 +52,8 @@ FOLDER_OF_COLUMN = {
     **dict.fromkeys(("label", "wrong"), "predictions"),
     **{kind: f"uncertainty/{kind}" for kind in UNCERTAINTY},
 }
-"""Folders of what is known about the points of scans, by column; others are in no folder."""
-# Folders of which one makes a scan one with results; `predict` writes the confidence too.
+"""Folders of the values of points by column; other columns are in no folder."""
+# A scan with a file in one of these has results; `predict` writes the confidence too.
 FOLDERS = ("predictions", *(f"uncertainty/{k}" for k in UNCERTAINTY if k != "least_confidence"))
 UNCERTAINTY_SETTINGS = ("method", "samples", "seed", "noise", "weights")
 """Settings of `uncertainty` that an evaluation records."""
@@ -65,25 +63,25 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ScanResults:
-    """A scan and what is known about it."""
+    """A scan and its results."""
 
     scan: Scan  # N points
-    label: RawIds | None = None  # (N,) uint32: raw ids, predicted and given, without instances
-    truth: RawIds | None = None
-    uncertainty: dict[str, Float] = field(default_factory=dict)  # Kinds that were computed
-    sensor: Sensor | None = None  # Distances are measured from it, else from the origin
-    rejected: npt.NDArray[np.bool_] | None = None  # (N,): unlabelled by a run that rejects labels
+    label: RawIds | None = None  # (N,) uint32: raw ids without instances, predicted
+    truth: RawIds | None = None  # (N,) uint32: raw ids without instances, from the data set
+    uncertainty: dict[str, Float] = field(default_factory=dict)  # (N,) by kind
+    sensor: Sensor | None = None  # Origin of distances; None for the origin of the scan
+    rejected: npt.NDArray[np.bool_] | None = None  # (N,): unlabelled in a run that rejects labels
     instance: npt.NDArray[np.uint16] | None = None  # (N,): numbers of objects, 0 for none
 
     @property
     def range(self) -> Float:
         """Distance of every point from the sensor, (N,) float32, metres."""
-        with np.errstate(over="ignore"):  # Those too far for float32 become infinite.
+        with np.errstate(over="ignore"):  # Distances above the range of float32 become infinite.
             scan = in_sensor_frame(self.scan, self.sensor) if self.sensor else self.scan
             return measured_ranges(scan.points)[0].astype(np.float32)
 
     def wrong(self, space: LabelSpace) -> Float:
-        """Return 1 where the label is wrong, 0 where right, NaN where the point does not count."""
+        """Return 1 for wrong labels, 0 for right ones, NaN for points that do not count, (N,)."""
         if self.label is None or self.truth is None:
             raise ValueError("a wrong label needs a label and a truth")
         truth = space.to_train(self.truth, strict=False)
@@ -94,7 +92,7 @@ class ScanResults:
         return np.where(counts, wrong, np.float32(np.nan))
 
     def accepted_text(self, space: LabelSpace) -> str:
-        """Return coverage and risk of the labels that were accepted; empty where all are."""
+        """Return coverage and risk of the accepted labels in words; empty if all are accepted."""
         if self.rejected is None or self.truth is None:
             return ""
         known = space.scored[space.to_train(self.truth, strict=False)]
@@ -104,7 +102,7 @@ class ScanResults:
         return f"coverage {100 * coverage:.1f} %, risk {100 * risk:.1f} %"
 
     def rejecting(self, max_error: float, space: LabelSpace) -> "ScanResults":
-        """Return the same with the points unlabelled whose error is above a threshold."""
+        """Return the results with points above a threshold of the error rejected."""
         if self.label is None:
             return self
         above = self.uncertainty["error"] > max_error
@@ -115,46 +113,47 @@ class ScanResults:
 
 @dataclass(frozen=True, slots=True)
 class ChosenResults:
-    """Scans with results, and those that lack them."""
+    """Selected scans with and without results."""
 
     scans: list[ScanFile]  # With labels or an uncertainty, at least one
-    space: LabelSpace  # Classes of their labels
+    space: LabelSpace  # Classes of the labels
     labels: LabelSpace  # Meaning of the raw ids of the truth
     missing: MissingResults  # The other scans of the selection
 
 
 @dataclass(frozen=True, slots=True)
-class ResultFolder(Provenance):
-    """Output folder of earlier stages, to be read."""
+class ResultFolder(Manifest):
+    """Output folder of earlier stages."""
 
-    dataset: Path | None = None  # Where scans and labels are, if not where the scans came from
+    dataset: Path | None = None  # Place of scans and labels, if not the recorded one
 
     def scans(self, sequence: str | None = None) -> list[ScanFile]:
-        """Find the scans that have results, of all sequences or one; log those that are gone."""
+        """Find the scans of the sequences with results; log results whose scans are gone."""
         self._require_current()
         there = {key for folder in SUFFIX_OF_FOLDER for key in find_outputs(self.root, folder)}
         wanted = {key for key in there if sequence in (None, key[0])}
         sequences, known = sorted({name for name, _ in wanted}), self.sources()
         if not sequences:
-            found = "holds no results" if self.root.is_dir() else "no such folder"
+            problem = "contains no results" if self.root.is_dir() else "no such folder"
             expected = "the output folder of an earlier stage"
-            raise NoInputError(self.root, found, expected, PREDICT.format(out=self.root))
-        if self.dataset and len(sequences) == 1 and _holds_scans(self.dataset):
-            # The scans themselves, or the recording, which may have another name by now.
-            found_scans = find_scans(self.dataset, unique=False)
-            scans = [replace(each, sequence=sequences[0]) for each in found_scans]
+            raise NoInputError(self.root, problem, expected, PREDICT.format(out=self.root))
+        if self.dataset and len(sequences) == 1 and _is_sequence(self.dataset):
+            # The folder of scans or the recording may have been renamed.
+            here = find_scans(self.dataset, unique=False)
+            scans = [replace(scan, sequence=sequences[0]) for scan in here]
         else:
             of_sequences = (self._of_sequence(name, known.get(name)) for name in sequences)
             scans = [scan for of_sequence in of_sequences for scan in of_sequence]
         scans = _one_of_each_name(scans, known, wanted)
         if gone := sorted(wanted - {(scan.sequence, scan.stem) for scan in scans}):
             names = first_few(["/".join(key) for key in gone])
-            what = "with results not found any more and left out"
-            log.warning("%s %s: %s", counted(len(gone), "scan"), what, names)
+            log.warning(
+                "%s with results skipped, no such file: %s", counted(len(gone), "scan"), names
+            )
         return scans
 
     def _require_current(self) -> None:
-        """Refuse fused labels if those that they were fused of were made anew since."""
+        """Refuse fused labels if the labels of single scans were replaced since."""
         fused = self.settings("fuse")
         if fused is None or fused.fused_of is None:
             return
@@ -162,33 +161,38 @@ class ResultFolder(Provenance):
         origins = single.origins(SINGLE_SCAN_STAGES)
         if origins and origins != fused.origins:
             out = os.path.normpath(single.root)
-            found = f"fused of labels in {out} that were made anew since"
             softmax = single.owner("votes", "probabilities")
             words = ["fuse", out, str(self.root)]
             words = words if softmax else ["predict", "SCANS", out, "--fuse"]
             hint = f"run `salsanext {shlex.join(words)} --overwrite`"
-            raise OutputError(self.root, found, hint=hint)
+            raise OutputError(self.root, f"is outdated: labels in {out} were replaced", hint=hint)
 
     def _of_sequence(self, sequence: str, source: ScanSource | None) -> list[ScanFile]:
         folder = Path(source.folder) if source else None
         if source and folder and not self.dataset and (is_folder(folder) or recording_of(folder)):
             scans = find_scans(folder, unique=False)
-            return scans + _scans_named_themselves(source, scans)
+            listed = {scan.path.name for scan in scans}
+            # Tables beside clouds are scans only if they were named.
+            files = {stem: stem + suffix for stem, suffix in source.suffixes.items() if suffix}
+            return scans + [
+                ScanFile(sequence, stem, folder / name)
+                for stem, name in files.items()
+                if name not in listed and present(folder / name)
+            ]
         root = self.dataset or Path(os.environ.get(DATASET_VARIABLE, ""))
         if (root / "sequences").is_dir():
-            own = root / "sequences" / sequence / SCAN_FOLDER
-            # Not all of a data set once for each of its sequences.
-            named = None if is_folder(own) else [sequence]
-            return find_scans(root if named else own, named, unique=False)
-        looked_in = shortened(str(self.dataset or folder or root.absolute()), MAX_PATH_CHARACTERS)
-        found, expected = f"its scans are not in {looked_in}", "the folder that they came from"
-        hint = "give with --dataset the folder that holds sequences/"
-        raise NoInputError(self.root / "sequences" / sequence, found, expected, hint)
+            scan_folder = root / "sequences" / sequence / SCAN_FOLDER
+            if is_folder(scan_folder):
+                return find_scans(scan_folder, unique=False)
+            return find_scans(root, [sequence], unique=False)
+        problem = f"no scans of it in {self.dataset or folder or root.absolute()}"
+        hint = "give with --dataset the folder that contains sequences/"
+        raise NoInputError(self.root / "sequences" / sequence, problem, hint=hint)
 
     def missing_predictions(self, scans: Iterable[ScanFile]) -> MissingResults:
         """Divide scans without predictions by whether the stage was asked for them."""
         sources = {stage: record.scans for stage, record in self.records().items()}
-        # `knn-refine` takes what `predict` left, wherever that came from.
+        # `knn-refine` works on the scans of `predict`.
         of_stage = sources.get(self.owner("predictions") or "") or sources.get("predict", {})
         return _missing(scans, [of_stage])
 
@@ -203,9 +207,9 @@ class ResultFolder(Provenance):
         space: LabelSpace | None = None,
         classes: LabelSpace | None = None,
     ) -> tuple[list[ScanFile], LabelSpace]:
-        """Choose among the scans; return them and the classes to compare, as `compared_space`."""
+        """Select scans; return them and the classes of the comparison (see `compared_space`)."""
         scans = self.scans()
-        space = self.compared_space(scans, space, classes, own_ids=True)
+        space = self.compared_space(scans, space, classes, other_ids=True)
         if selection.split:
             space = with_splits(space, data_set_of(scans[0]))
         chosen = choose(scans, selection, space, self.root)
@@ -217,16 +221,16 @@ class ResultFolder(Provenance):
         return chosen, space
 
     def chosen(self, query: ResultQuery) -> ChosenResults:
-        """Choose among the scans of which any stage left results; log how many lack them."""
+        """Select scans with results of any stage; log how many lack them."""
         limit, unlimited = query.selection.limit, replace(query.selection, limit=None)
         chosen, space = self.predicted(unlimited, query.label_space, query.classes)
         self.require_same_weights()
         scans = with_outputs(chosen, self.root, *FOLDERS)[:limit]
         if not scans:
-            found, hint = "no results of these scans", PREDICT.format(out=self.root)
-            raise NoInputError(self.root, found, hint=hint)
+            hint = PREDICT.format(out=self.root)
+            raise NoInputError(self.root, "contains no results of these scans", hint=hint)
         if len(scans) == limit:
-            # What comes after the last that is wanted is not looked at.
+            # Scans after the last one of the limit are not missing.
             chosen = chosen[: chosen.index(scans[-1]) + 1]
         missing = self.missing_results(set(chosen) - set(scans))
         missing.log_error(len(chosen), "results")
@@ -234,7 +238,7 @@ class ResultFolder(Provenance):
         return ChosenResults(scans, space, labels, missing)
 
     def provenance(self, selection: ScanSelection) -> dict[str, object]:
-        """Return, as plain data, what was chosen and which stage and weights predicted it."""
+        """Return the selection and the settings of its predictions, as plain data."""
         stage = self.owner("predictions")
         softmax, estimated = self.settings("predict"), self.settings("uncertainty")
         made_by = {name for name in (stage, "uncertainty" if estimated else None) if name}
@@ -257,10 +261,10 @@ class ResultFolder(Provenance):
         classes: LabelSpace | None = None,
         truth_in: tuple[LabelSpace, LabelSpace] | None = None,
     ) -> ScanResults:
-        """Read a scan and all that is known about it here and in its data set.
+        """Read a scan and its results in this folder and in the data set.
 
-        `classes`: those that predicted ones are merged into; `truth_in`: label space of the ids of
-        the truth, and that to show it in.
+        `classes`: classes into which predicted ones are merged; `truth_in`: label space of the ids
+        of the truth, and the label space to convert it to.
         """
         scan = read_scan(file.path, sensor)
         sensor = sensor and sensor_of(scan, sensor)
@@ -276,15 +280,15 @@ class ResultFolder(Provenance):
             rejected = predicted_in.to_train(label, strict=False) == 0
         truth, _ = _labels(file.label_path, count) if truth_in else (None, None)
         if truth is not None and truth_in:
-            own, space = truth_in
-            train = own.to_train(truth, strict=False, source=file.label_path)
-            truth = truth if own.learning_map == space.learning_map else space.to_raw(train)
+            given, space = truth_in
+            train = given.to_train(truth, strict=False, source=file.label_path)
+            truth = truth if given.learning_map == space.learning_map else space.to_raw(train)
         paths = {kind: self._path(file, kind) for kind in UNCERTAINTY}
         uncertainty = {k: read_kind(path, k, count) for k, path in paths.items() if present(path)}
         return ScanResults(scan, label, truth, uncertainty, sensor, rejected, instance)
 
     def with_column(self, column: str, scans: Sequence[ScanFile]) -> list[ScanFile]:
-        """Return those scans of which there is what a column, one of `COLOURINGS`, is made of."""
+        """Return the scans with the files for a column, one of `COLOURINGS`."""
         known = list(scans)
         if column in ("truth", "wrong"):
             known = [scan for scan in known if present(scan.label_path)]
@@ -293,23 +297,23 @@ class ResultFolder(Provenance):
         return with_outputs(known, self.root, FOLDER_OF_COLUMN[column])
 
     def require_column(self, column: str, scans: Sequence[ScanFile]) -> None:
-        """Refuse a column that is known of none of the scans, with `missing_column`."""
+        """Raise `missing_column` if no scan has the column."""
         if not self.with_column(column, scans):
             raise self.missing_column(column, scans[0])
 
     def missing_column(self, column: str, file: ScanFile) -> NoInputError:
-        """Return the error that says what is missing for a column, and where it would be."""
+        """Return the error of a scan without the file for a column."""
         if column in ("truth", "wrong") and not present(file.label_path):
-            return NoInputError(file.path, "has no labels", str(file.label_path))
+            return NoInputError(file.path, "has no labels", f"the file {file.label_path}")
         made_by = UNCERTAINTY[column].made_by if column in UNCERTAINTY else PREDICT
-        hint = made_by.format(out=self.root)
-        return NoInputError(file.path, f"no {column} known", str(self._path(file, column)), hint)
+        expected = f"the file {self._path(file, column)}"
+        return NoInputError(file.path, f"has no {column}", expected, made_by.format(out=self.root))
 
     def _path(self, file: ScanFile, column: str) -> Path:
         return output_path(self.root, file.sequence, FOLDER_OF_COLUMN[column], file.stem)
 
     def meant_uncertainty(self, scans: Sequence[ScanFile]) -> str:
-        """Return the kind that is meant: the error, if all scans have it, else the first known."""
+        """Return the kind for "uncertainty": the error if all scans have it, else the first one."""
         if len(self.with_column("error", scans)) == len(scans):
             return "error"
         known = (kind for kind in MEANT_BY_UNCERTAINTY if self.with_column(kind, scans))
@@ -317,12 +321,12 @@ class ResultFolder(Provenance):
 
 
 def read_kind(path: Path, kind: str, count: int | None) -> Float:
-    """Read one kind of uncertainty of a scan's points, as `read_uncertainty`."""
+    """Read one kind of uncertainty of a scan's points (see `read_uncertainty`)."""
     return read_uncertainty(path, count, UNCERTAINTY[kind].most)
 
 
 def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArray[Any]]:
-    """Return every scalar known about the points, by the name that its property gets."""
+    """Return every scalar of the points, (N,), by the name of its property."""
     columns: dict[str, npt.NDArray[Any]]
     columns = {"intensity": cloud.scan.intensity, "range": cloud.range}
     if cloud.label is not None:
@@ -336,8 +340,8 @@ def scalar_columns(cloud: ScanResults, space: LabelSpace) -> dict[str, npt.NDArr
     return columns | cloud.uncertainty
 
 
-def _holds_scans(dataset: Path) -> bool:
-    """Say whether it is a folder of scans or a recording, not a data set."""
+def _is_sequence(dataset: Path) -> bool:
+    """Return whether it is a folder of scans or a recording, not a data set."""
     is_data_set = (dataset / "sequences").is_dir()
     return bool(recording_of(dataset.absolute())) or (dataset.is_dir() and not is_data_set)
 
@@ -345,7 +349,7 @@ def _holds_scans(dataset: Path) -> bool:
 def _one_of_each_name(
     scans: Iterable[ScanFile], sources: Mapping[str, ScanSource], wanted: Container[tuple[str, str]]
 ) -> list[ScanFile]:
-    """Choose among files of one name the recorded one, sorted; refuse a choice that matters."""
+    """Return the recorded file of each name, sorted; refuse ambiguous scans with results."""
     chosen = []
     for key, group in groupby(sorted(scans), lambda scan: (scan.sequence, scan.stem)):
         files = list(group)
@@ -355,16 +359,6 @@ def _one_of_each_name(
             require_unique_stems(files)
         chosen += files[:1]
     return chosen
-
-
-def _scans_named_themselves(source: ScanSource, known: Iterable[ScanFile]) -> list[ScanFile]:
-    """Return the files of a folder that were asked for by name and are no scans otherwise."""
-    listed = {name for scan in known for name in (scan.stem, scan.path.name)}
-    wanted = {s: suffix for s, suffix in source.suffixes.items() if s + suffix not in listed}
-    folder = Path(source.folder)
-    tables = [name for name in names_in(folder) if scan_suffix(name)] if wanted else []
-    scans = [scan for name in tables for scan in find_scans(folder / name)]
-    return [s for s in scans if wanted.get(s.stem) in ("", s.path.name[len(s.stem) :])]
 
 
 def _missing(

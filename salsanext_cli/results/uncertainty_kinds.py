@@ -1,26 +1,26 @@
 # SPDX-License-Identifier: MIT
-"""The kinds of uncertainty that stages write, in the order in which they are listed."""
+"""Kinds of uncertainty that stages write, in the order of lists."""
 
 from typing import NamedTuple
 
 BLUE, SKY, ORANGE, RED, GREEN = "#0072b2", "#56b4e9", "#e69f00", "#d55e00", "#009e73"
 PURPLE = "#cc79a7"
-"""Colours that colour-blind people can tell apart."""
+"""Colours that colour-blind people can distinguish."""
 PREDICT = "run `salsanext predict SCANS {out}` first"
 UNCERTAINTY_STAGE = "run `salsanext uncertainty SCANS {out}` first"
 FUSE = "run `salsanext fuse {out}` first"
 PREDICT_ERROR = (
-    "run `salsanext predict SCANS {out} --error`, with weights that know it: "
-    "the default ones, or what `salsanext tune error` writes"
+    "run `salsanext predict SCANS {out} --error` with the default weights "
+    "or weights of `salsanext tune error`"
 )
 
 
 class UncertaintyKind(NamedTuple):
     """Kind of uncertainty of points, in the folder `uncertainty/<kind>`."""
 
-    title: str  # Over pictures
-    made_by: str  # What to do for an output folder `out` that lacks it
-    colour: str  # Of its line in plots
+    title: str  # Title of pictures
+    made_by: str  # Hint for an output folder `out` without it
+    colour: str  # Colour of its line in plots
     is_dashed: bool = False
     unit: str = ""
     most: float = float("inf")
@@ -43,11 +43,11 @@ UNCERTAINTY = {
         "uncertainty: 1 − the largest probability", PREDICT, SKY, most=1.0
     ),
     "disagreement": UncertaintyKind(
-        "disagreement: share of the views against the label", FUSE, PURPLE, is_dashed=True, most=1.0
+        "disagreement: share of the scans against the label", FUSE, PURPLE, is_dashed=True, most=1.0
     ),
 }
 MEANT_BY_UNCERTAINTY = ("entropy", "disagreement", "least_confidence")
-"""Kinds of which "uncertainty" is the first that is known, without the error."""
+"""Kinds that "uncertainty" stands for without the error; the first available one counts."""
 COLOUR_HELP = (
     "label, truth, wrong, intensity, range, uncertainty, or one kind of it: "
     f"{', '.join(UNCERTAINTY)}"

@@ -48,7 +48,7 @@ def convert(
     with owned.open():
         before = sorted(place.iterdir()) if place.is_dir() else []
         scans = [path for path in before if not path.name.startswith(".")]
-        owned.require_own([*scans, place.parent / TIMES])
+        owned.refuse_foreign([*scans, place.parent / TIMES])
         owned.manifest.write(_source_of(listed[0], owned))
         empty: set[str] = set()
         task = partial(_convert_scan, owned=owned, place=place)

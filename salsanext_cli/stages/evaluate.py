@@ -15,7 +15,7 @@ from salsanext_cli.files.json_files import Json, as_json, encode_json, plain
 from salsanext_cli.files.reading import present
 from salsanext_cli.labelling.label_records import require_truth
 from salsanext_cli.measures.panoptic import panoptic_quality
-from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED, KeptLabels, RiskBoundCheck
+from salsanext_cli.measures.risk_control import RISK_BOUND_EXCEEDED, AcceptedLabels, RiskBoundCheck
 from salsanext_cli.measures.scan_counts import BAND_NAMES, CountsApart, ScanComparison, ScanCounts
 from salsanext_cli.measures.scores import Scores, band_rows, scores
 from salsanext_cli.measures.uncertainty_evaluation import (
@@ -31,8 +31,8 @@ from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import MissingResults, space_of_labels
 from salsanext_cli.version import __version__
 
-FILES = ("scores.txt", *PICTURES, "eval.json")  # An evaluation may write these
-MAX_PART_BYTES = 100  # Longest list of sequences that names a folder
+FILES = ("scores.txt", *PICTURES, "eval.json")  # Possible files of an evaluation
+MAX_PART_BYTES = 100  # Longest name of a folder that lists sequences
 ON_TRAINING_SCANS = "scores on scans that the weights were trained on"
 
 log = logging.getLogger(__name__)
@@ -43,20 +43,18 @@ class Evaluation:
     """Result of comparing predictions with labels."""
 
     space: LabelSpace  # Classes of the comparison
-    counts: ScanCounts  # Of the scans compared: all if the weights were trained on every one
+    counts: ScanCounts  # Of the scored scans: all only if the weights were trained on all
     scores: Scores  # Scores over all points
     by_distance: dict[str, Scores]  # Scores by name of the band; empty if not requested
-    missing: MissingResults  # Scans without predictions, left out
-    failures: tuple[Failure, ...]  # Scans that could not be compared, left out
+    missing: MissingResults  # Skipped scans without predictions
+    failures: tuple[Failure, ...]  # Skipped scans that could not be compared
     settings: dict[str, object]  # Settings of the evaluation and of the predictions
-    # Results for the probabilities and uncertainties, if there are any
-    uncertainty: UncertaintyEvaluation
-    kept: KeptLabels | None  # Coverage and risk of the labels of a run that rejected some
-    promise: RiskBoundCheck | None  # What its threshold promised, if that came with the weights
-    folder: Path  # Where it is written
+    uncertainty: UncertaintyEvaluation  # Results for probabilities and uncertainties, if any
+    accepted: AcceptedLabels | None  # Coverage and risk of a run that rejected labels
+    guarantee: RiskBoundCheck | None  # Check of the guarantee of `tune risk`, if the run used it
+    folder: Path  # Folder of the files
     by_sequence: dict[str, Scores]
-    # Panoptic quality, if objects were predicted and the labels have instances
-    panoptic: Json | None
+    panoptic: Json | None  # Panoptic quality, if objects were predicted and labels have instances
 
     @property
     def object_sentence(self) -> str:
@@ -66,10 +64,10 @@ class Evaluation:
         return f"Objects, mean of the classes present: {qualities}."
 
     def log_warnings(self) -> None:
-        """Log what the scores do not tell, or may tell wrongly."""
+        """Log reasons to doubt the scores."""
         for text in self.counts.label_warnings(self.space):
             log.warning("%s", text)
-        if self.promise and self.promise.is_exceeded:
+        if self.guarantee and self.guarantee.is_exceeded:
             log.warning("%s", RISK_BOUND_EXCEEDED)
         compared = self.counts.scans + len(self.failures) + len(self.counts.missing)
         self.missing.log_error(compared, "predictions")
@@ -93,7 +91,7 @@ class Evaluation:
             "settings": self.settings,
             "label_space": self.space.name,
             "scans": counts.scans,
-            "trained_on": counts.left_out,
+            "trained_on": counts.skipped,
             "on_training_scans": counts.trained_on > 0,
             **self.missing.to_dict(),
             "failures": self.failures,
@@ -109,7 +107,7 @@ class Evaluation:
             "classes": self.space.names,
             "confusion": counts.confusion,
             **self.uncertainty.to_json(self.space),
-            "rejection": self.kept and plain(self.kept) | {"promise": self.promise},
+            "rejection": self.accepted and plain(self.accepted) | {"promise": self.guarantee},
         }
         return dict(plain(content))
 
@@ -127,90 +125,139 @@ def evaluate(
 ) -> Evaluation:
     """Compare the predictions in an output folder with the labels of the scans.
 
-    Writes `FILES`, in the place of earlier ones, into the folder or, of a part of the scans, into
-    ``eval/PART``. Scans that the weights were trained on are left out, unless all were.
-    `space`: classes to compare; `settings`: for the record; `labels`: as of `space_of_labels`.
+    Replace `FILES` in the folder, or in ``eval/PART`` for a part of the scans. Scans that the
+    weights were trained on are skipped, unless the weights were trained on all.
+
+    Parameters
+    ----------
+    scans : sequence of ScanFile
+        Scans to compare.
+    out : Path
+        Output folder with predictions.
+    space : LabelSpace
+        Classes of the comparison.
+    options : RunOptions, optional
+        Workers, and the reaction to errors.
+    part : str, optional
+        Name of the part of the scans, as of `part_of`.
+    by_distance : bool, optional
+        Whether to score distance bands too.
+    settings : dict, optional
+        Further settings for the record.
+    labels : LabelSpace, optional
+        Label space of the labels, by default that of the data set.
+
+    Returns
+    -------
+    Evaluation
+        Scores, and skipped scans.
     """
     folder = out / "eval" / part if part else out
-    results = ResultFolder(out)
-    labels = space_of_labels(scans, space, labels)
-    own_files = [folder / name for name in FILES]
-    OwnedFolder(out).require_own(own_files)
+    paths = [folder / name for name in FILES]
+    OwnedFolder(out).refuse_foreign(paths)
     _require_labels(scans)
-    recorded, promised = results.settings_of("predictions"), results.promised(space)
-    # Those of other programs may have instances.
-    comparison = replace(
-        ScanComparison.of_results(results, space, labels, by_distance=by_distance),
-        objects=recorded is None or bool(recorded.objects),
-    )
-    counts, failures = _counted(comparison, scans, options)
-    panoptic = None
-    if counts.segments[:, -1].any() and not space.movable.any():
-        log.warning("no panoptic quality: %s states no movable classes", space.name)
-    elif counts.segments[:, -1].any():
-        panoptic = panoptic_quality(counts.segments, space, space.movable)
-    bands = zip(BAND_NAMES, counts.bands, strict=by_distance)
-    compared_in = {"by_distance": by_distance, "label_space": space}
+    labels = space_of_labels(scans, space, labels)
+    settings = {**(settings or {}), "by_distance": by_distance, "label_space": space}
     if labels.learning_map != space.learning_map:
-        compared_in["label_space_of_labels"] = labels
-    evaluation = Evaluation(
+        settings["label_space_of_labels"] = labels
+    results = ResultFolder(out)
+    comparison = ScanComparison.of_results(results, space, labels, by_distance=by_distance)
+    evaluation = _evaluation(results, comparison, scans, options, as_json(settings), folder)
+    evaluation.log_warnings()
+    files = {folder / name: content for name, content in evaluation.files().items()}
+    OwnedFolder(out).replace(files, absent=[path for path in paths if path not in files])
+    return evaluation
+
+
+def _evaluation(
+    results: ResultFolder,
+    comparison: ScanComparison,
+    scans: Sequence[ScanFile],
+    options: RunOptions,
+    settings: Json,
+    folder: Path,
+) -> Evaluation:
+    """Count the scans and divide the counts."""
+    space, recorded = comparison.space, results.settings_of("predictions")
+    guarantee = results.guarantee(space)
+    # Predictions of other programs may have instances.
+    comparison = replace(comparison, objects=recorded is None or bool(recorded.objects))
+    counts, failures = _counted(comparison, scans, options)
+    accepted, has_objects = None, bool(counts.segments[:, -1].any())
+    if counts.accepted:
+        accepted = AcceptedLabels.of_confusion(counts.confusion, space, counts.accepted)
+    if has_objects and not space.movable.any():
+        log.warning("no panoptic quality: %s states no movable classes", space.name)
+        has_objects = False
+    bands = zip(BAND_NAMES, counts.bands, strict=comparison.by_distance)
+    return Evaluation(
         space=space,
         counts=counts,
         scores=scores(counts.confusion, space),
         by_distance={name: scores(band, space) for name, band in bands},
         missing=results.missing_predictions(counts.missing),
         failures=failures,
-        settings=as_json({**(settings or {}), **compared_in}),
+        settings=settings,
         uncertainty=evaluate_uncertainty(counts, space),
         folder=folder,
         by_sequence={name: scores(c, space) for name, c in sorted(counts.by_sequence.items())},
-        panoptic=panoptic,
-        kept=KeptLabels.of_confusion(counts.confusion, space, counts.kept) if counts.kept else None,
-        promise=RiskBoundCheck.of_scans(promised, counts.kept) if promised else None,
+        panoptic=panoptic_quality(counts.segments, space, space.movable) if has_objects else None,
+        accepted=accepted,
+        guarantee=RiskBoundCheck.of_scans(guarantee, counts.accepted) if guarantee else None,
     )
-    evaluation.log_warnings()
-    files = {folder / name: content for name, content in evaluation.files().items()}
-    absent = [path for path in own_files if path not in files]
-    OwnedFolder(out).replace(files, absent)
-    return evaluation
 
 
 def _counted(
     comparison: ScanComparison, scans: Sequence[ScanFile], options: RunOptions
 ) -> tuple[ScanCounts, tuple[Failure, ...]]:
-    """Count scans, but those that the weights were trained on unless all were; name failures."""
+    """Count the scored scans; return the counts and the failures."""
     apart = CountsApart(comparison.space, comparison.by_distance)
     outcome = run_over_scans(comparison.count, scans, options, on_result=apart.add)
     counts, out = apart.scored(), comparison.out
     if not counts.scans:
         if outcome.failures:
-            raise NoInputError(out, f"no scan could be compared, as {outcome.failures[0].reason}")
-        found = f"no predictions for any of {counted(len(counts.missing), 'scan')}"
-        hint = "run `salsanext predict` first, or say where they are: salsanext eval OUT"
-        raise NoInputError(out, found, hint=hint)
+            raise NoInputError(out, f"no scan could be compared: {outcome.failures[0].reason}")
+        problem = f"has no predictions of {counted(len(counts.missing), 'scan')}"
+        hint = "run `salsanext predict` first, or give their folder: salsanext eval OUT"
+        raise NoInputError(out, problem, hint=hint)
     return counts, outcome.failures
 
 
 def part_of(folder: ResultFolder, scans: Sequence[ScanFile], selection: ScanSelection) -> str:
-    """Name a part of the scans with results, as in ``08,10-first-5``; all are no part."""
-    limit, every = selection.limit, folder.scans()
+    """Return a name for a part of the scans with results, such as ``08,10-first-5``.
+
+    Parameters
+    ----------
+    folder : ResultFolder
+        Output folder.
+    scans : sequence of ScanFile
+        Selected scans.
+    selection : ScanSelection
+        Selection by split, sequences and limit.
+
+    Returns
+    -------
+    str
+        Name of the part, empty for all scans of the split or folder.
+    """
+    limit, total = selection.limit, folder.scans()
     if selection.split:
-        every, _ = folder.predicted(ScanSelection(selection.split))
+        total, _ = folder.predicted(ScanSelection(selection.split))
     name = ",".join(sorted({scan.sequence for scan in scans}))
     if len(os.fsencode(name)) > MAX_PART_BYTES:
         digest = hashlib.sha256(os.fsencode(name)).hexdigest()[:16]
         name = f"{name.count(',') + 1} sequences {digest}"
     name += f"-first-{limit}" * bool(limit)
-    chosen = bool(selection.sequences or limit) and len(scans) < len(every)
+    chosen = bool(selection.sequences or limit) and len(scans) < len(total)
     return name if chosen else ""
 
 
 def _require_labels(scans: Sequence[ScanFile]) -> None:
-    """Refuse a sequence without any labels, which is no failure of single scans."""
+    """Refuse a sequence without any labels."""
     require_truth(scans)
     for sequence, members in groupby(scans, lambda scan: scan.sequence):
         paths = [scan.label_path for scan in members]
         if not any(present(path) for path in paths):
-            found, expected = f"no labels of sequence {sequence}", f"files like {paths[0].name}"
-            hint = "label them, or leave them out with --split or --sequences"
-            raise LabelError(paths[0].parent, found, expected, hint)
+            problem = f"has no labels of sequence {sequence}"
+            hint = "label its scans, or choose others with --split or --sequences"
+            raise LabelError(paths[0].parent, problem, f"files like {paths[0].name}", hint)

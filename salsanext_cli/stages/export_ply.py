@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `export-ply`: scans, and maps of drives, to coloured point clouds, PLY or LAS."""
+"""Stage `export-ply`: coloured point clouds of scans and maps of drives, as PLY or LAS."""
 
 import logging
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from salsanext_cli.fusion.drive_map import (
 from salsanext_cli.fusion.window import require_near
 from salsanext_cli.option_fields import FusionReach
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
-from salsanext_cli.report.colours import PointColours, common_scales, require_colouring
+from salsanext_cli.report.colours import PointColours, Scale, common_scales, require_colouring
 from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.owned_folder import OwnedFolder
@@ -42,7 +42,7 @@ MIN_VOXEL_M, MAX_VOXEL_M = 0.01, 10.0
 log = logging.getLogger(__name__)
 
 
-def export_scan(
+def _export_scan(
     file: ScanFile,
     colours: PointColours,
     sensor: Sensor,
@@ -51,7 +51,7 @@ def export_scan(
     labels: LabelSpace,
     max_error: float | None = None,
 ) -> int:
-    """Write one scan as a coloured cloud with every known scalar; return how many are rejected."""
+    """Write a scan as a coloured cloud with all scalars; return the number of rejected points."""
     output.require_replaceable(file)
     results = ResultFolder(output.root).read(file, sensor, classes, (labels, colours.space))
     if max_error is not None:
@@ -62,21 +62,21 @@ def export_scan(
     if colours.colour not in columns:
         raise ResultFolder(output.root).missing_column(colours.colour, file)
     (folder,), points = output.folders, dict(zip("xyz", results.scan.points.T, strict=True))
-    more = [] if max_error is None else [f"unlabelled where error is above {max_error:g}"]
-    more += [text] if (text := results.accepted_text(colours.space)) else []
-    cloud = encode_cloud(output.path(file, folder), points, columns, colours, more)
+    comments = [] if max_error is None else [f"unlabelled where error is above {max_error:g}"]
+    comments += [text] if (text := results.accepted_text(colours.space)) else []
+    cloud = _encode_cloud(output.path(file, folder), points, columns, colours, comments)
     output.write(output.path(file, folder), cloud)
     return 0 if results.rejected is None else int(results.rejected.sum())
 
 
-def encode_cloud(
-    path: Path, points: Columns, columns: Columns, colours: PointColours, more: Sequence[str] = ()
+def _encode_cloud(
+    path: Path, points: Columns, columns: Columns, colours: PointColours, notes: Sequence[str] = ()
 ) -> bytes:
-    """Return a coloured cloud in the format of its name: `points`, x, y, z, and every scalar."""
+    """Return a coloured cloud of `points`, x, y, z, and scalars in the format of its name."""
     rgb = dict(zip(("red", "green", "blue"), colours.of_points(columns).T, strict=True))
-    comments = [f"colour {colours.legend}", f"label space {colours.space.name}", *more]
+    comments = [f"colour {colours.legend}", f"label space {colours.space.name}", *notes]
     if path.suffix == ".ply":
-        # CloudCompare takes what is named so for scalars, and shows the first.
+        # CloudCompare takes properties with this prefix for scalars, and shows the first.
         shown = {colours.colour: columns[colours.colour]} | columns
         named = {f"{PREFIX}{name}": values for name, values in shown.items()}
         return encode_ply(points | rgb | named, comments)
@@ -97,48 +97,103 @@ def export_ply(
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Write `OUT/sequences/<seq>/ply/*.ply` or the like: positions, colours and every known scalar.
+    """Write `OUT/sequences/<seq>/ply/*.ply`: positions, colours and every known scalar.
 
-    The first colouring of a folder goes there, each further one to `ply/<colour>/*.ply`; with
-    `voxel`, an edge in metres, the map of each drive with fused labels to
-    `OUT/sequences/<seq>/map.ply`.
+    The first colouring of a folder goes there, further ones to `ply/<colour>/*.ply`, and maps of
+    drives to `OUT/sequences/<seq>/map.ply`.
+
+    Parameters
+    ----------
+    out : Path
+        Folder with results.
+    colour : str
+        One of `COLOURS`.
+    scale : tuple of float, optional
+        Values at the ends of the colour map.
+    max_error : float, optional
+        Probability of error, 0…1, above which points become unlabelled.
+    form : str
+        One of `FORMATS`.
+    voxel : float, optional
+        Edge of the voxels of a map in metres; writes maps of fused drives instead of scans.
+    query, options
+        Choice of scans, data set and classes; workers and progress.
+
+    Returns
+    -------
+    Outcome
+        Numbers of written and skipped scans and of rejected points, and the failures.
     """
-    results = ResultFolder(out, query.dataset)
-    require_colouring([colour], scale)
-    _require_format(form)
-    if max_error is not None and not 0 <= max_error <= 1:
-        raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
+    _require_options(colour, scale, max_error, form)
     if voxel is not None:
         if max_error is not None or options.shard.count > 1 or colour in ("truth", "wrong"):
-            raise UsageError("--map", "with --max-error, --shard or the truth", "none of these")
+            problem = "does not work with --max-error, --shard or colours of the truth"
+            raise UsageError("--map", problem)
         if not MIN_VOXEL_M <= voxel <= MAX_VOXEL_M:
             raise UsageError("--map-voxel", f"{voxel:g}", f"{MIN_VOXEL_M} to {MAX_VOXEL_M} metres")
+    results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
-    scans, space = chosen.scans, chosen.space
     if max_error is not None:
-        results.require_column("error", scans)
+        results.require_column("error", chosen.scans)
     if colour == "uncertainty":
-        colour = results.meant_uncertainty(scans)
-    results.require_column(colour, scans)
-    sensor = results.sensor()
-    stage, folder = _place(out, colour, form)
-    made_of, earlier = results.origins(PREDICTION_STAGES), results.settings(stage)
-    overwrite = options.overwrite or (earlier is not None and earlier.origins != made_of)
-    if scale is None and voxel is None and earlier and earlier.scale and not overwrite:
-        # A run that goes on colours alike.
-        marks = earlier.scale
-    else:
-        marks = scale or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
-    colours = PointColours(colour, marks, space)
+        colour = results.meant_uncertainty(chosen.scans)
+    results.require_column(colour, chosen.scans)
     if voxel is not None:
-        return _export_maps(results, chosen, colours, form, voxel, options)
+        return _export_maps(results, chosen, colour, scale, form, voxel, options)
+    return _export_scans(results, chosen, colour, scale, max_error, form, query.classes, options)
+
+
+def _require_options(
+    colour: str, scale: tuple[float, float] | None, max_error: float | None, form: str
+) -> None:
+    require_colouring([colour], scale)
+    if form not in FORMATS:
+        raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
+    if form != "ply":
+        import_laspy(f"--format {form}", compressed=form == "laz")
+    if max_error is not None and not 0 <= max_error <= 1:
+        raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
+
+
+def _point_colours(
+    results: ResultFolder, chosen: ChosenResults, colour: str, scale: Scale | None
+) -> PointColours:
+    """Return the colouring on a scale, by default the range of most values."""
+    if scale is None:
+        args = (results.root, chosen.scans, [colour], chosen.space, results.sensor())
+        scale = common_scales(*args).get(colour, (0.0, 1.0))
+    return PointColours(colour, scale, chosen.space)
+
+
+def _export_scans(
+    results: ResultFolder,
+    chosen: ChosenResults,
+    colour: str,
+    scale: Scale | None,
+    max_error: float | None,
+    form: str,
+    classes: LabelSpace | None,
+    options: RunOptions,
+) -> Outcome:
+    """Write the clouds of scans; a continued run keeps its scale."""
+    out, scans = results.root, chosen.scans
+    stage, folder = _place(out, colour, form)
+    origins, earlier = results.origins(PREDICTION_STAGES), results.settings(stage)
+    overwrite = options.overwrite or (earlier is not None and earlier.origins != origins)
+    if scale is None and earlier and not overwrite:
+        scale = earlier.scale
+    colours = _point_colours(results, chosen, colour, scale)
     settings = StageSettings(
-        colour=colour, scale=marks, label_space=space, origins=made_of, max_error=max_error
+        colour=colour,
+        scale=colours.scale,
+        label_space=chosen.space,
+        origins=origins,
+        max_error=max_error,
     )
     rejected, run = list[int](), (out, stage, settings, (folder,), scans)
     with output_run(*run, overwrite=overwrite, record_scans=False) as output:
-        task = partial(export_scan, colours=colours, sensor=sensor, output=output)
-        task = partial(task, classes=query.classes, labels=chosen.labels, max_error=max_error)
+        task = partial(_export_scan, colours=colours, sensor=results.sensor(), output=output)
+        task = partial(task, classes=classes, labels=chosen.labels, max_error=max_error)
         outcome = run_over_scans(
             task, scans, options, is_done=output.is_done, on_result=rejected.append
         )
@@ -147,15 +202,8 @@ def export_ply(
     return replace(outcome, missing=chosen.missing, rejected_points=total)
 
 
-def _require_format(form: str) -> None:
-    if form not in FORMATS:
-        raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
-    if form != "ply":
-        import_laspy(f"--format {form}", compressed=form == "laz")
-
-
 def _place(out: Path, colour: str, form: str) -> tuple[str, str]:
-    """Return the name of the record of a colouring, and the folder for its clouds."""
+    """Return the stage and the folder of a colouring."""
     first = Manifest(out).settings("export-ply")
     if first is None or first.colour == colour:
         return "export-ply", form
@@ -165,17 +213,19 @@ def _place(out: Path, colour: str, form: str) -> tuple[str, str]:
 def _export_maps(
     results: ResultFolder,
     chosen: ChosenResults,
-    colours: PointColours,
+    colour: str,
+    scale: Scale | None,
     form: str,
     voxel: float,
     options: RunOptions,
 ) -> Outcome:
-    """Write the map of each drive, in the place of an earlier one."""
+    """Write the map of every drive, and replace earlier maps."""
+    colours = _point_colours(results, chosen, colour, scale)
     folder, outcome = OwnedFolder(results.root), Outcome(0, (), 0, chosen.missing)
     scans = results.with_column("label", chosen.scans)
     for name, group in groupby(scans, lambda file: file.sequence):
         files, path = tuple(group), results.root / "sequences" / name / f"map.{form}"
-        folder.require_own([path])
+        folder.refuse_foreign([path])
         columns, added = map_of_drive(results, files, colours.space, voxel, options)
         failures, done = outcome.failures + added.failures, outcome.done + added.done
         seconds = outcome.seconds + added.seconds
@@ -184,9 +234,9 @@ def _export_maps(
             if colours.colour not in columns:
                 raise results.missing_column(colours.colour, files[0])
             points = {axis: columns.pop(axis) for axis in "xyz"}
-            folder.replace({path: encode_cloud(path, points, columns, colours)})
-            found = ", ".join(filter(None, (counted(len(points["x"]), "point"), apart(columns))))
-            log.log(NOTICE, "%s: %s", path, found)
+            folder.replace({path: _encode_cloud(path, points, columns, colours)})
+            size = ", ".join(filter(None, (counted(len(points["x"]), "point"), apart(columns))))
+            log.log(NOTICE, "%s: %s", path, size)
     return outcome
 
 
@@ -197,7 +247,24 @@ def map_of_drive(
     voxel: float,
     options: RunOptions,
 ) -> tuple[Columns, Outcome]:
-    """Return the map of scans of a sequence with fused labels; no columns if none can be read."""
+    """Merge the scans of a drive with fused labels into a map.
+
+    Parameters
+    ----------
+    results, files, space
+        Folder with the fused labels, scans of a sequence, and classes of the labels.
+    voxel : float
+        Edge of the voxels, metres; a voxel has one point of the map.
+    options : RunOptions
+        Workers and progress.
+
+    Returns
+    -------
+    dict of str to ndarray
+        x, y, z in metres and every scalar of the points; empty if no scan can be read.
+    Outcome
+        Numbers of read scans, and the failures.
+    """
     files = tuple(sorted(files, key=drive_order))
     drive = drive_of_map(results, files)
     clouds, origins = list[Columns](), drive.origins

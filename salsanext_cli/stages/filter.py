@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `filter`: scans in their own format, without the points of some classes."""
+"""Stage `filter`: scans in their format, without the points of some classes."""
 
 import logging
 from collections.abc import Callable, Collection
@@ -23,7 +23,7 @@ from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Mask
 from salsanext_cli.results.manifest import StageRecord, require_same_settings, settings_json
 from salsanext_cli.results.output_run import encode_array
-from salsanext_cli.results.owned_folder import OwnedFolder, not_own
+from salsanext_cli.results.owned_folder import OwnedFolder, foreign_file
 from salsanext_cli.results.paths import (
     ERROR,
     PREDICTION_STAGES,
@@ -33,21 +33,39 @@ from salsanext_cli.results.paths import (
     with_outputs,
 )
 from salsanext_cli.results.query import ResultQuery
-from salsanext_cli.results.result_folder import ResultFolder, read_kind
+from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, read_kind
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 
-MASKS = "masks"  # Folder of a sequence with masks of its scans' points
+MASKS = "masks"  # Folder of a sequence with masks of the points of its scans
 MOVING = "moving"
-"""Name of all movable classes, and where they are dropped, of all that is not the scene."""
-REMEDY = "`salsanext convert {} DATA`, then predict and filter DATA; or masks, with --indices"
-Count = tuple[str, int, int]  # Name of a scan, number of its points, and of those that stay
+"""Name of all movable classes; if dropped, also of all points that are not of the scene."""
+CONVERT = "run `salsanext convert {} DATA`, then predict and filter DATA; or use --indices"
+Count = tuple[str, int, int]  # Name of a scan, number of its points, and of the remaining ones
 
 log = logging.getLogger(__name__)
 
 
 def named_classes(names: Collection[str], space: LabelSpace) -> Mask:
-    """Return the train ids (C,) that names mean: classes, coarse ones, or `MOVING` for a group."""
+    """Return the train ids of named classes.
+
+    Parameters
+    ----------
+    names : collection of str
+        Classes of the label space, coarse classes, or `MOVING`.
+    space : LabelSpace
+        Label space with C classes.
+
+    Returns
+    -------
+    (C,) bool
+        Mask of the train ids.
+
+    Raises
+    ------
+    UsageError
+        If a name is unknown, or the label space does not state its movable classes.
+    """
     known: dict[str, Mask] = {MOVING: space.movable}
     if MOVING in names:
         space.require_movable(f"class {MOVING}")
@@ -58,21 +76,21 @@ def named_classes(names: Collection[str], space: LabelSpace) -> Mask:
     known |= dict(zip(space.names, np.eye(space.class_count, dtype=bool), strict=True))
     if unknown := [name for name in names if name not in known]:
         raise UsageError(f"class {unknown[0]}", "no such class", f"one of {', '.join(known)}")
-    meant = np.zeros(space.class_count, bool)
+    selected = np.zeros(space.class_count, bool)
     for name in names:
-        meant |= known[name]
-    return meant
+        selected |= known[name]
+    return selected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterSettings(StageSettings):
-    """Settings that decide which points of scans stay."""
+    """Settings that select the remaining points of scans."""
 
-    results: str  # Folder of the labels, absolute
-    classes: tuple[str, ...]  # Classes whose points stay
+    results: str  # Absolute path of the folder of the labels
+    classes: tuple[str, ...]  # Classes whose points remain
     split: bool
     indices: bool
-    measured_only: bool | None = None
+    measured_only: bool | None = None  # Whether only measurements of the scene remain
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,70 +99,69 @@ class PointFilter:
 
     results: ResultFolder
     owned: OwnedFolder
+    settings: FilterSettings
     space: LabelSpace
-    stays: Mask  # (C,) train ids
-    measured_only: bool  # Whether housing, vehicle and points without a measurement go
-    max_error: float | None
-    split: bool
-    indices: bool
-    sensor: Sensor  # With the columns of files that do not name theirs
-    kept: frozenset[Path] = frozenset()  # Files that are there and not as they were written
+    selected: Mask  # (C,) train ids of the remaining classes
+    sensor: Sensor  # Sensor with the columns of files that do not name theirs
+    foreign: frozenset[Path] = frozenset()  # Files that are not as salsanext wrote them
 
     @property
     def folders(self) -> tuple[str, ...]:
         """Folders of a sequence that parts of scans go to."""
-        if self.split:
+        if self.settings.split:
             return self.space.names
-        return (MASKS,) if self.indices else (SCAN_FOLDER,)
+        return (MASKS,) if self.settings.indices else (SCAN_FOLDER,)
 
     def path(self, file: ScanFile, part: str) -> Path:
-        """Return where a part of a scan goes."""
-        name = f"{file.stem}.npy" if self.indices else file.path.name
+        """Return the path of a part of a scan."""
+        name = f"{file.stem}.npy" if self.settings.indices else file.path.name
         return self.owned.root / "sequences" / file.sequence / part / name
 
     def parts(self, file: ScanFile) -> tuple[dict[str, Mask], int]:
-        """Return which points (N,) stay, by the folder that they go to, if any do; and N."""
+        """Return masks (N,) of the remaining points by the folder of their part, and N."""
         path = output_path(self.results.root, file.sequence, "predictions", file.stem)
         if not present(path):
             raise self.results.missing_column("label", file)
-        # Where the scan is not written, nothing else compares the number of its points.
-        is_read = self.indices or self.measured_only
+        settings = self.settings
+        # If the scan is not written, nothing else compares the number of its points.
+        is_read = settings.indices or settings.measured_only
         scan = read_scan(file.path, self.sensor) if is_read else None
         labels = read_labels(path, None if scan is None else len(scan))
         train = self.space.to_train(labels, source=path)
-        stay = self.stays[train]
-        if scan is not None and self.measured_only:
-            stay &= measured_ranges(without_ego(scan, sensor_of(scan, self.sensor)).points)[1]
-        if self.max_error is not None:
+        remains = self.selected[train]
+        if scan is not None and settings.measured_only:
+            remains &= measured_ranges(without_ego(scan, sensor_of(scan, self.sensor)).points)[1]
+        if settings.max_error is not None:
             errors = output_path(self.results.root, file.sequence, ERROR, file.stem)
             if not present(errors):
                 raise self.results.missing_column("error", file)
-            stay &= ~(read_kind(errors, "error", len(train)) > self.max_error)
-        if self.split:
-            occurring = np.unique(train[stay]).tolist()
-            return {self.space.names[i]: stay & (train == i) for i in occurring}, len(train)
-        return ({self.folders[0]: stay} if self.indices or stay.any() else {}), len(train)
+            remains &= ~(read_kind(errors, "error", len(train)) > settings.max_error)
+        if settings.split:
+            occurring = np.unique(train[remains]).tolist()
+            return {self.space.names[i]: remains & (train == i) for i in occurring}, len(train)
+        has_part = settings.indices or remains.any()
+        return ({self.folders[0]: remains} if has_part else {}), len(train)
 
     def is_done(self, file: ScanFile) -> bool:
-        """Say whether all parts of a scan are there."""
+        """Return whether all parts of a scan are written."""
         paths = {part: self.path(file, part) for part in self.folders}
-        there = {part for part, path in paths.items() if filled(path) and path not in self.kept}
-        return bool(there) and (not self.split or there >= self.parts(file)[0].keys())
+        there = {part for part, path in paths.items() if filled(path) and path not in self.foreign}
+        return bool(there) and (not self.settings.split or there >= self.parts(file)[0].keys())
 
     def write(self, file: ScanFile) -> Count:
-        """Write the parts of a scan; return its name, and how many points it has and keeps."""
+        """Write the parts of a scan; return its name and its numbers of points before and after."""
         parts, count = self.parts(file)
         absent = (self.path(file, part) for part in self.folders if part not in parts)
         if stale := [path for path in absent if present(path)]:
-            self.owned.remove_own(stale)
+            self.owned.remove_written(stale)
         encode: Callable[[Mask], bytes] = encode_array
-        if not self.indices:
+        if not self.settings.indices:
             encode = subsets_of(file.path, self.sensor.columns)
         if not parts:
             encode(np.zeros(count, bool))
         for part, mask in parts.items():
-            if (path := self.path(file, part)) in self.kept:
-                raise not_own(path)
+            if (path := self.path(file, part)) in self.foreign:
+                raise foreign_file(path)
             self.owned.write(path, encode(mask))
         return file.name, count, sum(int(mask.sum()) for mask in parts.values())
 
@@ -161,58 +178,94 @@ def filter_scans(
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Write `FOLDER/sequences/<seq>/velodyne/`: the scans as they are, without some points.
+    """Write scans in their format, without some of their points, to `FOLDER/sequences/<seq>/`.
 
-    `drop`, `keep`: as of `named_classes`; `indices`: masks (N,) bool of them in the place of scans.
+    Parameters
+    ----------
+    out : Path
+        Folder with the labels.
+    folder : Path
+        Folder for the scans.
+    drop, keep : collection of str
+        Classes as of `named_classes` that are removed, or that alone remain.
+    max_error : float, optional
+        Largest probability of error of the remaining points.
+    split : bool
+        Whether to write a file for each class.
+    indices : bool
+        Whether to write masks (N,) bool instead of scans.
+    query : ResultQuery
+        Data set, label space and selection of scans.
+    options : RunOptions
+        Workers, and what to do with existing results and errors.
+
+    Returns
+    -------
+    Outcome
+        Numbers of the run.
     """
+    task, chosen = _point_filter(
+        *(out, folder, drop, keep, max_error), split=split, indices=indices, query=query
+    )
+    counts = list[Count]()
+    with ExitStack() as stack:
+        with task.owned.locked_records():
+            _begin(task.owned, task.settings, options.overwrite)
+            stack.enter_context(task.owned.open(shared=True))
+        parts = [task.path(file, part) for file in chosen.scans for part in task.folders]
+        task = replace(task, foreign=frozenset(task.owned.foreign_files(parts)))
+        outcome = run_over_scans(
+            task.write, chosen.scans, options, is_done=task.is_done, on_result=counts.append
+        )
+    total = sum(count for _, count, _ in counts), sum(left for *_, left in counts)
+    if empty := sorted(name for name, _, left in counts if not left):
+        log.warning("no point remains of %s: %s", counted(len(empty), "scan"), first_few(empty))
+    return replace(outcome, missing=chosen.missing, kept_points=total)
+
+
+def _point_filter(
+    out: Path,
+    folder: Path,
+    drop: Collection[str],
+    keep: Collection[str],
+    max_error: float | None,
+    *,
+    split: bool,
+    indices: bool,
+    query: ResultQuery,
+) -> tuple[PointFilter, ChosenResults]:
+    """Return the filter of the options of `filter_scans`, and the chosen scans; refuse others."""
     if not (drop or keep or split or max_error is not None):
-        raise UsageError("--drop, --keep, --max-error, --split", "none given", "one of them")
+        raise UsageError("--drop, --keep, --max-error, --split", "none is set", "one of them")
     if max_error is not None and not 0 <= max_error <= 1:
         raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
-    results, owned = ResultFolder(out, query.dataset), OwnedFolder(folder, "filter")
+    results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
     scans, space = chosen.scans, chosen.space
-    stays = named_classes(keep or space.names, space) & ~named_classes(drop, space)
-    measured_only = MOVING in drop
+    selected = named_classes(keep or space.names, space) & ~named_classes(drop, space)
     if max_error is not None and not with_outputs(scans, out, ERROR):
         raise results.missing_column("error", scans[0])
     if recording := None if indices else recording_of(scans[0].path):
-        found, expected = "a recording, which `filter` does not write", "files of scans"
-        raise UsageError(recording, found, expected, REMEDY.format(recording))
+        problem, hint = "is a recording, which `filter` cannot write", CONVERT.format(recording)
+        raise UsageError(recording, problem, "files of scans", hint)
     if odd := [name for name in space.names if split and Path(name).name != name]:
-        raise UsageError("--split", f"class {odd[0]}", "names that folders can have")
+        raise UsageError("--split", f"class {odd[0]} cannot be the name of a folder")
     settings = FilterSettings(
         results=str(out.absolute()),
-        classes=tuple(np.array(space.names)[stays].tolist()),
+        classes=tuple(np.array(space.names)[selected].tolist()),
         split=split,
         indices=indices,
-        measured_only=measured_only or None,
+        measured_only=MOVING in drop or None,
         max_error=max_error,
         label_space=space,
         origins=results.origins(PREDICTION_STAGES),
     )
-    sensor = results.sensor()
-    task = PointFilter(
-        results, owned, space, stays, measured_only, max_error, split, indices, sensor
-    )
-    counts = list[Count]()
-    with ExitStack() as stack:
-        with owned.locked_records():
-            _begin(owned, settings, options.overwrite)
-            stack.enter_context(owned.open(shared=True))
-        parts = [task.path(file, part) for file in scans for part in task.folders]
-        task = replace(task, kept=frozenset(owned.foreign_files(parts)))
-        outcome = run_over_scans(
-            task.write, scans, options, is_done=task.is_done, on_result=counts.append
-        )
-    total = sum(count for _, count, _ in counts), sum(kept for *_, kept in counts)
-    if empty := sorted(name for name, _, kept in counts if not kept):
-        log.warning("no point stays of %s: %s", counted(len(empty), "scan"), first_few(empty))
-    return replace(outcome, missing=chosen.missing, kept_points=total)
+    owned, sensor = OwnedFolder(folder, "filter"), results.sensor()
+    return PointFilter(results, owned, settings, space, selected, sensor), chosen
 
 
 def _begin(owned: OwnedFolder, settings: FilterSettings, overwrite: bool) -> None:
-    """Record the settings in a new folder or one with the same; overwriting replaces others."""
+    """Record the settings in a new folder, or one with the same settings unless overwriting."""
     wanted = StageRecord(owned.stage, settings_json(settings))
     recorded = owned.manifest.record(owned.stage)
     if recorded is None:
@@ -223,5 +276,5 @@ def _begin(owned: OwnedFolder, settings: FilterSettings, overwrite: bool) -> Non
             require_same_settings(owned.record_path, recorded.settings, wanted.settings)
         if owned.is_shared():
             raise owned.busy()
-        owned.remove_own(replaced)
+        owned.remove_written(replaced)
     owned.manifest.write(wanted)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Inspection of a set of scans: size, field of view, classes; a sensor fitted to them."""
+"""Stage `inspect`: size, field of view and classes of scans; a sensor fitted to them."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,19 +27,19 @@ from salsanext_cli.results.paths import ScanFile, find_scans
 from salsanext_cli.results.selection import select_scans, space_of
 from salsanext_cli.sensors.sensor import Sensor
 
-MIN_POINTS_OF_FIT = 1000  # A fit leaves out one in a thousand at either edge
-MIN_FIELD_OF_VIEW_DEG = 1.0  # That of a scanner of one plane is smaller
+MIN_POINTS_OF_FIT = 1000  # A fit skips one point in a thousand at either edge.
+MIN_FIELD_OF_VIEW_DEG = 1.0  # A planar scanner has less.
 
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
     """Result of inspecting scans."""
 
-    sequences: dict[str, Survey]  # Surveys by sequence
+    sequences: dict[str, Survey]  # By name
     total: Survey  # Survey of all scans
     sensor: Sensor  # Sensor of the range images
-    space: LabelSpace  # Names of the classes
-    failures: tuple[Failure, ...]  # Scans that could not be read, or cannot be right
+    space: LabelSpace
+    failures: tuple[Failure, ...]  # Scans that are unreadable or not in metres
     warnings: list[ScanWarning]  # Reasons to doubt scans
 
     def to_dict(self) -> dict[str, object]:
@@ -54,7 +54,7 @@ class Inspection:
         }
 
     def fitted_sensor(self, name: str, *, images: bool = True) -> Sensor:
-        """Return the sensor of images to train on, or of labels; `images` as for `inspect`."""
+        """Return the fitted sensor with a name; `images` as for `inspect`."""
         _require_fit(name, self.total)
         if not images:
             return replace(self.sensor, name=name)
@@ -76,7 +76,36 @@ def inspect(
     fit: bool = False,
     images: bool = True,
 ) -> Inspection:
-    """Survey and check scans; to fit, as `predict` does, or with `images` to all points."""
+    """Survey and check scans, and fit a sensor to them.
+
+    Parameters
+    ----------
+    source : Path
+        Scans.
+    sensor : Sensor
+        Sensor of the range images.
+    space : LabelSpace, optional
+        Label space of the labels; by default that of the data set.
+    selection : ScanSelection
+        Scans to survey.
+    options : RunOptions
+        Workers, and what to do with errors.
+    fit : bool
+        Whether to fit the sensor to the scans, as `predict` does.
+    images : bool
+        Whether the fit is for new weights: the field of view holds all points, and the images are
+        normalised by the scans.
+
+    Returns
+    -------
+    Inspection
+        Surveys, sensor and warnings.
+
+    Raises
+    ------
+    NoInputError
+        If there are no scans, or a fit is to scans of several sensors.
+    """
     scans, files = select_scans(source, selection, space), find_scans(source)
     hint = ALONE if fit else FIT
     if fit:
@@ -84,8 +113,9 @@ def inspect(
         plain = replace(sensor, fov_up=usual.fov_up, fov_down=usual.fov_down)
         sensor = fitted_view(files, plain)
         if sensor.others:
-            raise NoInputError(source, f"scans of {len(sensor.members)} sensors", "one", APART)
-        # Only the view of this pass counts, so its checks would be against a wrong one.
+            problem = f"has scans of {len(sensor.members)} sensors"
+            raise NoInputError(source, problem, "scans of one sensor", APART)
+        # This pass fits the field of view that scans are checked against.
         if images and (first := _inspect(scans, sensor, space, options)).total.pixels:
             sensor = _with_field_of_view(sensor, first.total)
     elif len(kinds_of(ScanSample(files, sensor).scans)[1]) > 1:
@@ -100,18 +130,18 @@ def _inspect(
     options: RunOptions,
     hint: str = "",
 ) -> Inspection:
-    """Read the scans once; check them if there is a hint of what a fit may remove."""
+    """Survey the scans; check them if there is a hint for findings that a fit may remove."""
     sequences: dict[str, Survey] = {}
     summary = RunSummary(sensor)
 
     def add(result: tuple[Survey, ScanSummary]) -> None:
-        of_scan, scan = result
+        counts, scan = result
         name = scan.file.sequence
-        sequences[name] = sequences.get(name, Survey()) + of_scan
+        sequences[name] = sequences.get(name, Survey()) + counts
         if hint:
             summary.add(scan)
 
-    task = partial(inspect_scan, sensor=sensor, hint=hint)
+    task = partial(_inspect_scan, sensor=sensor, hint=hint)
     outcome = run_over_scans(task, scans, options, on_result=add)
     sequences = dict(sorted(sequences.items()))
     total = sum(sequences.values(), start=Survey())
@@ -119,10 +149,10 @@ def _inspect(
     return Inspection(sequences, total, sensor, space, outcome.failures, warnings)
 
 
-def inspect_scan(file: ScanFile, sensor: Sensor, hint: str) -> tuple[Survey, ScanSummary]:
-    """Read, check, project and count one scan."""
+def _inspect_scan(file: ScanFile, sensor: Sensor, hint: str) -> tuple[Survey, ScanSummary]:
+    """Read, check, project and survey a scan."""
     scan = read_scan(file.path, sensor)
-    # Whatever the scale of the intensity is, `predict` matches it.
+    # The scale of the intensity does not matter, since `predict` matches it.
     matched = replace(sensor, intensity_quantiles=NO_INTENSITY)
     check = check_with_hint(file.path, scan, matched, matched, hint)
     raw = read_labels(file.label_path, len(scan)) if present(file.label_path) else None
@@ -130,26 +160,38 @@ def inspect_scan(file: ScanFile, sensor: Sensor, hint: str) -> tuple[Survey, Sca
     return counts, ScanSummary(file, check)
 
 
-def _require_fit(name: str, found: Survey) -> None:
+def _require_fit(name: str, total: Survey) -> None:
     """Refuse to fit a sensor to scans that do not show its field of view."""
-    measured = found.points - found.invalid
-    up, down = found.field_of_view()
+    measured = total.points - total.invalid
+    up, down = total.field_of_view()
     if measured < MIN_POINTS_OF_FIT or up - down < MIN_FIELD_OF_VIEW_DEG:
         view = f"a field of view of {up - down:.2f}°, from {up:+.2f}° to {down:+.2f}°"
-        seen_points = f"{counted(measured, 'point')} with a measurement, {view}"
-        expected = f"{MIN_POINTS_OF_FIT} or more, {MIN_FIELD_OF_VIEW_DEG:g}° or more"
+        problem = f"scans have {counted(measured, 'point')} with a measurement and {view}"
+        expected = f"at least {MIN_POINTS_OF_FIT} points and {MIN_FIELD_OF_VIEW_DEG:g}°"
         hint = "fit a sensor to whole scans of a 3D LiDAR, with z up and its origin at the sensor"
-        raise NoInputError(name, seen_points, expected, hint)
+        raise NoInputError(name, problem, expected, hint)
 
 
-def _with_field_of_view(sensor: Sensor, found: Survey) -> Sensor:
-    up, down = found.field_of_view()
+def _with_field_of_view(sensor: Sensor, total: Survey) -> Sensor:
+    up, down = total.field_of_view()
     return replace(sensor, fov_up=round(up, 2), fov_down=round(down, 2))
 
 
 def write_sensor(
     path: Path, sensor: Sensor, *, images: bool = True, overwrite: bool = False
 ) -> None:
-    """Write a sensor as the TOML file that `--sensor` takes, as `Sensor.to_toml` does."""
+    """Write a sensor to a TOML file for `--sensor`.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    sensor : Sensor
+        Sensor to write.
+    images : bool
+        Whether to write the size and normalisation of the images too.
+    overwrite : bool
+        Whether to replace an existing file.
+    """
     require_absent(path, overwrite)
     write_bytes(path, sensor.to_toml(images=images).encode())

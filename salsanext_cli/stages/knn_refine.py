@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `knn-refine`: pixel labels, or any point labels, to point labels by neighbours."""
+"""Stage `knn-refine`: labels of pixels, or any labels of points, refined by neighbours."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from salsanext_cli.classes.label_space import LabelSpace, TrainIds
 from salsanext_cli.errors import LabelError, NoInputError, OutputError, UsageError, counted
-from salsanext_cli.files.reading import is_folder, present
+from salsanext_cli.files.reading import present
 from salsanext_cli.formats import read_scan
 from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.formats.npy import read_array
@@ -19,9 +19,9 @@ from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import RangeImage
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ScanFile, find_scans, output_path, with_outputs
-from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.results.selection import choose, space_of
 from salsanext_cli.results.settings import StageSettings
@@ -29,7 +29,7 @@ from salsanext_cli.sensors.sensor import Sensor
 
 
 class LabelledPixels(NamedTuple):
-    """Scan, and the labels of its pixels."""
+    """Scan with the labels of its pixels."""
 
     file: ScanFile
     image: RangeImage
@@ -52,14 +52,14 @@ class RefineJob:
         scan, space = read_scan(file.path, self.sensor), self.space
         image = project(scan, sensor_of(scan, self.sensor))
         if self.labels is not None:
-            path = given_labels(self.labels, file)
+            path = _given_labels(self.labels, file)
             train_ids = space.to_train(read_labels(path, len(scan)), source=path)
             return LabelledPixels(file, image, pixels_from_points(train_ids, image.point_of_pixel))
         path = self.output.path(file, "pixel_labels")
         labels: TrainIds = read_array(path, "uint8", (self.sensor.height, self.sensor.width))
         if (highest := labels.max()) >= space.class_count:
-            expected = f"0 … {space.class_count - 1}, the classes of {space.name}"
-            raise LabelError(path, f"train ids up to {highest}", expected)
+            expected = f"0 to {space.class_count - 1}, the classes of {space.name}"
+            raise LabelError(path, f"has train ids up to {highest}", expected)
         return LabelledPixels(file, image, labels)
 
     def compute(self, scans: Sequence[LabelledPixels]) -> list[TrainIds]:
@@ -73,32 +73,30 @@ class RefineJob:
         return ScanSummary.of_labels(scan.file, refined, self.space)
 
 
-def given_labels(folder: Path, file: ScanFile) -> Path:
-    """Return the label file of a scan in a folder of predictions, nested or plain."""
+def _given_labels(folder: Path, file: ScanFile) -> Path:
+    """Return the label file of a scan in an output folder, or else in a plain folder of labels."""
     nested = output_path(folder, file.sequence, "predictions", file.stem)
     return nested if present(nested) else folder / nested.name
 
 
 def _require_some(folder: Path, scans: list[ScanFile]) -> None:
-    """Refuse a folder that has labels of none of the scans."""
-    if not is_folder(folder):
-        found = "not a folder" if present(folder) else "no such folder"
-        raise NoInputError(folder, found, "the folder of the labels to refine")
-    if not any(present(given_labels(folder, scan)) for scan in scans):
+    """Refuse a folder without labels of any scan."""
+    if not any(present(_given_labels(folder, scan)) for scan in scans):
         nested = output_path(Path(), scans[0].sequence, "predictions", scans[0].stem)
-        found = f"no labels of any of {counted(len(scans), 'scan')}"
-        raise NoInputError(folder, found, f"files like {nested} or {nested.name}")
+        problem = f"has labels of none of {counted(len(scans), 'scan')}"
+        problem = problem if present(folder) else "no such folder"
+        raise NoInputError(folder, problem, f"files like {nested} or {nested.name}")
 
 
 def _require_all_labels(out: Path, labels: Path | None) -> None:
-    """Refuse results of a run that rejected some labels: the vote would bring them back."""
+    """Refuse results of a run that rejected labels, since the vote would restore them."""
     folder = "predictions" if labels else "pixel_labels"
     # Labels may lie in ROOT/sequences/<seq>/predictions, with the records in ROOT.
     roots = (labels, *labels.absolute().parents[2:3]) if labels else (out,)
-    if any(Provenance(root).rejection(folder) for root in roots):
-        found, hint = "labels of which some were rejected", "predict without --reject"
-        expected = "all labels: the vote brings back what was rejected"
-        raise OutputError(labels or out, found, expected, hint)
+    if any(Manifest(root).rejection(folder) for root in roots):
+        problem, hint = "has labels of which some were rejected", "predict without --reject"
+        expected = "all labels, since the vote restores rejected ones"
+        raise OutputError(labels or out, problem, expected, hint)
 
 
 def knn_refine_scans(
@@ -112,37 +110,71 @@ def knn_refine_scans(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Refine pixel labels, or a folder of labels, into `OUT/sequences/<seq>/predictions`."""
-    results = ResultFolder(out)
-    if labels and labels.resolve().is_relative_to(out.resolve()):
-        raise UsageError("--labels", f"{labels} inside {out}", "a folder that is only read")
+    """Refine labels of pixels or points into `OUT/sequences/<seq>/predictions`.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder, with the labels of pixels unless `labels` is given.
+    labels : Path, optional
+        Folder of labels of points.
+    dataset : Path, optional
+        Scans; by default those of `out`.
+    sensor, space : optional
+        Sensor of the range images and label space; by default as recorded in `out`.
+    knn : KnnParameters
+        Neighbourhood.
+    selection : ScanSelection
+        Scans to refine.
+    options : RunOptions
+        Workers, and what to do with existing results and errors.
+
+    Returns
+    -------
+    Outcome
+        Numbers of the run.
+    """
     _require_all_labels(out, labels)
-    scans = find_scans(dataset) if dataset else results.scans()
-    recorded = results.label_space("pixel_labels") if labels is None else None
-    if recorded and space and not recorded.fits(space):
-        found = f"{space.name}, for pixel labels in the classes of {recorded.name}"
-        raise UsageError("--label-space", found, hint="predict with --classes, or leave it out")
-    space = space or recorded or results.label_space() or space_of(scans)
-    if labels is None:
-        scans = with_outputs(scans, out, "pixel_labels")
-        if not scans:
-            hint = f"run `salsanext predict SCANS {out} --pixel-labels` first, or give --labels"
-            raise NoInputError(out, "holds no pixel_labels", hint=hint)
-    scans = choose(scans, selection, space_of(scans, space), out)
-    if labels is not None:
-        _require_some(labels, scans)
+    results, scans, space = _scans_to_refine(out, labels, dataset, space, selection)
     sensor = sensor or results.sensor()
     settings = StageSettings(
         labels=str(labels.absolute()) if labels else None,
         label_space=space,
         sensor=sensor,
         knn=knn,
-        # Labels of other weights must not be kept as those of these.
         origins=None if labels else results.origins(["predict"]),
     )
     summary = RunSummary.of_scans(scans, sensor, space)
     wanted, overwrite = (out, "knn-refine", settings, ("predictions",), scans), options.overwrite
     run = output_run(*wanted, overwrite=overwrite, record_scans=dataset is not None)
-    with run as output, summary.kept_in(output, scans):
+    with run as output, summary.recorded_in(output, scans):
         job = RefineJob(labels, space, sensor, knn, output)
         return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)
+
+
+def _scans_to_refine(
+    out: Path,
+    labels: Path | None,
+    dataset: Path | None,
+    space: LabelSpace | None,
+    selection: ScanSelection,
+) -> tuple[ResultFolder, list[ScanFile], LabelSpace]:
+    """Return the results, the selected scans with labels, and their label space."""
+    results = ResultFolder(out)
+    if labels and labels.resolve().is_relative_to(out.resolve()):
+        raise UsageError("--labels", f"{labels} is inside {out}", "a folder outside the output")
+    scans = find_scans(dataset) if dataset else results.scans()
+    recorded = results.label_space("pixel_labels") if labels is None else None
+    if recorded and space and not recorded.fits(space):
+        problem = f"{space.name}, but the pixel labels have the classes of {recorded.name}"
+        raise UsageError("--label-space", problem, hint="predict with --classes, or leave it out")
+    space = space or recorded or results.label_space() or space_of(scans)
+    if labels is None:
+        scans = with_outputs(scans, out, "pixel_labels")
+        if not scans:
+            hint = f"run `salsanext predict SCANS {out} --pixel-labels` first, or use --labels"
+            raise NoInputError(out, "has no pixel labels", hint=hint)
+    scans = choose(scans, selection, space_of(scans, space), out)
+    if labels is not None:
+        _require_some(labels, scans)
+    return results, scans, space

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `picture`: scans and results to pictures."""
+"""Stage `picture`: pictures of scans and results."""
 
 import logging
 from collections.abc import Collection, Sequence
@@ -32,7 +32,7 @@ STAGE, FOLDER = "picture", "pictures"
 log = logging.getLogger(__name__)
 
 
-def picture_scan(
+def _picture_scan(
     file: ScanFile,
     colours: Sequence[str],
     scales: Scales,
@@ -42,7 +42,7 @@ def picture_scan(
     classes: LabelSpace | None,
     labels: LabelSpace,
 ) -> None:
-    """Write the picture of one scan: of some colours, or of all that is known of it."""
+    """Write the picture of one scan in some colours, or in all colours that it has."""
     output.require_replaceable(file)
     shows_truth = not colours or {"truth", "wrong"} & {*colours}
     truth_in = (labels, space) if shows_truth else None
@@ -65,16 +65,26 @@ def picture(
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Write `OUT/sequences/<seq>/pictures/*.png`.
+    """Write `OUT/sequences/<seq>/pictures/*.png`; without results, of the scans alone.
 
-    Pictures of results that have been made anew since are replaced. Without any results, pictures
-    are of the scans of `dataset` alone.
+    Parameters
+    ----------
+    out : Path
+        Folder with results.
+    colours : collection of str
+        Some of `COLOURS`; by default every colour that a scan has.
+    scale : tuple of float, optional
+        Values at the ends of the colour map, for a single colour.
+    query, options
+        Choice of scans, data set and classes; workers and progress.
+
+    Returns
+    -------
+    Outcome
+        Numbers of drawn and skipped scans, and the failures.
     """
+    _require_colouring(colours, scale)
     results = ResultFolder(out, query.dataset)
-    require_colouring(colours, scale)
-    if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
-        found = ", ".join(colours) or "none"
-        raise UsageError("--scale", f"--colour is {found}", "one that shows values")
     has_results = any(find_outputs(out, folder) for folder in FOLDERS)
     chosen = results.chosen(query) if has_results else _scans_alone(out, query)
     scans, space = chosen.scans, chosen.space
@@ -82,42 +92,46 @@ def picture(
     colours = list(dict.fromkeys(meant.get(colour, colour) for colour in colours))
     for colour in colours:
         results.require_column(colour, scans)
-    made_of, earlier = results.origins(PREDICTION_STAGES), results.settings(STAGE)
-    overwrite = options.overwrite or (earlier is not None and earlier.origins != made_of)
-    going_on = None if overwrite else earlier
-    seen = results.known_sensor() or (going_on.sensor if going_on else None)
-    seen = seen or fitted_view(scans, sensor("hdl64"))
+    origins, earlier = results.origins(PREDICTION_STAGES), results.settings(STAGE)
+    overwrite = options.overwrite or (earlier is not None and earlier.origins != origins)
+    continued = None if overwrite else earlier  # Keeps sensor and scales
+    view = results.known_sensor() or (continued.sensor if continued else None)
+    view = view or fitted_view(scans, sensor("hdl64"))
     values = [c for c in colours or COLOURINGS if c not in CLASS_COLOURS]
     values = [colour for colour in values if results.with_column(colour, scans)]
-    scales: Scales = dict.fromkeys(values, scale) if scale else {}
-    if not scale:
-        # A run that goes on colours alike.
-        scales = dict((going_on.scales if going_on else None) or {})
-        unknown = [colour for colour in values if colour not in scales]
-        scales |= common_scales(out, scans, unknown, space, seen)
+    known = (continued and continued.scales) or {}
+    scales: Scales = dict.fromkeys(values, scale) if scale else dict(known)
+    unknown = [colour for colour in values if colour not in scales]
+    scales |= common_scales(out, scans, unknown, space, view)
     settings = StageSettings(
-        colours=tuple(colours), scales=scales, sensor=seen, label_space=space, origins=made_of
+        colours=tuple(colours), scales=scales, sensor=view, label_space=space, origins=origins
     )
     with output_run(
         *(out, STAGE, settings, (FOLDER,), scans), overwrite=overwrite, record_scans=not has_results
     ) as output:
-        task = partial(picture_scan, colours=colours, scales=scales, space=space, sensor=seen)
+        task = partial(_picture_scan, colours=colours, scales=scales, space=space, sensor=view)
         task = partial(task, output=output, classes=query.classes, labels=chosen.labels)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done)
         log.log(NOTICE, "pictures: %s", out / "sequences/*" / FOLDER)
     return replace(outcome, missing=chosen.missing)
 
 
+def _require_colouring(colours: Collection[str], scale: tuple[float, float] | None) -> None:
+    require_colouring(colours, scale)
+    if scale and (len(colours) != 1 or {*colours} & {*CLASS_COLOURS}):
+        problem = f"--colour is {', '.join(colours) or 'missing'}"
+        raise UsageError("--scale", problem, "a single colour of values, such as error")
+
+
 def _scans_alone(out: Path, query: ResultQuery) -> ChosenResults:
-    """Choose among the scans of a data set, or of what else a folder holds, without any labels."""
+    """Choose among the scans of a data set, or among all scans of a folder, without results."""
     results, dataset = ResultFolder(out), query.dataset
     if dataset is None and not any(find_outputs(out, folder) for folder in SUFFIX_OF_FOLDER):
-        found = "holds no results" if out.is_dir() else "no such folder"
+        problem = "has no results" if out.is_dir() else "no such folder"
         hint = f"run `salsanext predict SCANS {out}` first, or name scans with --dataset"
-        raise NoInputError(out, found, "the output folder of an earlier stage", hint)
-    found_scans = scans_of(dataset) if dataset else results.scans()
-    own, classes = query.label_space, query.classes
-    space = results.compared_space(found_scans, own, classes, own_ids=True)
-    scans = choose(found_scans, query.selection, space, dataset or out)
-    labels = space_of_labels(found_scans, space, own)
+        raise NoInputError(out, problem, hint=hint)
+    all_scans = scans_of(dataset) if dataset else results.scans()
+    space = results.compared_space(all_scans, query.label_space, query.classes, other_ids=True)
+    scans = choose(all_scans, query.selection, space, dataset or out)
+    labels = space_of_labels(all_scans, space, query.label_space)
     return ChosenResults(scans, space, labels, MissingResults())

@@ -39,7 +39,7 @@ from salsanext_cli.fusion.top_classes import top_classes
 from salsanext_cli.geometry.objects import BOX, Objects, find_objects, fit_boxes
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.geometry.scan_traits import sensor_of
-from salsanext_cli.measures.risk_control import promise
+from salsanext_cli.measures.risk_control import guarantee
 from salsanext_cli.measures.scan_summary import RunSummary, ScanSummary
 from salsanext_cli.network.card import RiskThreshold
 from salsanext_cli.option_fields import KnnParameters, ScanSelection
@@ -197,7 +197,7 @@ def predict_scans(
         reject=above,
         reject_by=None if kind == "error" else kind,
         accuracy=accuracy,
-        promised=risk,
+        guarantee=risk,
         objects="objects" in extras or None,
     )
     rejection = None
@@ -208,7 +208,7 @@ def predict_scans(
     summary = RunSummary.of_scans(scans, network.sensor, network.space, accuracy)
     folders = (*extras, LEAST_CONFIDENCE, "predictions")
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
-    with run as output, summary.kept_in(output, scans):
+    with run as output, summary.recorded_in(output, scans):
         job = partial(PredictJob, writer=LabelWriter(knn, output, rejection))
         task = NetworkTask(job, settings.resolved(network), network, batch)
         outcome = run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
@@ -229,7 +229,7 @@ def _chosen_threshold(
     if changed := [name for name, is_other in others.items() if is_other]:
         found = "the guarantee of `--reject risk` does not cover other labels"
         raise UsageError(changed[0], found, "the settings of `tune risk`")
-    log.log(NOTICE, "--reject risk: %s", promise(risk))
+    log.log(NOTICE, "--reject risk: %s", guarantee(risk))
     return risk
 
 
@@ -305,7 +305,7 @@ def predict_range_images(
     recorded, folders = settings_of_network(network), ("pixel_labels",)
     summary = RunSummary(network.sensor)
     run = output_run(out, "predict", recorded, folders, scans, overwrite=options.overwrite)
-    with run as output, summary.kept_in(output, scans):
+    with run as output, summary.recorded_in(output, scans):
         job = partial(PredictImageJob, folder=folder, output=output)
         task = NetworkTask(job, settings.resolved(network), network)
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)

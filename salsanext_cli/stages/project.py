@@ -22,7 +22,7 @@ FOLDERS = ("range", "pixels")
 
 @dataclass(frozen=True, slots=True)
 class ProjectJob:
-    """Job that projects scans and writes their range images; there is nothing to compute."""
+    """Job that projects scans and writes their range images, without a step on a device."""
 
     sensor: Sensor
     output: OutputRun
@@ -52,13 +52,34 @@ def project_scans(
     selection: ScanSelection = ScanSelection(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Project scans to `OUT/sequences/<seq>/range` and `pixels`, to fit with their own view."""
+    """Project scans to `OUT/sequences/<seq>/range` and `pixels`.
+
+    Parameters
+    ----------
+    source : Path or sequence of Path
+        Scans.
+    out : Path
+        Output folder.
+    sensor : Sensor
+        Sensor of the range images.
+    fit : bool
+        Whether to fit the field of view and the mounting to the scans.
+    selection : ScanSelection
+        Scans to project.
+    options : RunOptions
+        Workers, and what to do with existing results and errors.
+
+    Returns
+    -------
+    Outcome
+        Numbers of the run.
+    """
     listed = scans_of(source)
     scans = choose(listed, selection, space_of(listed), source)
     recorded = None if options.overwrite else Manifest(out).settings("project")
     sensor = fitted_view(listed, sensor, recorded.sensor if recorded else None, view=fit)
     settings, summary = StageSettings(sensor=sensor), RunSummary.of_scans(scans, sensor)
     run = output_run(out, "project", settings, FOLDERS, scans, overwrite=options.overwrite)
-    with run as output, summary.kept_in(output, scans):
+    with run as output, summary.recorded_in(output, scans):
         job = ProjectJob(sensor, output)
         return run_over_scans(job, scans, options, is_done=output.is_done, summary=summary)

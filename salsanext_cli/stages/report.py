@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Stages `report` and `view`: the page of a run, as one HTML file or served to a browser."""
+"""Stages `report` and `view`: the page of a run, as an HTML file or on a local server."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import TypedDict, Unpack
+from threading import Lock
 
 import numpy as np
 
@@ -38,15 +38,7 @@ from salsanext_cli.stages.export_ply import map_of_drive
 
 PAGE = "report.html"
 MAP_SCANS = 400  # Scans of a drive on its map, evenly spaced
-SAMPLED = 5  # Evenly spaced scans that `view` takes the scales from, among others
-
-
-class RunChoice(TypedDict, total=False):
-    """Arguments of `read_run` but the output folder."""
-
-    query: ResultQuery
-    by_distance: bool
-    options: RunOptions
+SAMPLED = 5  # Evenly spaced scans among those from which `view` takes the scales
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,28 +46,30 @@ class Report:
     """Page that was written."""
 
     page: Path
-    run: RunResults  # Numbers of all scans that it tells of
-    compared: Comparison | None  # Scores of the labelled scans, if there are any
-    shown: dict[str, str]  # Scans that it shows point by point, and why
-    failures: tuple[Failure, ...]  # Scans that could not be read, left out
+    run: RunResults  # Numbers of all scans on the page
+    compared: Comparison | None  # Scores of the scans with labels, if any
+    shown: dict[str, str]  # Scans that the page shows point by point, and why
+    failures: tuple[Failure, ...]  # Scans that could not be read
     unmapped: list[str]  # Reasons why maps of fused drives are missing
 
     def to_dict(self) -> dict[str, object]:
-        """Return plain data for JSON; null stands for NaN."""
+        """Return plain data for JSON, null for NaN."""
         counts, scores = self.run.counts, self.compared and self.compared.scores
-        best, kept = (c.uncertainty.kept, c.kept) if (c := self.compared) else (None, None)
+        compared = self.compared
+        best = compared and compared.uncertainty.accepted
+        labels = compared and compared.accepted
         return {
             "stage": "report",
             "page": str(self.page),
             "bytes": self.page.stat().st_size,
             "scans": len(self.run.rows),
-            "trained_on": counts.left_out if counts else 0,
+            "trained_on": counts.skipped if counts else 0,
             "on_training_scans": bool(counts and counts.trained_on),
             "shown": self.shown,
-            "accuracy": plain(scores.accuracy) if scores and not kept else None,
-            "iou_mean_present": plain(scores.iou_mean_present) if scores and not kept else None,
-            "coverage": kept and kept.coverage,
-            "risk": kept and kept.risk,
+            "accuracy": plain(scores.accuracy) if scores and not labels else None,
+            "iou_mean_present": plain(scores.iou_mean_present) if scores and not labels else None,
+            "coverage": labels and labels.coverage,
+            "risk": labels and labels.risk,
             "sentence": best and best.sentence,
             **self.run.missing.to_dict(),
             "failures": [failure.to_dict() for failure in self.failures],
@@ -83,25 +77,46 @@ class Report:
         }
 
 
-def report(out: Path, *, scans: Sequence[str] = (), **choice: Unpack[RunChoice]) -> Report:
-    """Write `OUT/report.html`: what was run, all numbers, and the scans that are named, or some."""
+def report(
+    out: Path,
+    *,
+    scans: Sequence[str] = (),
+    query: ResultQuery = ResultQuery(),
+    by_distance: bool = False,
+    options: RunOptions = RunOptions(),
+) -> Report:
+    """Write `OUT/report.html`: settings and scores of a run, and the points of some scans.
+
+    Parameters
+    ----------
+    out : Path
+        Folder with results.
+    scans : sequence of str
+        Scans to show point by point, such as ``08/000000``; by default up to four of interest.
+    query, by_distance, options
+        See `read_run`.
+
+    Returns
+    -------
+    Report
+        The page and its numbers.
+    """
     page = out / PAGE
-    OwnedFolder(out).require_own([page])
-    run, unread = read_run(out, **choice)
+    OwnedFolder(out).refuse_foreign([page])
+    run, unread = read_run(out, query=query, by_distance=by_distance, options=options)
     chosen = named(run.rows, scans) if scans else worth_looking_at(run.rows, run.reader.space)
     rows = {row.file.name: row for row in run.rows}
     shown, unshown = _readable(run, ((rows[name], reason) for name, reason in chosen.items()))
     failures, compared = (*unread, *unshown), run.compared()
-    maps, unmapped = _maps(run, choice.get("options", RunOptions()))
+    maps, unmapped = _maps(run, options)
     reasons = [*(failure.reason for failure in failures), *unmapped]
-    written = html_of(run, compared, shown, scales_of(shown), reasons, maps).encode()
-    OwnedFolder(out).replace({page: written})
-    reason_of = {each.name: each.reason for each in shown}
-    return Report(page, run, compared, reason_of, failures, unmapped)
+    html = html_of(run, compared, shown, scales_of(shown), reasons, maps)
+    OwnedFolder(out).replace({page: html.encode()})
+    return Report(page, run, compared, {s.name: s.reason for s in shown}, failures, unmapped)
 
 
 def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[str]]:
-    """Draw the drives whose labels `fuse` wrote, from above; return also why some are not."""
+    """Draw fused drives from above, PNG by title; return also the reasons for missing maps."""
     maps, reasons = dict[str, bytes](), list[str]()
     space, results = run.reader.space, ResultFolder(run.reader.out)
     if results.owner("predictions") != "fuse":
@@ -109,27 +124,27 @@ def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[
     for name, group in groupby((row.file for row in run.rows), lambda file: file.sequence):
         in_order = sorted(results.with_column("label", [*group]), key=drive_order)
         files = tuple(evenly_spaced(in_order, MAP_SCANS))
+        if not files:
+            continue
         try:
-            if not files:
-                continue
             drive = drive_of_map(results, files)
-            # About those that a pixel shows.
             way, borders = drive.poses[:, :3, 3], np.flatnonzero(np.diff(drive.parts)) + 1
             span = float(np.ptp(way, axis=0).max()) + 2 * REACH_M
-            way = np.insert(way, borders, np.nan, axis=0)
+            # Voxels of about one pixel.
             voxel = max(0.1, span / NARROW_PX)
             columns, outcome = map_of_drive(results, files, space, voxel, options)
         except SalsanextError as error:
-            reasons.append(f"no map of {name}: {error}")
+            reasons.append(f"no map of {name}: {error.headline}")
             continue
         reasons += [f"not on the map: {failure.reason}" for failure in outcome.failures]
         if not columns:
             continue
         points = np.stack([columns[axis] for axis in "xyz"], axis=1)
-        # Drawn with y up; a few far points would make all others small.
+        # Without the farthest points, which would make all others small, and with y up.
         low, high = np.percentile(points, (1, 99), axis=0)
         turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-        points, way = ((each - (low + high) / 2) @ turn.T for each in (points, way))
+        points = (points - (low + high) / 2) @ turn.T
+        way = (np.insert(way, borders, np.nan, axis=0) - (low + high) / 2) @ turn.T
         reach = max(1.0, float((high - low)[:2].max()) / 2)
         legend = legend_of(space, space.to_train(columns["label"], strict=False))
         shares = [(f"{step / 255:.0%}", (*map_on_dark()[step],)) for step in (0, 64, 128, 191, 255)]
@@ -137,17 +152,17 @@ def _maps(run: RunResults, options: RunOptions) -> tuple[dict[str, bytes], list[
             if colour in columns:
                 colours = PointColours(colour, (0.0, 1.0), space, dark=True).of_points(columns)
                 view = {TITLES[colour]: colours}
-                words = ", ".join(filter(None, (f"{name}: {TITLES[colour]}", apart(columns))))
-                maps[words] = scan_picture(name, points, view, (), meaning, (), reach, way)
+                title = ", ".join(filter(None, (f"{name}: {TITLES[colour]}", apart(columns))))
+                maps[title] = scan_picture(name, points, view, (), meaning, (), reach, way)
     return maps, reasons
 
 
 class RunServer(PageServer):
-    """Server of a run's page; `scans` can be looked at, others are `missing` or `failures`."""
+    """Server of the page of a run, with the number of `scans`, the `missing` and `failures`."""
 
     def take(self, run: RunResults, failures: tuple[Failure, ...]) -> None:
-        """Take the results that are served; raises `NoInputError` if no scan can be shown."""
-        self._run, self._state = run, _state_of(run.reader.out)
+        """Take the results to serve; raise `NoInputError` if no scan can be shown."""
+        self._run, self._state, self._lock = run, _state_of(run.reader.out), Lock()
         reasons = worth_looking_at(run.rows, run.reader.space)
         spaced = {*np.linspace(0, len(run.rows) - 1, SAMPLED).astype(int).tolist()}
         chosen = (r for i, r in enumerate(run.rows) if i in spaced or r.file.name in reasons)
@@ -155,28 +170,28 @@ class RunServer(PageServer):
         self.scans, self.missing = len(run.rows), run.missing
         self.failures = (*failures, *unread)
         self._scales = scales_of(sample)
-        failed = [failure.reason for failure in self.failures]
+        problems = [failure.reason for failure in self.failures]
         served = {row.file.name: reasons.get(row.file.name, "") for row in run.rows}
         page = html_of(
-            run, run.compared(), (), self._scales, failed, served=served, token=self.token
+            run, run.compared(), (), self._scales, problems, served=served, token=self.token
         )
         self.page = page.encode()
 
     def to_dict(self) -> dict[str, object]:
         """Return plain data for JSON."""
+        server = {"stage": "view", "url": self.url, "scans": self.scans}
         failures = [failure.to_dict() for failure in self.failures]
-        found = {"stage": "view", "url": self.url, "scans": self.scans}
-        return found | self.missing.to_dict() | {"failures": failures}
+        return server | self.missing.to_dict() | {"failures": failures}
 
-    def cloud(self, place: int) -> dict[str, object] | None:
-        """Read a scan; a kind of values keeps the scale that it first got."""
-        if place >= self.scans:
+    def cloud(self, index: int) -> dict[str, object] | None:
+        """Read a scan; a kind of value keeps its first scale."""
+        if index >= self.scans:
             return None
         run = self._run
         if _state_of(run.reader.out) != self._state:
-            found = "results were made anew since"
-            raise OutputError(run.reader.out, found, hint="start view again")
-        shown = run.read(run.rows[place])
+            problem = "has new results since view started"
+            raise OutputError(run.reader.out, problem, hint="start view again")
+        shown = run.read(run.rows[index])
         with self._lock:
             if new := shown.values().keys() - self._scales:
                 self._scales |= {name: scales_of([shown])[name] for name in new}
@@ -185,11 +200,33 @@ class RunServer(PageServer):
         return dict(escaped(cloud))
 
 
-def view(out: Path, *, port: int = 0, **choice: Unpack[RunChoice]) -> RunServer:
-    """Read the results of a run, and open a loopback port, any free one if 0, for a browser."""
+def view(
+    out: Path,
+    *,
+    port: int = 0,
+    query: ResultQuery = ResultQuery(),
+    by_distance: bool = False,
+    options: RunOptions = RunOptions(),
+) -> RunServer:
+    """Read the results of a run and listen on a loopback port for a browser.
+
+    Parameters
+    ----------
+    out : Path
+        Folder with results.
+    port : int
+        Port of the server; 0 for any free port.
+    query, by_distance, options
+        See `read_run`.
+
+    Returns
+    -------
+    RunServer
+        Server that answers after `serve_forever` is called.
+    """
     server = RunServer(port)
     try:
-        server.take(*read_run(out, **choice))
+        server.take(*read_run(out, query=query, by_distance=by_distance, options=options))
     except BaseException:
         server.server_close()
         raise
@@ -203,7 +240,24 @@ def read_run(
     by_distance: bool = False,
     options: RunOptions = RunOptions(),
 ) -> tuple[RunResults, tuple[Failure, ...]]:
-    """Read the results of all scans of a run, and name the scans that cannot be read."""
+    """Read the results of all scans of a run.
+
+    Parameters
+    ----------
+    out : Path
+        Folder with results.
+    by_distance : bool
+        Whether to score distance bands too, for which all scans are read.
+    query, options
+        Choice of scans, data set and classes; workers and progress.
+
+    Returns
+    -------
+    RunResults
+        Numbers of the scans.
+    tuple of Failure
+        Scans that cannot be read.
+    """
     results = ResultFolder(out, query.dataset)
     chosen = results.chosen(query)
     reader = ScanComparison.of_results(
@@ -216,33 +270,33 @@ def read_run(
 def _rows(
     files: Sequence[ScanFile], reader: ScanComparison, options: RunOptions
 ) -> tuple[list[ScanRow], ScanCounts | None, tuple[Failure, ...]]:
-    """Read the results of all scans; count those with labels."""
+    """Read the results of all scans; count the points of scans with labels."""
     rows: list[ScanRow] = []
     counts = CountsApart(reader.space, reader.by_distance)
     trained_on: set[ScanRow] = set()
 
-    def keep(found: tuple[ScanRow, ScanCounts | None]) -> None:
-        row, of_scan = found
+    def add(result: tuple[ScanRow, ScanCounts | None]) -> None:
+        row, scan_counts = result
         rows.append(row)
-        if of_scan:
-            counts.add(of_scan)
-            if of_scan.trained_on:
+        if scan_counts:
+            counts.add(scan_counts)
+            if scan_counts.trained_on:
                 trained_on.add(row)
 
     task = partial(read_row, reader=reader)
-    outcome = run_over_scans(task, files, options, on_result=keep)
+    outcome = run_over_scans(task, files, options, on_result=add)
     if not rows:
-        raise NoInputError(reader.out, f"no results can be read, as {outcome.failures[0].reason}")
-    if (scored := counts.scored()).left_out:
+        raise NoInputError(reader.out, f"no results can be read: {outcome.failures[0].reason}")
+    if (scored := counts.scored()).skipped:
         rows = [replace(row, confusion=None) if row in trained_on else row for row in rows]
-    rows.sort(key=lambda row: row.file)  # Workers are done in any order.
+    rows.sort(key=lambda row: row.file)  # Workers finish in any order.
     return rows, scored if scored.scans else None, outcome.failures
 
 
 def _readable(
     run: RunResults, chosen: Iterable[tuple[ScanRow, str]]
 ) -> tuple[list[ShownScan], tuple[Failure, ...]]:
-    """Read scans to be shown, each for a reason; if none can be read, there is nothing to show."""
+    """Read scans to show, with a reason for each; raise `NoInputError` if none can be read."""
     shown: list[ShownScan] = []
     failures: list[Failure] = []
     for row, reason in chosen:
@@ -251,12 +305,12 @@ def _readable(
         except SalsanextError as error:
             failures.append(Failure.of(row.file, error))
     if not shown:
-        raise NoInputError(run.reader.out, f"no scan can be shown, as {failures[0].reason}")
+        raise NoInputError(run.reader.out, f"no scan can be shown: {failures[0].reason}")
     return shown, tuple(failures)
 
 
 def _state_of(out: Path) -> list[tuple[int, int] | None]:
-    """Return size and time of the records of the stages whose results are shown."""
+    """Return size and time of the records of the stages that wrote the results."""
     paths = [out / f"{stage}.json" for stage in PREDICTION_STAGES]
     states = [path.stat() if path.exists() else None for path in paths]
     return [state and (state.st_size, state.st_mtime_ns) for state in states]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Data set of synthetic streets, in SemanticKITTI's layout."""
+"""Stage `synth`: a data set of simulated scenes in SemanticKITTI's layout."""
 
 import math
 from collections import Counter
@@ -27,14 +27,14 @@ from salsanext_cli.synthesis.rig import RIGS
 
 STAGE = "synth"
 LABEL_SPACE = "labels.yaml"
-MAX_DRIVE_M = 3000.0  # Longest drive of a sequence, whose street is held in memory
+MAX_DRIVE_M = 3000.0  # Longest drive of a sequence, whose scene is in memory
 SEQUENCE_FILES = ("poses.txt", "times.txt", "calib.txt")
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 
 
 @dataclass(frozen=True, slots=True)
 class SynthSettings:
-    """Settings that decide what a data set of synthetic streets is."""
+    """Settings that determine a data set of simulated scenes."""
 
     splits: dict[str, tuple[str, ...]]  # Names of the sequences by split
     scans: int  # Number of scans of a sequence
@@ -53,7 +53,7 @@ class SynthSettings:
 
     @property
     def record(self) -> StageRecord:
-        """Record of the stage with these settings."""
+        """Record of the stage."""
         return StageRecord(STAGE, settings_json(self))
 
 
@@ -71,18 +71,33 @@ def synthesise(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Write what is missing of a data set of synthetic streets, the same bytes for a `seed`.
+    """Write a data set of simulated scenes, or what is missing of it.
 
-    Returns the number of all `scans`, names of sequences by split, and `points` by raw id.
+    Parameters
+    ----------
+    out : Path
+        Folder of the data set.
+    train, valid, test : int
+        Numbers of sequences of the splits.
+    scans, seed, spacing, sensor
+        See `SynthSettings`; the same seed gives the same bytes.
+    jobs : int
+        Number of worker processes.
+    overwrite : bool
+        Whether to replace an earlier simulated data set.
+    progress : callable, optional
+        Called with the numbers of finished and of all sequences.
+
+    Returns
+    -------
+    dict
+        Number of all `scans`, names of sequences by split, and `points` by raw id.
     """
     counts = {"train": train, "valid": valid, "test": test}
     options = RunOptions(jobs=jobs, on_error="stop", progress=progress)
-    _check({f"--{split}": count for split, count in counts.items()}, scans, seed, spacing)
-    if sensor not in RIGS:
-        raise UsageError("--sensor", sensor, f"one of {', '.join(RIGS)}")
-    made_with = SynthSettings.of(counts, scans, seed, spacing, sensor)
-    splits = made_with.splits
-    names = [name for members in splits.values() for name in members]
+    _check({f"--{split}": count for split, count in counts.items()}, scans, seed, spacing, sensor)
+    settings = SynthSettings.of(counts, scans, seed, spacing, sensor)
+    names = [name for members in settings.splits.values() for name in members]
     files = [path for name in names for path in _files(out / "sequences" / name, scans)]
     files.append(out / LABEL_SPACE)
     owned = OwnedFolder(out, STAGE)
@@ -90,59 +105,55 @@ def synthesise(
     if overwrite or not all(map(filled, files)):
         import_open3d()
     points: Counter[int] = Counter()
-    write = partial(_write_sequence, owned=owned, scans=scans, seed=seed, spacing=spacing)
-    write = partial(write, sensor=sensor)
-    # Sequences are the units of the run.
-    units = [ScanFile(name, name, out / "sequences" / name) for name in names]
+    write = partial(_write_sequence, owned=owned, settings=settings)
+    sequences = [ScanFile(name, name, out / "sequences" / name) for name in names]
     with owned.open():
-        _begin(owned, made_with, files, overwrite)
-        run_over_scans(write, units, options, on_result=points.update)
-        space = replace(label_space("semantic-kitti"), splits=splits)
+        _begin(owned, settings.record, files, overwrite)
+        run_over_scans(write, sequences, options, on_result=points.update)
+        space = replace(label_space("semantic-kitti"), splits=settings.splits)
         text = yaml.safe_dump(space.to_dict(), sort_keys=False, allow_unicode=True)
         owned.write_missing(out / LABEL_SPACE, text.encode())
-    made = {"scans": len(names) * scans, "splits": splits, "points": dict(sorted(points.items()))}
-    return {"stage": STAGE, **made}
+    made = {"scans": len(names) * scans, "splits": settings.splits}
+    return {"stage": STAGE, **made, "points": dict(sorted(points.items()))}
 
 
-def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float) -> None:
+def _check(sequences: dict[str, int], scans: int, seed: int, spacing: float, sensor: str) -> None:
     least = {**dict.fromkeys(sequences, 0), "--scans": 1, "--seed": 0}
     for name, count in {**sequences, "--scans": scans, "--seed": seed}.items():
         if count < least[name]:
             raise UsageError(name, str(count), f"a whole number of at least {least[name]}")
     if sum(sequences.values()) == 0:
-        raise UsageError(", ".join(sequences), "0 sequences", "at least one")
+        raise UsageError(", ".join(sequences), "no sequences", "at least one")
     if not 0 < spacing < math.inf or spacing * (scans - 1) > MAX_DRIVE_M:
-        found = f"{spacing} m between {counted(scans, 'scan')}"
+        problem = f"{spacing} m between {counted(scans, 'scan')}"
         expected = f"more than 0 m, and drives of up to {MAX_DRIVE_M:.0f} m"
-        raise UsageError("--spacing", found, expected, "ask for more sequences with fewer scans")
+        raise UsageError("--spacing", problem, expected, "use more sequences with fewer scans")
+    if sensor not in RIGS:
+        raise UsageError("--sensor", sensor, f"one of {', '.join(RIGS)}")
 
 
-def _begin(
-    owned: OwnedFolder, made_with: SynthSettings, files: list[Path], overwrite: bool
-) -> None:
-    """Record what is made, after removing an earlier data set if that is to be replaced."""
-    out, wanted = owned.root, made_with.record
+def _begin(owned: OwnedFolder, new: StageRecord, files: list[Path], overwrite: bool) -> None:
+    """Write the record, after removing an earlier data set that is to be replaced."""
+    out = owned.root
     if (earlier := owned.manifest.record(STAGE)) and not overwrite:
-        # A data set that is whole may be of another version.
-        whole = all(map(filled, files))
-        before, now = (
-            {**each.settings, **({} if whole else {"version": each.version})}
-            for each in (earlier, wanted)
-        )
+        before, now = dict(earlier.settings), dict(new.settings)
+        complete = all(map(filled, files))
+        if not complete:  # Versions may write other bytes.
+            before["version"], now["version"] = earlier.version, new.version
         require_same_settings(owned.record_path, before, now)
-        if whole:
+        if complete:
             return
     folders = {folder for path in files for folder in path.parents if out in folder.parents}
     links = sorted(folder for folder in folders if folder.is_symlink())
-    owned.require_own([*links, *files])
-    # The record stays until it is replaced, so that a run that is killed before may go on.
+    owned.refuse_foreign([*links, *files])
+    # The record stays until it is replaced, so that a killed run can continue.
     if overwrite:
-        owned.remove_own([path for path in owned.written() if _is_generated(path, out)])
-    owned.manifest.write(wanted)
+        owned.remove_written([path for path in owned.written() if _is_generated(path, out)])
+    owned.manifest.write(new)
 
 
 def _is_generated(path: Path, out: Path) -> bool:
-    """Say whether a file has a place that `synth` fills; other stages may have results beside."""
+    """Return whether `synth` writes files at this path, unlike other stages."""
     match path.relative_to(out).parts:
         case (name,):
             return name == LABEL_SPACE
@@ -154,8 +165,8 @@ def _is_generated(path: Path, out: Path) -> bool:
 
 
 def _files(sequence: Path, scans: int) -> list[Path]:
-    of_scans = [path for index in range(scans) for path in _scan_files(sequence, index)]
-    return [*of_scans, *(sequence / name for name in SEQUENCE_FILES)]
+    pairs = [path for index in range(scans) for path in _scan_files(sequence, index)]
+    return [*pairs, *(sequence / name for name in SEQUENCE_FILES)]
 
 
 def _scan_files(sequence: Path, index: int) -> tuple[Path, Path]:
@@ -163,17 +174,16 @@ def _scan_files(sequence: Path, index: int) -> tuple[Path, Path]:
     return sequence / "velodyne" / f"{stem}.bin", sequence / "labels" / f"{stem}.label"
 
 
-def _write_sequence(
-    file: ScanFile, owned: OwnedFolder, scans: int, seed: int, spacing: float, sensor: str
-) -> Counter[int]:
-    """Write what is missing of a sequence; return how many points each raw id has."""
-    folder, points = file.path, Counter[int]()
+def _write_sequence(file: ScanFile, owned: OwnedFolder, settings: SynthSettings) -> Counter[int]:
+    """Write the missing files of a sequence; return the number of points by raw id."""
+    folder, scans, points = file.path, settings.scans, Counter[int]()
     if all(map(filled, _files(folder, scans))):
         for index in range(scans):
             points += _points_of(read_labels(_scan_files(folder, index)[1]))
         return points
     poses, times, first = [], [], np.eye(4)
-    frames = record(seed, int(file.sequence), scans, spacing, RIGS[sensor])
+    rig = RIGS[settings.sensor]
+    frames = record(settings.seed, int(file.sequence), scans, settings.spacing, rig)
     for index, frame in enumerate(frames):
         scan, labels = _scan_files(folder, index)
         owned.write_missing(scan, encode_bin(frame.scan))

@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+import torch
+
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, TrainingError, UsageError, counted
 from salsanext_cli.measures.scan_summary import ScanWarning
-from salsanext_cli.network.card import WeightsCard, default_weights, read_card
+from salsanext_cli.network.card import default_weights, read_card
 from salsanext_cli.parallel.run_options import cores, worker_count
 from salsanext_cli.report.scan_pictures import draw_sample
 from salsanext_cli.results.manifest import Manifest
@@ -30,7 +32,7 @@ from salsanext_cli.training.data.sources import (
     scans_to_train_on,
     training_sources,
 )
-from salsanext_cli.training.distributed import group_of_environment, process_group
+from salsanext_cli.training.distributed import ProcessGroup, group_of_environment, process_group
 from salsanext_cli.training.fit import StepReport
 from salsanext_cli.training.learner import common_precision
 from salsanext_cli.training.log import Row
@@ -50,8 +52,8 @@ from salsanext_cli.training.run_folder import (
 )
 from salsanext_cli.training.setup import Setup, inheriting, initial_network
 
-MAX_LOADERS = 8  # Processes that prepare samples for a GPU, unless the user says how many
-SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0  # Of a simulated street
+MAX_LOADERS = 8  # Largest default number of processes that prepare samples for a GPU
+SCANS_OF_STREET, STREET_SPACING_M = 8, 10.0  # Of a simulated scene
 
 log = logging.getLogger(__name__)
 
@@ -60,71 +62,112 @@ log = logging.getLogger(__name__)
 class TrainResult:
     """Result of a training."""
 
-    best: Path  # Weights files: of the best validation, and of the end
-    last: Path
-    # Validation mIoU on points, after kNN, of the best weights; None without validation split
-    best_miou: float | None
+    best: Path  # Weights of the best validation
+    last: Path  # Weights of the last epoch
+    best_miou: float | None  # On points, after kNN; None without a validation split
     rows: Sequence[Row]  # The log, a row per epoch
     warnings: list[ScanWarning]  # Reasons to doubt scans
-    # What scans left out say of new ones, if there was a cross-validation
-    expected: Expectation | None = None
+    expected: Expectation | None = None  # Estimate for new scans, after a cross-validation
 
 
 @dataclass(frozen=True, slots=True)
 class NewTraining:
-    """Training that is about to begin, in its run folder."""
+    """Training that is about to begin in its run folder; `roots` are its data sets."""
 
-    roots: tuple[Path, ...]  # Of the data set and the further ones
+    roots: tuple[Path, ...]
     run: Path
     recipe: Recipe
-    given: Sequence[Source]  # Scans trained on, scans for validation, further ones
-    settings: TrainingSettings
+    weights: Path | None
     jobs: int
+    overwrite: bool
+    strict: bool
+
+    @property
+    def start(self) -> Path | None:
+        """Initial weights, None for random ones."""
+        is_default = self.weights is None and self.recipe.initial == "default"
+        return default_weights() if is_default else self.weights
 
     def prepare(
-        self, held: ExitStack, start: Path | None, *, overwrite: bool, strict: bool
+        self, locks: ExitStack, given: Sequence[Source], settings: TrainingSettings
     ) -> tuple[list[Source], ClassCounts]:
-        """Keep other runs out of the folder, check it and the scans, and record the settings.
+        """Lock and check the folder, check the scans, and record the settings.
 
-        Returns the scans for validation, those trained on and further ones, with the sensors that
-        were fitted to them, and the counts of their classes.
+        Return validation, training and further scans, with fitted sensors, and the class counts.
         """
-        run, recipe, first = self.run, self.recipe, self.given[0]
-        held.enter_context(OwnedFolder(run, STAGE).open())
-        require_free(run, self.settings, overwrite=overwrite)
-        require_labels([file for source in self.given for file in source.files])
-        streets = _simulated_streets(
+        run, recipe, first = self.run, self.recipe, given[0]
+        locks.enter_context(OwnedFolder(run, STAGE).open())
+        require_free(run, settings, overwrite=self.overwrite)
+        require_labels([file for source in given for file in source.files])
+        scenes = _simulated_scenes(
             run / STREETS, recipe.streets, first.space, first.sensor, self.jobs
         )
-        data, is_fitted = [*self.given, *streets], recipe.sensors == "fitted"
-        first, scored, *others = training_sources(data, fit=is_fitted, jobs=self.jobs)
-        kept, sources = run / CLASS_COUNTS, [first, *others]
-        validated = evenly_spaced(scored.files, recipe.validation_scans)
-        counts = class_counts(kept, sources, scored, validated, self.jobs, recipe.also)
-        if strict and counts.warnings:
-            found = (f"{w.code} in {counted(len(w.scans), 'scan')}" for w in counts.warnings)
-            hint = "mend the scans or leave them out, or train without --strict"
-            found_scans = f"doubtful scans: {', '.join(found)}"
-            raise TrainingError(self.roots[0], found_scans, "none", hint)
-        begin(run, self.settings, overwrite=overwrite)
+        is_fitted = recipe.sensors == "fitted"
+        first, scored, *others = training_sources([*given, *scenes], fit=is_fitted, jobs=self.jobs)
+        sources, validated = [first, *others], evenly_spaced(scored.files, recipe.validation_scans)
+        path = run / CLASS_COUNTS
+        counts = class_counts(path, sources, scored, validated, self.jobs, recipe.also)
+        if self.strict and counts.warnings:
+            codes = (f"{w.code} in {counted(len(w.scans), 'scan')}" for w in counts.warnings)
+            problem = f"has doubtful scans: {', '.join(codes)}"
+            hint = "correct or remove the scans, or train without --strict"
+            raise TrainingError(self.roots[0], problem, hint=hint)
+        begin(run, settings, overwrite=self.overwrite)
         random = "random weights (--weights default: those of the package)"
         if not (run / CHECKPOINT).exists():
-            log.log(NOTICE, "training from %s", start.name if start else random)
+            log.log(NOTICE, "training from %s", self.start.name if self.start else random)
         return [replace(scored, files=validated), *sources], counts
 
-    def card(
-        self, card: WeightsCard, sources: Sequence[Source], weights: Path | None
-    ) -> WeightsCard:
-        """Return a card of weights that are trained on sources, from those in a file if any."""
-        simulated = ", simulated streets" if len(sources) > len(self.roots) else ""
+    def setup(
+        self,
+        locks: ExitStack,
+        space: LabelSpace | None,
+        sensor: Sensor | None,
+        group: ProcessGroup,
+        device: torch.device,
+        report: Callable[[StepReport], object],
+    ) -> tuple[Setup, Source]:
+        """Return the setup of the training, and the scans for validation."""
+        recipe, start, divisible = self.recipe, self.start, self.recipe.folds > 0
+        dataset, *also = self.roots
+        classes, training, validation = group.on_main(
+            lambda: scans_to_train_on(dataset, space, divisible=divisible)
+        )
+        if recipe.precision == "auto":
+            recorded = group.on_main(
+                lambda: None if self.overwrite else recorded_precision(self.run)
+            )
+            recipe = replace(recipe, precision=recorded or common_precision(device, group))
+        initial, card = initial_network(start, classes, recipe, sensor)
+        further = group.on_main(lambda: [further_source(p, classes, card.sensor) for p in also])
+        given = [Source(files, classes, card.sensor) for files in (training, validation)] + further
+        settings = training_settings(recipe, given, start)
+        (scored, *sources), counts = group.on_main(partial(self.prepare, locks, given, settings))
+        simulated = ", simulated scenes" if any(source.simulated for source in sources) else ""
         names = ", ".join(path.resolve().name for path in self.roots)
-        return replace(
+        card = replace(
             card,
             sensor=sources[0].sensor,
-            # The recipe says which without --weights.
-            recipe={"initial": read_card(weights).named(weights)} if weights else {},
+            recipe={"initial": read_card(start).named(start)} if start and self.weights else {},
             description=f"Trained with `salsanext train` on {names}{simulated}.",
         )
+        setup = Setup(
+            run=self.run,
+            recipe=recipe,
+            initial=initial,
+            card=card,
+            sources=sources,
+            counts=counts,
+            settings=settings,
+            device=device,
+            group=group,
+            workers=self.jobs if self.jobs > 1 else 0,
+            overwrite=self.overwrite,
+            error=read_card(start).error if start else None,
+            draw=draw_sample,
+            report=report,
+        )
+        return setup, scored
 
 
 def train(
@@ -142,51 +185,46 @@ def train(
     also: Sequence[Path] = (),
     progress: Callable[[StepReport], object] = lambda report: None,
 ) -> TrainResult:
-    """Train a network, or resume a training that was interrupted in the same folder.
+    """Train a network, or resume an interrupted training in the same folder.
 
     A recipe with folds cross-validates scans without a validation split, then trains on all of
-    them. Workers of torchrun share every batch. Without `jobs`, a GPU gets up to eight loaders.
+    them. Workers of torchrun share every batch.
+
+    Parameters
+    ----------
+    dataset, run : Path
+        Labelled data set, and folder for weights, log and checkpoint.
+    recipe : Recipe
+    sensor, space : Sensor, LabelSpace, optional
+        By default those of the initial weights, else an HDL-64, and those of the data set.
+    device, jobs : str, int, optional
+        Number of processes that prepare samples: by default up to eight on a GPU, else one.
+    weights : Path, optional
+        Initial weights, by default those of the recipe.
+    overwrite, strict : bool
+        Whether to start again instead of resuming, and to refuse doubtful scans.
+    also : sequence of Path
+        Further data sets for a share of the samples.
+    progress : callable
+        Called with a `StepReport` after every step.
+
+    Returns
+    -------
+    TrainResult
     """
-    _require_batch(recipe.batch, group_of_environment().size)
-    start = default_weights() if weights is None and recipe.initial == "default" else weights
-    with process_group(device) as (group, own_device), ExitStack() as held:
-        workers = _workers(jobs, own_device.type)
-        classes, training, validation = group.on_main(
-            lambda: scans_to_train_on(dataset, space, divisible=recipe.folds > 0)
-        )
-        if recipe.precision == "auto":
-            begun = group.on_main(lambda: None if overwrite else recorded_precision(run))
-            recipe = replace(recipe, precision=begun or common_precision(own_device, group))
-        initial, card = initial_network(start, classes, recipe, sensor)
-        further = group.on_main(lambda: [further_source(p, classes, card.sensor) for p in also])
-        given = [Source(files, classes, card.sensor) for files in (training, validation)] + further
-        settings = training_settings(recipe, given, start)
-        new = NewTraining((dataset, *also), run, recipe, given, settings, workers)
-        prepare = partial(new.prepare, held, start, overwrite=overwrite, strict=strict)
-        (scored, *sources), counts = group.on_main(prepare)
-        setup = Setup(
-            run=run,
-            recipe=recipe,
-            initial=initial,
-            card=new.card(card, sources, weights),
-            sources=sources,
-            counts=counts,
-            settings=settings,
-            device=own_device,
-            group=group,
-            workers=workers if workers > 1 else 0,
-            overwrite=overwrite,
-            error=read_card(start).error if start else None,
-            draw=draw_sample,
-            report=progress,
-        )
-        outlook = None if validation else setup.cross_validated()
-        setup = setup if validation else setup.after(outlook)
-        if start and not outlook:
-            setup = replace(setup, card=inheriting(setup.card, start))
-        state = setup.training(training, scored).fit()
-    best = state.best if validation else None
-    return TrainResult(run / BEST, run / LAST, best, state.rows, counts.warnings, outlook)
+    _require_batch(recipe.batch, group_of_environment())
+    with process_group(device) as (group, chosen), ExitStack() as locks:
+        roots, workers = (dataset, *also), _workers(jobs, chosen.type)
+        new = NewTraining(roots, run, recipe, weights, workers, overwrite, strict)
+        setup, scored = new.setup(locks, space, sensor, group, chosen, progress)
+        expected = None if scored.files else setup.cross_validated()
+        if not scored.files:
+            setup = setup.after(expected)
+        if new.start and not expected:
+            setup = replace(setup, card=inheriting(setup.card, new.start))
+        state = setup.training(setup.sources[0].files, scored).fit()
+    best = state.best if scored.files else None
+    return TrainResult(run / BEST, run / LAST, best, state.rows, setup.counts.warnings, expected)
 
 
 def _workers(jobs: int | None, kind: str) -> int:
@@ -196,29 +234,31 @@ def _workers(jobs: int | None, kind: str) -> int:
     return usual if jobs is None else worker_count(jobs)
 
 
-def _require_batch(samples: int, workers: int) -> None:
-    if samples < workers:
-        expected = f"at least one sample for each of {workers} workers"
+def _require_batch(samples: int, group: ProcessGroup) -> None:
+    if samples < group.size:
+        expected = f"at least one sample for each of {group.size} workers"
         hint = "start fewer workers or set batch higher"
-        raise UsageError("recipe key batch", f"{samples}", expected, hint)
+        error = UsageError("recipe key batch", f"is {samples}", expected, hint)
+        error.reported_elsewhere = not group.is_main
+        raise error
 
 
-def _simulated_streets(
+def _simulated_scenes(
     folder: Path, count: int, classes: LabelSpace, sensor: Sensor, jobs: int
 ) -> list[Source]:
-    """Return data sets of streets, by kind of sensor, made if need be; none for other classes."""
+    """Return simulated data sets by kind of sensor, made if need be; none for other classes."""
     if not count:
         return []
     if merged_into(label_space(), classes) is None:
-        log.log(NOTICE, "no simulated streets: they tell other classes apart than your labels")
+        log.log(NOTICE, "no simulated scenes: their classes cannot be merged into your classes")
         return []
-    roots = {kind: folder / kind for kind in RIGS}
-    splits = {"train": count, "valid": 0, "test": 0}
-    for kind, root in roots.items():
+    splits, sources = {"train": count, "valid": 0, "test": 0}, []
+    for kind in RIGS:
+        root = folder / kind
         wanted = SynthSettings.of(splits, SCANS_OF_STREET, 0, STREET_SPACING_M, kind).record
         if (recorded := Manifest(root).record(wanted.stage)) != wanted:
-            why = ": those there are of another version or settings" if recorded else ""
-            log.log(NOTICE, "simulating %s in %s%s", counted(count, "street"), root, why)
+            reason = ": the existing ones have another version or settings" if recorded else ""
+            log.log(NOTICE, "simulating %s in %s%s", counted(count, "scene"), root, reason)
         synthesise(
             root,
             train=count,
@@ -230,5 +270,5 @@ def _simulated_streets(
             jobs=jobs,
             overwrite=recorded not in (None, wanted),
         )
-    sources = [further_source(root, classes, sensor) for root in roots.values()]
-    return [replace(source, simulated=True) for source in sources]
+        sources.append(replace(further_source(root, classes, sensor), simulated=True))
+    return sources

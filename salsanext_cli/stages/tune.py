@@ -22,7 +22,7 @@ from salsanext_cli.training.tuning.risk import fit_risk
 from salsanext_cli.training.tuning.scans import Tuned, TuningScans, labelled_scans, unseen
 from salsanext_cli.training.tuning.temperature import fit_temperature
 
-NAMES = {"error": "error model", "dropout": "dropout rate"}  # Names of parts in sentences
+NAMES = {"error": "error model", "dropout": "dropout rate"}  # Names of parts in messages
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ FITS: dict[str, Callable[..., Tuned]] = {
     "dropout": fit_dropout,
     "risk": fit_risk,
 }
-"""Functions that fit a part of the weights: take `TuningScans`, and numbers of their own."""
+"""Functions that fit a part of the weights to `TuningScans`."""
 
 
 def tune(
@@ -46,13 +46,30 @@ def tune(
     progress: Progress | None = None,
     **numbers: Any,
 ) -> dict[str, Any]:
-    """Write weights of which one part is fitted to scans; return what its fit reports.
+    """Write weights with one part fitted to labelled scans, and return the report of the fit.
 
-    `part`: a name of `FITS`; `selection`: as `labelled_scans` takes it; `numbers`: those of the
-    part's fit. Scans that the weights were trained on, and copies, are skipped. A fit that is no
-    better than the weights on held-out scans leaves them as they are.
+    Scans that the weights were trained on, and copies, are skipped. A fit that is not better on
+    held-out scans leaves the part as it is.
+
+    Parameters
+    ----------
+    part : {"temperature", "error", "dropout", "risk"}
+    source, target : Path
+        Labelled data set, and weights file to write.
+    settings, selection : NetworkSettings, ScanSelection
+        By default the scans are those of the split ``valid`` and of no split.
+    overwrite : bool
+        Whether to replace an existing file.
+    progress : callable, optional
+        Called after each scan with the number of finished scans and of all scans.
+    **numbers
+        Further arguments of the fit.
+
+    Returns
+    -------
+    dict
+        Plain data for JSON.
     """
-    fit = FITS[part]
     require_tensors(settings.path)
     network = settings.load()
     labelled, space = labelled_scans(source, selection, network.card)
@@ -61,16 +78,17 @@ def tune(
     if part == "risk":
         require_absent(curve, overwrite)
     files = unseen(labelled, network, source)
-    card, found = fit(TuningScans(source, files, space, settings, network, progress), **numbers)
-    report = {"stage": f"tune {part}", **found, "skipped": len(labelled) - len(files)}
+    scans = TuningScans(source, files, space, settings, network, progress)
+    card, results = FITS[part](scans, **numbers)
+    report = {"stage": f"tune {part}", **results, "skipped": len(labelled) - len(files)}
     if not report.get("changed", True):
-        why = "the new fit is not better on held-out scans"
+        reason = "the new fit is not better on held-out scans"
         if len(files) == 1:
-            why = "a single scan cannot show that a new fit is better"
-        log.log(NOTICE, "the %s is unchanged: %s", NAMES.get(part, part), why)
+            reason = "a single scan cannot show that a new fit is better"
+        log.log(NOTICE, "the %s is unchanged: %s", NAMES.get(part, part), reason)
     with ExitStack() as whole:
         if part == "risk":
-            # It gets its name after the weights, so that neither is there without the other.
+            # The curve gets its name after the weights, so that neither exists without the other.
             file = whole.enter_context(writing(curve, overwrite=overwrite))
             file.write(risk_curve(report))
             file.flush()

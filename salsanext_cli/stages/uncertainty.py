@@ -23,9 +23,9 @@ from salsanext_cli.option_fields import KnnParameters, ScanSelection
 from salsanext_cli.parallel.network_task import NetworkTask
 from salsanext_cli.parallel.run import Outcome, RunOptions, run_over_scans
 from salsanext_cli.records import Float
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.output_run import OutputRun, output_run
 from salsanext_cli.results.paths import ERROR, ScanFile
-from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.selection import choose, scans_of, space_of
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
@@ -107,7 +107,7 @@ def uncertainty(
     listed = scans_of(source)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
     # Labels of another stage stay, and with them what they were made with.
-    labels_too = Provenance(out).owner("predictions") in (None, "uncertainty")
+    labels_too = Manifest(out).owner("predictions") in (None, "uncertainty")
     overwrite = options.overwrite and labels_too
     network = network_of_run(settings, network, listed, out, overwrite=overwrite)
     method.require(network)
@@ -124,12 +124,12 @@ def uncertainty(
     folders = (*kinds, "predictions") if labels_too else kinds
     if knows_error(network) and labels_too:
         folders = (ERROR, *folders)
-    elif knows_error(network) and Provenance(out).owner(ERROR) is None:
+    elif knows_error(network) and Manifest(out).owner(ERROR) is None:
         log.log(NOTICE, "no errors: the labels in %s are another stage's; see predict --error", out)
     _require_network_of_labels(out, recorded)
     summary = RunSummary.of_scans(scans, network.sensor, network.space)
     run = output_run(out, "uncertainty", recorded, folders, scans, overwrite=options.overwrite)
-    with run as output, summary.kept_in(output, scans):
+    with run as output, summary.recorded_in(output, scans):
         job = partial(UncertaintyJob, knn=knn, method=method, output=output)
         task = NetworkTask(job, settings.resolved(network), network, batch=1)
         return run_over_scans(task, scans, options, is_done=output.is_done, summary=summary)
@@ -137,7 +137,7 @@ def uncertainty(
 
 def _require_network_of_labels(out: Path, settings: StageSettings) -> None:
     """Refuse to put the uncertainty of one network beside the labels of another."""
-    records = Provenance(out)
+    records = Manifest(out)
     stage = records.owner("predictions")
     recorded = records.settings(stage) if stage not in (None, "uncertainty") else None
     if recorded is None or stage is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Recorded drive through a street: a scan every few metres."""
+"""Simulated drive through a street: a scan every few metres."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -21,13 +21,13 @@ from salsanext_cli.synthesis.surfaces import Material
 
 SPEED_M_PER_S = (4.0, 12.0)  # Slowest and fastest drive
 GROUND = [Material.ASPHALT, Material.PAVING, Material.GRASS]
-VIEW_M = 90.0  # Largest distance at which moving things are recorded
+VIEW_M = 90.0  # Largest distance of recorded moving objects
 
 
 def build_street(
     rng: Rng, style: Numbers, distance: float, ego_speed: float
 ) -> tuple[Plan, Mesh, tuple[Mover, ...]]:
-    """Build a street to drive `distance` metres on: its plan, all that stands, all that moves."""
+    """Build a street for a drive of `distance` metres: plan, static mesh and moving objects."""
     plan = draw_plan(rng, style, distance + 2 * RUN_OUT_M)
     builder = Builder(rng, plan)
     builder.parts.append(ground(rng, plan))
@@ -45,7 +45,7 @@ def build_street(
 
 
 def _draw_brightness(rng: Rng) -> Array:
-    """Draw the brightness of each material in a street, (materials,), relative to the usual."""
+    """Draw the relative brightness of every material in a street, (materials,)."""
     brightness = np.exp(rng.normal(0, BRIGHTNESS.street, len(Material)))
     if rng.random() < BRIGHTNESS.ground_alike:
         brightness[GROUND] = brightness[GROUND[0]] * np.exp(rng.normal(0, 0.08, len(GROUND)))
@@ -59,8 +59,7 @@ def _draw_brightness(rng: Rng) -> Array:
 class Frame:
     """One recorded revolution."""
 
-    # Points in the sensor frame at the middle of the revolution, the vehicle's motion removed
-    scan: Scan
+    scan: Scan  # In the sensor frame at mid-revolution, corrected for the motion of the vehicle
     labels: RawIds  # (N,) uint32: raw ids
     pose: Array  # (4, 4): sensor frame to world
     time: float  # Seconds since the first frame
@@ -75,9 +74,8 @@ def record(
     make_scene: Callable[[Mesh], Scene] = Scene,
 ) -> Iterator[Frame]:
     """Yield the frames of one sequence, `spacing` metres apart."""
-    # The street comes from the seed, the sequence, which also chooses its style, and the length of
-    # the drive; the noise of a frame from (seed, sequence, frame). The street is the same through
-    # any sensor.
+    # Seed, sequence and length of the drive determine the street, whatever the sensor; the sequence
+    # chooses its style. Seed, sequence and frame determine the noise.
     rng = np.random.default_rng([seed, sequence])
     speed = float(rng.uniform(*SPEED_M_PER_S))
     style = STYLES[sequence % len(STYLES)]
@@ -102,7 +100,7 @@ def record(
 
 
 def _moving(plan: Plan, movers: tuple[Mover, ...], time: float, pose: Array) -> list[Mesh]:
-    """Return what moves near the sensor at a time, as one mesh if there is anything."""
+    """Return moving objects near the sensor at a time, merged into at most one mesh."""
     meshes = [mover.at(plan, time) for mover in movers]
     position = pose[:2, 3]
     near = [
@@ -112,7 +110,7 @@ def _moving(plan: Plan, movers: tuple[Mover, ...], time: float, pose: Array) -> 
 
 
 class _Track:
-    """The path of the sensor: in its lane, swaying a little, pitching and rolling."""
+    """Path of the sensor: in its lane, swaying, pitching and rolling a little."""
 
     def __init__(self, rng: Rng, plan: Plan, speed: float, rig: Rig) -> None:
         self._speed = speed
@@ -123,7 +121,7 @@ class _Track:
         self._tilt, self._mount = rig.tilt, rig.mount
 
     def pose(self, s: float) -> Array:
-        """Return sensor frame to world, (4, 4), at s."""
+        """Return the pose at s, sensor frame to world, (4, 4)."""
         wave = np.sin(self._waves[:, 0] * s + self._waves[:, 1])
         t = self._lane + self._sway * wave[0]
         foot = self._plan.world([s - 1, s, s + 1], t)
@@ -140,7 +138,7 @@ class _Track:
     def in_motion(
         self, s: float, origins: Array, directions: Array, times: Array
     ) -> tuple[Array, Array]:
-        """Return world origins and directions of rays fired past s, the pose changing linearly."""
+        """Return world origins and directions of rays around s while the pose changes linearly."""
         start, end = times.min(), times.max()
         first, last = self.pose(s + self._speed * start), self.pose(s + self._speed * end)
         share = ((times - start) / (end - start))[:, None]

@@ -14,36 +14,36 @@ from salsanext_cli.synthesis.presets import Numbers
 from salsanext_cli.synthesis.surfaces import OPTICS
 
 GRAZING_COSINE = 0.14  # Cosine of incidence below which surfaces look darker
-PATCH_FIRINGS = 11  # Length of the runs of firings in which mirrors lose pulses
-USUAL_ECHO = 0.35  # Brightness that `gamma` leaves as it is
+PATCH_FIRINGS = 11  # Length of runs of firings that lose their pulses to mirrors
+USUAL_ECHO = 0.35  # Brightness that `gamma` does not change
 EDGE_SHARE = 0.45  # Share of the pulses at an edge that hit both surfaces
 PULSE_M = 1.2  # Distance between two surfaces up to which their echoes are one
 LOST_AT_EDGE_SHARE = 0.3  # Share of the pulses on two surfaces farther apart that are lost
 MIN_REFLECTED = 0.01
-"""Brightness that even a black surface has where it is decided whether a pulse returns."""
+"""Brightness added to every surface before deciding whether a pulse returns."""
 DETECTION_STEEPNESS = 2.2
 """Exponent with which the share of detected pulses rises around the threshold."""
 DIFFUSE_BRIGHTNESS, DIFFUSE_SHARE, MAX_DIFFUSE = 0.3, 0.75, 0.9
-"""A glossy surface so bright reflects that share diffusely, others in proportion up to the most."""
+"""Brightness of a glossy surface and its diffuse share, which grow in proportion up to the most."""
 STRAIGHT_ON_SHARE, STRAIGHT_ON_EXPONENT = 0.6, 16
-"""Share of what a mirror hit straight on sends back, and exponent of the cosine of incidence."""
+"""Share that a mirror returns straight on, and exponent of the cosine of incidence."""
 POWER_EXPONENT = 3  # Exponent with which strong lasers lose fewer pulses on glossy surfaces
 INTENSITY_NOISE = 0.02
-"""Standard deviation of the reported brightness, which is as much too low."""
+"""Standard deviation of the reported brightness, and its negative bias."""
 MAX_INTENSITY = 0.99
 LOGISTIC_SLOPE = 1.702
 """Slope at which the logistic function stands in for the normal distribution's integral."""
 DISTANCES_M = (0.0, 4.0, 8.0, 13.0, 20.0, 28.0, 40.0, 80.0)
 RELATIVE_RESPONSE = (0.82, 0.86, 0.92, 1.0, 1.05, 0.92, 0.66, 0.45)
-"""Reported brightness of one surface by distance: optics and gain control of the sensor."""
+"""Relative reported brightness by distance: optics and gain control of the sensor."""
 
 
 class Lasers(NamedTuple):
-    """Differences between lasers: of each laser (L,), or of the laser that fires each ray (R,)."""
+    """Differences between lasers, by laser (L,) or by ray (R,)."""
 
-    gain: Array  # Brightness that it reports relative to the others
-    offset: Array  # What it reports less
-    power: Array  # Strength of the pulse relative to the others
+    gain: Array  # Relative reported brightness
+    offset: Array  # Reported brightness is lower by this
+    power: Array  # Relative strength of the pulse
 
 
 class Scene:
@@ -60,7 +60,7 @@ class Scene:
         )
 
     def cast(self, rays: Array) -> tuple[Array, npt.NDArray[np.uint32], Array]:
-        """Return distance (inf where nothing is hit), triangle and |cos| of incidence per ray."""
+        """Return distance (inf without a hit), triangle and |cos| of incidence of every ray."""
         hits = self._scene.cast_rays(self._tensor(rays.astype(np.float32)), nthreads=1)
         cosine = np.abs((hits["primitive_normals"].numpy() * rays[:, 3:]).sum(1))
         return hits["t_hit"].numpy().astype(float), hits["primitive_ids"].numpy(), cosine
@@ -69,10 +69,10 @@ class Scene:
 def measure(
     rng: Rng, scenes: list[Scene], rays: Array, lasers: Lasers, response: Numbers
 ) -> tuple[Array, Array, RawIds]:
-    """Measure along rays (R, 6), origins and unit directions, the nearest hit over all scenes.
+    """Measure the nearest hits in all scenes along rays (R, 6), origins and unit directions.
 
-    Neighbours in azimuth follow each other. Returns distances (R,) in metres, NaN where nothing
-    came back, intensities (R,), 0…1, and raw ids (R,) uint32.
+    Rays are sorted by azimuth. Returns distances (R,) in metres, NaN for lost pulses, intensities
+    (R,), 0…1, and raw ids (R,) uint32.
     """
     count = len(rays)
     distance, cosine = np.full(count, np.inf), np.ones(count)
@@ -106,7 +106,7 @@ def measure(
 
 
 def _edges(rng: Rng, reach: Array) -> tuple[Array, Mask]:
-    """Return distances (R,) of pulses as wide as the step to the next one, and which are lost."""
+    """Return distances (R,) of pulses that hit two surfaces at an edge, and which are lost."""
     step = np.diff(reach, append=reach[-1:])
     chance, share = rng.random((2, len(reach)))
     both = chance < EDGE_SHARE
@@ -115,8 +115,8 @@ def _edges(rng: Rng, reach: Array) -> tuple[Array, Mask]:
 
 
 def _lost_to_gloss(reflected: Array, cosine: Array, gloss: Array, power: Array) -> Array:
-    """Return the chance (R,) that a mirror, not hit straight on, sends a pulse elsewhere."""
-    # Strong lasers still see its dirt, so glass and dark paint come back in some rows only.
+    """Return the probability (R,) that a mirror reflects a pulse away from the sensor."""
+    # Strong lasers still detect dirt: glass and dark paint return in some rows only.
     diffuse = np.minimum(MAX_DIFFUSE, DIFFUSE_SHARE * reflected / DIFFUSE_BRIGHTNESS)
     straight_on = STRAIGHT_ON_SHARE * cosine**STRAIGHT_ON_EXPONENT
     mirrored = gloss * (1 - straight_on) * (1 - diffuse)
@@ -125,7 +125,7 @@ def _lost_to_gloss(reflected: Array, cosine: Array, gloss: Array, power: Array) 
 
 
 def _patchy(rng: Rng, count: int) -> Array:
-    """Return chances 0…1 that change slowly from firing to firing, (count,)."""
+    """Return uniform numbers 0…1 (count,) that change slowly from firing to firing."""
     white = rng.standard_normal(count + PATCH_FIRINGS - 1)
     smooth = np.convolve(white, np.full(PATCH_FIRINGS, PATCH_FIRINGS**-0.5), "valid")
     return 1 / (1 + np.exp(-LOGISTIC_SLOPE * smooth))

@@ -35,17 +35,17 @@ class Skin(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
-    """Triangles with a skin each."""
+    """Triangles with a label, a material and a brightness each."""
 
     vertices: Array  # (V, 3) float64: metres
     triangles: npt.NDArray[np.int64]  # (T, 3) int64: vertex indices
     labels: npt.NDArray[np.uint32]  # (T,) uint32: raw SemanticKITTI ids
     materials: npt.NDArray[np.uint8]  # (T,) uint8: `Material` numbers
-    shades: npt.NDArray[np.float32]  # (T,) float32: brightness relative to the material's usual one
+    shades: npt.NDArray[np.float32]  # (T,) float32: relative brightness
 
     @classmethod
     def of(cls, vertices: Array, triangles: npt.NDArray[np.int64], skin: Skin) -> Mesh:
-        """Return a mesh that has one skin all over."""
+        """Return a mesh with the same skin everywhere."""
         count = len(triangles)
         labels = np.full(count, skin.label, np.uint32)
         materials = np.full(count, skin.material, np.uint8)
@@ -95,14 +95,14 @@ def box(corner: npt.ArrayLike, opposite: npt.ArrayLike, skin: Skin) -> Mesh:
 
 
 def quads(corners: Array, skin: Skin) -> Mesh:
-    """Return quadrangles given as (Q, 4, 3) corners in order around each."""
+    """Return quadrangles with corners (Q, 4, 3) in cyclic order."""
     count = len(corners)
     faces = np.arange(count)[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
     return Mesh.of(corners.reshape(-1, 3), faces.reshape(-1, 3), skin)
 
 
 def loft(sections: Array, skin: Skin) -> Mesh:
-    """Join consecutive (S, P, 3) sections, each a closed ring, by quadrangles."""
+    """Join consecutive closed rings, sections (S, P, 3), by quadrangles."""
     index = np.arange(sections.size // 3).reshape(sections.shape[:2])
     following = np.roll(index, -1, 1)
     a, b, c, d = index[:-1], following[:-1], following[1:], index[1:]
@@ -117,7 +117,7 @@ def extrusion(stations: Array, sections: Array, skin: Skin) -> Mesh:
 
 
 def tube(path: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, sides: int = 7) -> Mesh:
-    """Return a tube along a (K, 3) path with a radius at every point (or one for all)."""
+    """Return a tube along a path (K, 3) with one radius or one per point."""
     points = np.asarray(path, float)
     radius = np.broadcast_to(radii, len(points))
     along = np.gradient(points, axis=0)
@@ -132,7 +132,7 @@ def tube(path: npt.ArrayLike, radii: npt.ArrayLike, skin: Skin, sides: int = 7) 
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the cross products of (K, 3) vectors; `numpy.cross` takes ten times as long on few."""
+    """Return cross products of (K, 3) vectors, ten times as fast as `numpy.cross` for small K."""
     ax, ay, az = a.T
     bx, by, bz = b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
@@ -160,7 +160,7 @@ def disc(centre: npt.ArrayLike, radius: float, skin: Skin, sides: int = 12) -> M
 
 
 def facets(centres: Array, sizes: Array, skin: Skin, rng: Rng) -> Mesh:
-    """Return a randomly turned triangle of a size (F,) around each of (F, 3) centres, as leaves."""
+    """Return randomly turned triangles of sizes (F,) around centres (F, 3), as leaves."""
     count = len(centres)
     corners = centres[:, None] + sizes[:, None, None] * rng.uniform(-1, 1, (count, 3, 3))
     mesh = Mesh.of(corners.reshape(-1, 3), np.arange(count * 3).reshape(-1, 3), skin)

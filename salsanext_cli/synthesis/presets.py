@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Numbers of streets, vehicles and sensors, read from presets/streets.toml."""
+"""Parameters of streets, vehicles and sensors from presets/streets.toml."""
 
 import tomllib
 from collections.abc import Mapping
@@ -13,23 +13,23 @@ from salsanext_cli.synthesis.mesh import Rng
 _FILE = resources.files("salsanext_cli").joinpath("presets/streets.toml")
 _TABLES = tomllib.loads(_FILE.read_text("utf-8"))
 
-Numbers = SimpleNamespace  # Numbers of one table as attributes; the file documents them
+Numbers = SimpleNamespace  # One table as attributes; the file documents them
 
 
 def weighted_choice(rng: Rng, weights: Mapping[str, float]) -> str:
-    """Draw one of the keys, as often as their weights say."""
+    """Draw a key with a probability in proportion to its weight."""
     shares = np.array(list(weights.values()))
     return list(weights)[rng.choice(len(shares), p=shares / shares.sum())]
 
 
 def _body(name: str) -> Numbers:
-    """Return the shape of a vehicle; its profile is (S, 4), a row per station from the front on."""
+    """Return the shape of a vehicle; its profile is (S, 4), a row per station from the front."""
     table = _TABLES["body"][name]
     return Numbers(**table | {"profile": np.array(table["profile"])})
 
 
 STYLES = tuple(Numbers(**_TABLES["style"][name]) for name in _TABLES["styles"])
-"""Styles in the order in which sequences take them; from eight on a data set has all."""
+"""Styles in the order of the sequences that use them."""
 CARS = tuple(map(_body, _TABLES["cars"]))
 BUS, CARAVAN = map(_body, ("bus", "caravan"))
 TRUCKS = {
@@ -37,7 +37,7 @@ TRUCKS = {
     for name, table in _TABLES["truck"].items()
 }
 TRAFFIC: dict[str, float] = _TABLES["traffic"]
-"""Frequency of each kind of vehicle, parked or driving, relative to the others."""
+"""Relative frequencies of kinds of vehicles, parked or driving."""
 BRIGHTNESS = Numbers(**_TABLES["brightness"])
 HDL64 = Numbers(**_TABLES["hdl64"])
 RANDOM_SENSOR = Numbers(**_TABLES["random_sensor"])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sensor on its vehicle: its beams in order and time, and what the vehicle hides."""
+"""Sensor on its vehicle: beams in order and time, and rays that the vehicle blocks."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from salsanext_cli.synthesis.presets import RANDOM_SENSOR as BOUNDS
 
 ENCODER_STEP_DEG = 0.09  # Resolution of the azimuth
 REVOLUTION_S = 0.1
-PARALLAX_DEG = 1.2  # Shift of the vehicle as seen by lasers to the left and right of the axis
+PARALLAX_DEG = 1.2  # Shift of the vehicle for lasers to the left and right of the axis
 UPPER_BLOCK, LOWER_BLOCK = (2.4, -8.0, 32), (-8.6, -23.9, 32)
 """Elevation of the first and the last beam of a block in degrees, and their number."""
 AZIMUTH_STEP_DEG = 0.1667  # Angle between firings of a laser at 10 Hz
@@ -23,27 +23,28 @@ HDL64_MOUNT_M = 1.73
 
 @dataclass(frozen=True, slots=True)
 class Beams:
-    """The lasers of one sensor, upper ones first; L of them."""
+    """Lasers of a sensor, L, the upper ones first."""
 
     elevation: Array  # (L,): radians
     azimuth: Array  # (L,): offset of the first firing, radians
-    # (L,): where the beam starts, metres above and to the left of the sensor's origin
-    height: Array
-    aside: Array
-    lasers: Lasers  # (L,) each
+    height: Array  # (L,): start of the beam above the origin of the sensor, metres
+    aside: Array  # (L,): start of the beam to the left of the origin, metres
+    lasers: Lasers  # Arrays (L,)
     columns: int  # Firings per revolution
 
     def azimuths(self) -> Array:
-        """Return the azimuth of each firing, (L, columns), radians, anticlockwise from ahead."""
+        """Return the azimuths of all firings, (L, columns), radians, anticlockwise from ahead."""
         tick = np.radians(ENCODER_STEP_DEG)
         step = np.arange(self.columns) * (2 * np.pi / self.columns)
         return np.floor(step / tick) * tick + self.azimuth[:, None]
 
     def rays(self) -> tuple[Array, Array, Array]:
-        """Return origins and directions (L * columns, 3), sensor frame, and the time of each."""
-        # In the order of KITTI's files: laser by laser from the top, each once around from straight
-        # ahead to the left. The time (L * columns,) is in seconds; the sensor turns clockwise from
-        # behind and looks ahead at time 0.
+        """Return origins and directions (L * columns, 3), sensor frame, and times (L * columns,).
+
+        The order is that of KITTI's files: laser by laser from the top, and once around from ahead
+        to the left. Times are in seconds; the sensor turns clockwise from behind and looks ahead
+        at time 0.
+        """
         azimuth = self.azimuths()
         elevation = np.broadcast_to(self.elevation[:, None], azimuth.shape)
         horizontal = np.cos(elevation)
@@ -61,8 +62,8 @@ class Beams:
 class Rig:
     """A sensor and its mounting."""
 
-    beams: Beams  # Its lasers
-    response: Numbers  # What it makes of the pulses that return
+    beams: Beams
+    response: Numbers  # Of the receiver to returning pulses
     unblocked: Mask  # (L * columns,) bool: rays that the vehicle does not block
     mount: float  # Height above the road, metres
     tilt: Array  # (2,): pitch and roll of the mounting, radians
@@ -73,7 +74,7 @@ class Rig:
         return origins[self.unblocked], directions[self.unblocked], times[self.unblocked]
 
     def lasers(self) -> Lasers:
-        """Return the properties of the laser that fires each ray."""
+        """Return the properties of the lasers by ray."""
         return Lasers(
             *(np.repeat(v, self.beams.columns)[self.unblocked] for v in self.beams.lasers)
         )
@@ -83,7 +84,7 @@ RigMaker = Callable[[Rng], Rig]  # Draws a sensor and its mounting
 
 
 def hidden_by_vehicle(beams: Beams, rng: Rng) -> Mask:
-    """Return the rays that the recording vehicle blocks, (L * columns,); mounting varies a bit."""
+    """Return the rays that the recording vehicle blocks, (L * columns,); the mounting varies."""
     azimuth = np.degrees(beams.azimuths()) + PARALLAX_DEG * np.sign(beams.aside)[:, None]
     elevation = np.degrees(beams.elevation)[:, None]
     hidden = np.zeros(azimuth.shape, bool)
@@ -97,7 +98,7 @@ def hidden_by_vehicle(beams: Beams, rng: Rng) -> Mask:
 
 
 def _lasers(rng: Rng, count: int) -> Lasers:
-    """Draw gain, offset and power of lasers; a few report much less than others."""
+    """Draw gain, offset and power of lasers; a few report much less brightness."""
     gain = rng.normal(1, 0.08, count)
     offset = np.abs(rng.normal(0, 0.012, count))
     weak = rng.random(count) < 0.1
@@ -106,7 +107,7 @@ def _lasers(rng: Rng, count: int) -> Lasers:
 
 
 def hdl64_rig(rng: Rng) -> Rig:
-    """Draw an HDL-64E with its own small deviations, and its mounting."""
+    """Draw an HDL-64E with small deviations, and its mounting."""
     elevation = np.concatenate([np.linspace(*UPPER_BLOCK), np.linspace(*LOWER_BLOCK)])
     elevation = elevation + rng.normal(0, 0.045, 64) + rng.normal(0, 0.06)
     columns = round(360 / (AZIMUTH_STEP_DEG + rng.normal(0, 0.0006)))
@@ -120,7 +121,7 @@ def hdl64_rig(rng: Rng) -> Rig:
 
 
 def random_rig(rng: Rng) -> Rig:
-    """Draw a sensor unlike others, and its mounting."""
+    """Draw a random sensor and its mounting."""
     beams, response = _random_beams(rng), _random_response(rng)
     unblocked = ~_random_shadow(beams, rng)
     tilt = np.radians(rng.normal(0, BOUNDS.tilt, 2))
@@ -128,7 +129,7 @@ def random_rig(rng: Rng) -> Rig:
 
 
 RIGS: dict[str, RigMaker] = {"hdl64": hdl64_rig, "random": random_rig}
-"""Makers of the sensor of a sequence by the name that `--sensor` takes."""
+"""Makers of the sensor of a sequence by name."""
 
 
 def _random_beams(rng: Rng) -> Beams:
@@ -144,7 +145,7 @@ def _random_beams(rng: Rng) -> Beams:
 
 
 def _random_elevations(rng: Rng) -> Array:
-    """Draw elevations in degrees, the highest first: evenly spaced, or denser near the horizon."""
+    """Draw elevations in degrees, highest first: evenly spaced, or denser near the horizon."""
     count = int(rng.choice(BOUNDS.beam_counts))
     upper, lower = rng.uniform(*BOUNDS.upper_edge), rng.uniform(*BOUNDS.lower_edge)
     between = np.linspace(upper, lower, 1001)
@@ -168,7 +169,7 @@ def _random_response(rng: Rng) -> Numbers:
 
 
 def _random_shadow(beams: Beams, rng: Rng) -> Mask:
-    """Draw which rays the vehicle blocks: none, those of a car's outline, or those of a roof."""
+    """Draw the rays that the vehicle blocks: none, or below the outline of a car or a roof."""
     kind = rng.choice(BOUNDS.shadows)
     if kind == "none":
         return np.zeros(len(beams.elevation) * beams.columns, bool)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Surfaces: raw SemanticKITTI ids, materials, and how these reflect a 905 nm laser pulse.
+"""Surfaces: raw SemanticKITTI ids, materials, and their reflection of a 905 nm laser pulse.
 
-These were set so that the intensity of each class spreads as it does in scans of an HDL-64E.
+The values reproduce the spread of the intensity of every class in scans of an HDL-64E.
 """
 
 from enum import IntEnum
@@ -20,17 +20,16 @@ MOVING = {
     CAR: 252, BICYCLIST: 253, PERSON: 254, MOTORCYCLIST: 255, BUS: 257, TRUCK: 258,
     OTHER_VEHICLE: 259,
 }  # fmt: skip
-"""The raw id of a class while it moves."""
+"""Raw ids of classes in motion."""
 
 
 class Material(IntEnum):
     """Material of a surface, numbered from 0, and its optics."""
 
-    # Brightness: intensity that a surface facing the sensor at 15 m returns. Texture: relative
-    # spread of the brightness from point to point. Falloff: exponent of the cosine of the angle of
-    # incidence, near grazing. Gloss: share of the pulses that a mirror-like surface sends
-    # elsewhere, the more the darker it is. Roughness: standard deviation of the surface along the
-    # ray, in metres
+    # Brightness: intensity of a surface facing the sensor at 15 m. Texture: relative spread of the
+    # brightness from point to point. Falloff: exponent of the cosine of incidence, near grazing.
+    # Gloss: share of the pulses that a dark mirror reflects away from the sensor. Roughness:
+    # standard deviation of the surface along the ray, metres.
     optics: tuple[float, ...]
 
     def __new__(cls, *optics: float) -> Self:

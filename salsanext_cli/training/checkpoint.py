@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Checkpoint of a training: all that is needed to resume it, in one safetensors file.
 
-Its tensors are those of ``module``, of ``average`` where it is another, and of the ``optimiser`` by
-name of parameter, and the ``losses`` of the epoch. Progress, scaler and a checksum are in the
-header. Nothing in it is ever unpickled.
+The tensors are those of ``module``, of ``average`` if the recipe has one, the state of the
+``optimiser`` by name of the parameter, and the ``losses`` of the unfinished epoch. The header holds
+the progress, the state of the scaler and a checksum. Nothing is unpickled.
 """
 
 import hashlib
@@ -24,9 +24,7 @@ from salsanext_cli.training.log import Row
 
 KEY = "salsanext-checkpoint"  # The only key, as in weights files
 DAMAGE = (safetensors.SafetensorError, OSError, LookupError, RuntimeError, TypeError, ValueError)
-"""Errors that reading a damaged checkpoint may end in."""
-OPTIMISER_STATE = {"sgd": ("momentum_buffer",), "adamw": ("step", "exp_avg", "exp_avg_sq")}
-"""Names of the tensors that torch's optimisers keep for each parameter."""
+"""Errors of reading a damaged checkpoint."""
 
 
 @dataclass(slots=True)
@@ -34,14 +32,14 @@ class TrainingState:
     """Progress of a training."""
 
     epoch: int = 0  # Number of finished epochs
-    best: float = -1.0  # Best validation mIoU; -1 before the first
+    best: float = -1.0  # Best validation mIoU; -1 before the first validation
     rows: list[Row] = field(default_factory=list)
-    losses: list[float] = field(default_factory=list)  # Of the steps done of the current epoch
-    seconds: float = 0.0  # That they took
+    losses: list[float] = field(default_factory=list)  # Of the steps of the unfinished epoch
+    seconds: float = 0.0  # Duration of these steps
 
 
 def save_checkpoint(path: Path, learner: Learner, state: TrainingState) -> None:
-    """Write the state after a step, atomically."""
+    """Write the state after a step atomically."""
     progress = asdict(state)
     tensors = dict(_networks(learner).state_dict())
     tensors["losses"] = torch.tensor(progress.pop("losses"), dtype=torch.float64)
@@ -56,7 +54,7 @@ def save_checkpoint(path: Path, learner: Learner, state: TrainingState) -> None:
 
 
 def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
-    """Restore a saved state; `TrainingError` if damaged or of another network."""
+    """Restore a saved state; `TrainingError` if it is damaged or of another network."""
     try:
         with safetensors.safe_open(path, framework="pt") as file:
             tensors = {name: file.get_tensor(name) for name in [*file.keys()]}
@@ -67,9 +65,10 @@ def load_checkpoint(path: Path, learner: Learner) -> TrainingState:
         learner.scaler.load_state_dict(values["scaler"])
         _restore(learner, tensors)
     except DAMAGE as error:
-        found = f"cannot be resumed from: {error_text(error)}"
-        hint = "start anew with --overwrite or in another folder"
-        raise TrainingError(path, found, "a checkpoint of this training", hint) from error
+        hint = "start again with --overwrite or in another folder"
+        raise TrainingError(
+            path, f"cannot be read: {error_text(error)}", "a checkpoint of this training", hint
+        ) from error
     return state
 
 
@@ -82,7 +81,7 @@ def _networks(learner: Learner) -> nn.ModuleDict:
 
 
 def _checksum(values: Mapping[str, object], tensors: Mapping[str, Tensor]) -> str:
-    """Return the SHA-256 of values and tensors, but for the types and shapes of these."""
+    """Return the SHA-256 of the values and the content of the tensors."""
     digest = hashlib.sha256(json.dumps(values).encode())
     for name, tensor in sorted(tensors.items()):
         digest.update(name.encode())
@@ -92,19 +91,20 @@ def _checksum(values: Mapping[str, object], tensors: Mapping[str, Tensor]) -> st
 
 @torch.no_grad()
 def _restore(learner: Learner, tensors: Mapping[str, Tensor]) -> None:
-    """Copy tensors into a learner; a missing one, or one of another shape, is an error."""
+    """Copy tensors into a learner; a missing tensor or another shape is an error."""
     networks = _networks(learner)
     networks.load_state_dict({name: tensors[name] for name in networks.state_dict()})
     learner.optimiser.state.clear()
     for name, parameter in learner.module.named_parameters():
-        keys = {key: f"optimiser.{name}.{key}" for key in OPTIMISER_STATE[learner.recipe.optimiser]}
-        # Parameters have none before the first step, or if they are never used.
-        if tensors.keys() & {*keys.values()}:
-            # AdamW's step is on the device if fused, else on the CPU: no parameter waits for it.
-            step_device = parameter.device if learner.optimiser.defaults["fused"] else "cpu"
+        prefix = f"optimiser.{name}."
+        saved = {key.removeprefix(prefix): key for key in tensors if key.startswith(prefix)}
+        # AdamW's step is on the device if fused, else on the CPU: no parameter waits for it.
+        step_device = parameter.device if learner.optimiser.defaults["fused"] else "cpu"
+        # Parameters have no state before the first step, or if they are never used.
+        if saved:
             learner.optimiser.state[parameter] = {
-                key: tensors[of_parameter].to(step_device)
+                key: tensors[stored].to(step_device)
                 if key == "step"
-                else torch.empty_like(parameter).copy_(tensors[of_parameter])
-                for key, of_parameter in keys.items()
+                else torch.empty_like(parameter).copy_(tensors[stored])
+                for key, stored in saved.items()
             }

@@ -10,6 +10,8 @@ import numpy as np
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.training.log import Row
 
+Parts = list[tuple[list[ScanFile], list[ScanFile]]]
+
 
 def folds(files: Sequence[ScanFile], count: int) -> list[list[ScanFile]]:
     """Divide scans into at most `count` folds, each of whole sequences or of neighbours in one."""
@@ -23,20 +25,18 @@ def folds(files: Sequence[ScanFile], count: int) -> list[list[ScanFile]]:
     return [sorted(fold, key=files.index) for fold in divided]
 
 
-def held_out(files: Sequence[ScanFile]) -> list[tuple[list[ScanFile], list[ScanFile]]]:
-    """Return each of five folds of scans after the other scans; none of a single scan."""
-    parts = [{*part} for part in folds(files, 5)] if len(files) > 1 else []
-    return [
-        ([f for f in files if f not in part], [f for f in files if f in part]) for part in parts
-    ]
+def held_out(files: Sequence[ScanFile], count: int = 5) -> Parts:
+    """Return the other scans and the scans of each fold; nothing for a single scan."""
+    parts = folds(files, count) if len(files) > 1 else []
+    return [([file for file in files if file not in part], part) for part in parts]
 
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """Scores on scans left out: means over the folds, what to expect on new scans.
+    """Scores on held-out scans: means over the folds, an estimate for new scans.
 
-    Each fold is scored after the number of epochs that the others choose. Spreads are standard
-    deviations with one degree of freedom less, None of a single fold.
+    Each fold is scored after the number of epochs that the others choose. Spreads are sample
+    standard deviations, None for a single fold.
     """
 
     epochs: int  # Number of epochs with the highest mean IoU over the folds
@@ -44,15 +44,14 @@ class Expectation:
     miou_spread: float | None
     accuracy: float
     accuracy_spread: float | None
-    temperature: float  # Geometric mean of the folds'
+    temperature: float  # Geometric mean over the folds
     folds: int
-    # Means over the folds of the weights that the training began from
-    miou_before: float | None = None
+    miou_before: float | None = None  # Means over the folds of the initial weights
     accuracy_before: float | None = None
-    one_drive: bool = False  # All scans are of one sequence, so that other places may be harder
+    one_drive: bool = False  # All scans are of one sequence, so that other sites may be harder
 
     def scores(self) -> dict[str, float]:
-        """Return what the card of weights tells."""
+        """Return the scores for the card of the weights."""
         names = ("folds", "miou", "miou_spread", "accuracy", "accuracy_spread")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
@@ -68,18 +67,18 @@ def expectation(logs: Sequence[Sequence[Row]], *, one_drive: bool = False) -> Ex
         return None
     common = sorted(set.intersection(*(set(rows) for rows in scored)))
     epochs = _best(common, scored)
-    own = [
+    of_folds = [
         rows[_best(common, [other for other in scored if other is not rows] or scored)]
         for rows in scored
     ]
-    values = np.array([(row["miou"], row["accuracy"]) for row in own])
+    values = np.array([(row["miou"], row["accuracy"]) for row in of_folds])
     miou, accuracy = values.mean(axis=0).tolist()
-    spreads = values.std(axis=0, ddof=1).tolist() if len(own) > 1 else (None, None)
+    spreads = values.std(axis=0, ddof=1).tolist() if len(values) > 1 else (None, None)
     temperature = float(np.exp(np.mean([np.log(rows[epochs]["temperature"]) for rows in scored])))
-    found = epochs, miou, spreads[0], accuracy, spreads[1], temperature, len(scored)
-    return Expectation(*found, one_drive=one_drive)
+    numbers = epochs, miou, spreads[0], accuracy, spreads[1], temperature, len(scored)
+    return Expectation(*numbers, one_drive=one_drive)
 
 
-def _best(epochs: Sequence[int], folds: Sequence[dict[int, Row]]) -> int:
-    """Return the number of epochs with the highest mean IoU, the fewest of equal ones."""
-    return max(epochs, key=lambda epoch: np.mean([rows[epoch]["miou"] for rows in folds]))
+def _best(epochs: Sequence[int], logs: Sequence[dict[int, Row]]) -> int:
+    """Return the number of epochs with the highest mean IoU, the fewest among equals."""
+    return max(epochs, key=lambda epoch: np.mean([rows[epoch]["miou"] for rows in logs]))

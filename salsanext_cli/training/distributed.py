@@ -22,8 +22,8 @@ from salsanext_cli.engines.device import choose_device
 from salsanext_cli.errors import SalsanextError, UsageError, error_text
 
 TIMEOUT = timedelta(minutes=15)  # Longest time that a collective takes
-POLL_S = 0.1  # Time between two looks at the store
-LEAVING_S = 0.5  # Time that a worker stays after its last word
+POLL_S = 0.1  # Time between two queries of the store
+LEAVING_S = 0.5  # Time that a worker stays after its last message
 FAILED = "failed"  # Key of the store: which worker failed, and why
 
 T = TypeVar("T")
@@ -33,11 +33,11 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ProcessGroup:
-    """Place of this process among the workers; in a group of one, collectives do nothing."""
+    """Rank of this process among the workers; in a group of one, collectives do nothing."""
 
     rank: int = 0
     size: int = 1
-    store: Any = None  # `Store` of torch, which all workers share; None in a group of one
+    store: Any = None  # `Store` of torch that all workers share; None in a group of one
 
     @property
     def is_main(self) -> bool:
@@ -52,7 +52,7 @@ class ProcessGroup:
         return tensor
 
     def gather(self, tensor: Tensor) -> list[Tensor]:
-        """Return the tensors of all workers by rank; the last of their dimensions may differ."""
+        """Return the tensors of all workers by rank; their last dimension may differ."""
         if self.size == 1:
             return [tensor]
         lengths = torch.zeros(self.size, dtype=torch.int64, device=tensor.device)
@@ -61,16 +61,16 @@ class ProcessGroup:
         padded = F.pad(tensor, (0, int(lengths.max()) - tensor.shape[-1])).contiguous()
         gathered = [torch.empty_like(padded) for _ in range(self.size)]
         dist.all_gather(gathered, padded)
-        return [each[..., :n] for each, n in zip(gathered, lengths.tolist(), strict=True)]
+        return [part[..., :n] for part, n in zip(gathered, lengths.tolist(), strict=True)]
 
     def broadcast(self, tensors: Iterable[Tensor]) -> None:
-        """Overwrite tensors by those of the main worker."""
+        """Overwrite tensors with those of the main worker."""
         if self.size > 1:
             for tensor in tensors:
                 dist.broadcast(tensor, 0)
 
     def on_main(self, work: Callable[[], T]) -> T:
-        """Call a function in the main worker only; all return its result, or raise its error."""
+        """Call a function in the main worker; all workers return its result or raise its error."""
         if self.store is None:
             return work()
         answer: list[Any] = [None]
@@ -81,7 +81,7 @@ class ProcessGroup:
             except SalsanextError as error:
                 answer = [error]
             self.store.set(done, "")
-        # It may take hours, longer than a collective may.
+        # The call may take hours, longer than a collective may.
         while not self.store.check([done]):
             time.sleep(POLL_S)
         dist.broadcast_object_list(answer)
@@ -104,47 +104,55 @@ def group_of_environment() -> ProcessGroup:
 @contextmanager
 def process_group(device: str) -> Iterator[tuple[ProcessGroup, torch.device]]:
     """Join the group of this process, and choose its device, a GPU of its own if there is one."""
-    group, own_device = group_of_environment(), torch.device(choose_device(device))
+    group, chosen = group_of_environment(), torch.device(choose_device(device))
     if group.size == 1:
-        yield group, own_device
+        yield group, chosen
         return
-    if own_device.type == "cuda":
-        if own_device.index is not None:
-            found = f"one GPU for {group.size} workers"
-            raise UsageError(f"device {device}", found, "cuda, cpu or auto")
-        own_device = torch.device(choose_device(f"cuda:{os.environ['LOCAL_RANK']}"))
-        torch.cuda.set_device(own_device)
-    gpu = own_device if own_device.type == "cuda" else None
+    gpu = None
+    if chosen.type == "cuda":
+        if chosen.index is not None:
+            problem = f"names one GPU for {group.size} workers"
+            error = UsageError(f"device {device}", problem, "cuda, cpu or auto")
+            error.reported_elsewhere = not group.is_main
+            raise error
+        gpu = chosen = torch.device(choose_device(f"cuda:{os.environ['LOCAL_RANK']}"))
+        torch.cuda.set_device(gpu)
     store, rank, size = next(dist.rendezvous("env://", timeout=TIMEOUT))  # type: ignore[attr-defined]
-    how = {"store": store, "rank": rank, "world_size": size, "timeout": TIMEOUT, "device_id": gpu}
-    dist.init_process_group("nccl" if gpu else "gloo", **how)
+    settings = {"store": store, "rank": rank, "world_size": size, "timeout": TIMEOUT}
+    dist.init_process_group("nccl" if gpu else "gloo", **settings, device_id=gpu)
     left, other_failed = threading.Event(), threading.Event()
     threading.Thread(target=_watch, args=(store, left, other_failed), daemon=True).start()
     try:
-        yield ProcessGroup(rank, size, store), own_device
+        yield ProcessGroup(rank, size, store), chosen
         # A worker that leaves early closes connections that others still read from.
         dist.barrier()
         left.set()
-        # After a failure NCCL would wait for the other workers for ever.
+        # After a failure this would wait for the other workers for ever.
         dist.destroy_process_group()
-    except BaseException as error:
+    except BaseException as failed:
         if other_failed.is_set():
-            os._exit(1)  # noqa: TID251 - what fails after it says nothing new
+            os._exit(1)  # noqa: TID251 - this error follows from the other worker's
         left.set()
-        # The host of the store may be gone, and an interrupt reaches all workers.
-        if not isinstance(error, KeyboardInterrupt):
+        # An interrupt reaches all workers, and so does an error of the main worker's call.
+        if not (
+            isinstance(failed, KeyboardInterrupt) or getattr(failed, "reported_elsewhere", False)
+        ):
+            cause = error_text(failed)
+            failure = f"worker {rank} of {size} on {platform.node()}: {cause}"
+            # The host of the store may be gone.
             with suppress(RuntimeError):
-                failure = f"worker {rank} of {size} on {platform.node()}: {error_text(error)}"
-                store.set(FAILED, failure)
+                first = store.compare_set(FAILED, "", failure).decode()
+                if isinstance(failed, SalsanextError):
+                    failed.reported_elsewhere = first != failure and first.endswith(cause)
         raise
     finally:
-        # The others learn of a failure. Threads of gloo that still free tensors abort a process
+        # The others notice a failure. Threads of gloo that still free tensors abort a process
         # that ends meanwhile; they need the GIL, and torch's wrapper keeps them from being joined.
         time.sleep(LEAVING_S)
 
 
 def _watch(store: Any, left: threading.Event, other_failed: threading.Event) -> None:
-    """Report that another worker has failed, and end this process, which may wait for it."""
+    """Log that another worker has failed, and end this process, which may wait for it."""
     while not left.wait(POLL_S):
         try:
             failure = store.get(FAILED).decode() if store.check([FAILED]) else ""
@@ -159,13 +167,13 @@ def _watch(store: Any, left: threading.Event, other_failed: threading.Event) -> 
 
 
 def data_parallel(module: nn.Module, device: torch.device, group: ProcessGroup) -> nn.Module:
-    """Return what to call in training: the module, or a wrapper that sums its gradients."""
+    """Return the module to call in training, wrapped to sum the gradients of several workers."""
     if group.size == 1:
         return module
     if device.type == "cuda":
-        # Statistics of the whole batch, which torch has for GPUs only.
+        # torch computes statistics of the whole batch on GPUs only.
         module = nn.SyncBatchNorm.convert_sync_batchnorm(module)  # type: ignore[no-untyped-call]
         return DistributedDataParallel(module, [device])
     if group.is_main and any(isinstance(layer, nn.BatchNorm2d) for layer in module.modules()):
-        log.warning("on CPUs batch norm has the statistics of each worker's share of a batch")
+        log.warning("on CPUs batch norm uses the statistics of each worker's share of a batch")
     return DistributedDataParallel(module)

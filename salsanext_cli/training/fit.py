@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 import safetensors.torch
 import torch
 from torch import Tensor
@@ -25,12 +24,12 @@ from salsanext_cli.training.checkpoint import TrainingState, load_checkpoint, sa
 from salsanext_cli.training.data.dataset import Batch, Samples, batches
 from salsanext_cli.training.data.sources import Source
 from salsanext_cli.training.learner import Learner, learning_rate
-from salsanext_cli.training.log import EpochWriter, Row, draw_curve, tensorboard_in, write_log
+from salsanext_cli.training.log import Row, draw_curve, write_log
 from salsanext_cli.training.run_folder import BEST, CHECKPOINT, CURVE, LAST, LOG, sample_path
 from salsanext_cli.training.validation import validate
 
 SAVE_INTERVAL_S = 600.0  # Seconds between two checkpoints within an epoch
-CHECK_INTERVALS = {"cpu": 1, "cuda": 16}  # Steps between two looks at the losses, which wait
+CHECK_INTERVALS = {"cpu": 1, "cuda": 16}  # Steps between two reads of losses, which wait
 
 log = logging.getLogger(__name__)
 
@@ -57,9 +56,8 @@ class Training:
     validation: Source
     card: WeightsCard
     workers: int
-    # Draws a network's predictions into an open file and returns the picture, (H, W, 3)
-    draw: Callable[[BinaryIO, Network], npt.NDArray[np.uint8]]
-    report: Callable[[StepReport], object]  # Called after every step, by the main worker alone
+    draw: Callable[[BinaryIO, Network], object]  # Draws a network's predictions into a file
+    report: Callable[[StepReport], object]  # Called after every step, in the main worker alone
 
     def fit(self) -> TrainingState:
         """Train from the last checkpoint, if there is one, to the end."""
@@ -67,22 +65,22 @@ class Training:
         state = load_checkpoint(saved, self.learner) if saved.exists() else TrainingState()
         first, group = state.epoch * steps + len(state.losses), self.learner.group
         if (of_main := group.on_main(lambda: first)) != first:
-            found = f"the first worker goes on after step {of_main}, this one after step {first}"
-            raise TrainingError(self.run, found, "one folder that all workers see")
+            problem = f"has a checkpoint of step {of_main} for the first worker, {first} for this"
+            raise TrainingError(self.run, problem, "one folder that all workers share")
+        epochs = self.learner.recipe.epochs
         if first and group.is_main:
-            epochs = f"{state.epoch} of {self.learner.recipe.epochs} epochs"
-            begun = "going on" if state.epoch < self.learner.recipe.epochs else "complete"
-            log.log(NOTICE, "%s after %s, step %d, from %s", begun, epochs, first, saved)
+            action = "resuming" if state.epoch < epochs else "complete"
+            where = f"{state.epoch} of {epochs} epochs, step {first}, from {saved}"
+            log.log(NOTICE, "%s after %s", action, where)
         pinned = self.learner.device.type == "cuda"
         stream = batches(self.samples, first, self.workers, pinned=pinned, group=group)
-        with tensorboard_in(self.run, wanted=group.is_main) as write_epoch:
-            while state.epoch < self.learner.recipe.epochs:
-                self._epoch(state, stream)
-                self._end_epoch(state, write_epoch)
+        while state.epoch < epochs:
+            self._epoch(state, stream)
+            self._end_epoch(state)
         return group.on_main(lambda: state)
 
     def _epoch(self, state: TrainingState, stream: Iterator[Batch]) -> None:
-        """Take the steps of an epoch that are left, and report all but the last."""
+        """Take the remaining steps of an epoch, and report all but the last."""
         saved = time.monotonic()
         start = saved - state.seconds
         end = (state.epoch + 1) * self.samples.plan.steps_per_epoch
@@ -104,7 +102,7 @@ class Training:
                     save_checkpoint(self.run / CHECKPOINT, self.learner, state)
             self._report(state, step)
 
-    def _end_epoch(self, state: TrainingState, write_epoch: EpochWriter) -> None:
+    def _end_epoch(self, state: TrainingState) -> None:
         """Validate, write and report an epoch whose steps are done."""
         recipe, steps = self.learner.recipe, self.samples.plan.steps_per_epoch
         losses, seconds, group, card = state.losses, state.seconds, self.learner.group, self.card
@@ -118,12 +116,12 @@ class Training:
         }
         due = state.epoch == recipe.epochs or state.epoch % recipe.validate_every == 0
         if due and self.validation.files:
-            # On CPUs the workers' statistics of batch norm differ; kept are those of the main one.
+            # On CPUs the workers' statistics of batch norm differ; the main worker's are saved.
             group.broadcast(self.learner.average.buffers())
             measured, card = validate(self._network(), self.validation, group)
             row |= measured
         if group.is_main:
-            self._write(state, row, card, write_epoch)
+            self._write(state, row, card)
         self._report(state, step, row)
 
     def _step(self, batch: Batch, step: int) -> Tensor:
@@ -131,25 +129,25 @@ class Training:
         try:
             return self.learner.step(images, truth, step, self.samples.plan.steps_per_epoch)
         except torch.OutOfMemoryError as error:
-            found = f"no memory is left on {self.learner.device} for {len(images)} images"
-            hint = "--set accumulate=2, or more parts still"
-            raise TrainingError(f"step {step + 1}", found, "images that fit", hint) from error
+            problem = f"not enough memory on {self.learner.device} for {len(images)} images"
+            hint = "compute a batch in more parts, such as --set accumulate=2"
+            raise TrainingError(f"step {step + 1}", problem, hint=hint) from error
 
     def _checked(self, losses: list[Tensor], last: int) -> list[float]:
-        """Return the losses of the steps up to the last; an error names the scans of one."""
+        """Return the losses of the steps up to the last; raise an error that names the scans."""
         values: list[float] = torch.stack(losses).tolist()
         first = last + 1 - len(values)
         for step, value in enumerate(values, first):
             if not math.isfinite(value):
                 keys = next(self.samples.plan.batches(step))
                 files = [self.samples.scan_at(index)[1].path for _, index in keys]
-                found = f"the loss or its gradient is not finite with {', '.join(map(str, files))}"
-                hint = "look at these scans, lower learning_rate or set clip_gradient"
-                raise TrainingError(f"step {step + 1}", found, "finite ones", hint)
+                problem = f"loss or gradient is not finite with {', '.join(map(str, files))}"
+                hint = "check these scans, lower learning_rate or set clip_gradient"
+                raise TrainingError(f"step {step + 1}", problem, hint=hint)
         return values
 
-    def _write(self, state: TrainingState, row: Row, card: WeightsCard, write: EpochWriter) -> None:
-        """Write weights, log, curve, pictures and, last, the checkpoint."""
+    def _write(self, state: TrainingState, row: Row, card: WeightsCard) -> None:
+        """Write weights, log, curve, picture and, last, the checkpoint."""
         state.rows.append(row)
         scored = {k: v for k, v in row.items() if ("iou" in k or k == "accuracy") and v == v}
         network, written = self._network(), OwnedFolder(self.run)
@@ -165,8 +163,7 @@ class Training:
         write_log(self.run / LOG, state.rows)
         draw_curve(self.run / CURVE, state.rows)
         with written.writing(sample_path(self.run, state.epoch)) as file:
-            picture = self.draw(file, network)
-        write(row, picture)
+            self.draw(file, network)
         save_checkpoint(self.run / CHECKPOINT, self.learner, state)
 
     def _network(self) -> Network:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Learner: a network in training, its optimiser, and its steps: forward, loss, backward, update."""
+"""Network in training, its optimiser and its steps: forward, loss, backward, update."""
 
 import copy
 import math
@@ -20,7 +20,7 @@ from salsanext_cli.training.losses import SegmentationLoss
 from salsanext_cli.training.recipe import Recipe
 
 BFLOAT16_CAPABILITY = 8  # Lowest compute capability (major) with bfloat16: Ampere
-DROPOUT = 2  # Purpose of the generator of dropout, a part of its seed beside those of `dataset`
+DROPOUT = 2  # Part of the seed of dropout; `dataset` has the others
 ONE_CYCLE_START, ONE_CYCLE_END = 1 / 25, 1 / 250_000
 """Learning rate at both ends of a one-cycle schedule, as shares of its peak."""
 
@@ -35,17 +35,16 @@ def fastest_precision(device: torch.device) -> str:
 
 def common_precision(device: torch.device, group: ProcessGroup) -> str:
     """Return the number type that suits the devices of all workers; float32 if they differ."""
-    own = fastest_precision(device)
-    of_workers = group.gather(torch.tensor([PRECISIONS.index(own)], device=device))
-    return own if len({int(number) for number in of_workers}) == 1 else "float32"
+    fastest = fastest_precision(device)
+    of_workers = group.gather(torch.tensor([PRECISIONS.index(fastest)], device=device))
+    return fastest if len({int(number) for number in of_workers}) == 1 else "float32"
 
 
 class Learner:
     """Everything that changes during training: network, running average, optimiser, scaler.
 
-    `average` is validated and kept: the running average of the weights of `module`, or the module
-    itself. `forward` is the module, wrapped if several workers train it. The recipe's precision is
-    no longer "auto".
+    `average` is validated and saved: the running average of the weights of `module`, or the module
+    itself. `forward` is the module, wrapped if several workers train it.
     """
 
     def __init__(
@@ -68,8 +67,7 @@ class Learner:
             keep_ends_in_float32(module)
         self.recipe, self.module, self.device, self.group = recipe, module, device, group
         self.average = copy.deepcopy(module).eval() if recipe.average else module
-        loss = SegmentationLoss(weights, recipe.lovasz, sets)
-        self.loss = loss.to(device)
+        self.loss = SegmentationLoss(weights, recipe.lovasz, sets).to(device)
         self.forward = data_parallel(module, device, group)
         self.optimiser = build_optimiser(module, recipe, fused=device.type == "cuda")
         self.autocast = torch.autocast(device.type, dtype, enabled=dtype is not torch.float32)
@@ -78,10 +76,9 @@ class Learner:
     def step(self, images: Tensor, truth: Tensor, step: int, steps_per_epoch: int) -> Tensor:
         """Learn from a worker's images (B, 5, H, W) and truth (B, H, W) uint8, both on the CPU.
 
-        Return the loss of all workers, 0-d on the device, which nothing here waits for. If the loss
-        or its gradient is not finite, it is NaN and no weight changes. In float16 the scaler skips
-        steps whose gradient overflows. The number of the step in the whole training, from 0,
-        decides learning rate and dropout.
+        Return the loss of all workers, 0-d on the device, without waiting for it. It is NaN, and no
+        weight changes, if loss or gradient is not finite. In float16 the scaler skips steps whose
+        gradient overflows. The number of the step, from 0, determines learning rate and dropout.
         """
         self.optimiser.zero_grad()
         loss = self._gradient(images, truth, step)
@@ -102,27 +99,27 @@ class Learner:
             pairs = zip(images.tensor_split(parts), truth.tensor_split(parts), strict=True)
             for part, (some, labels) in enumerate(pairs, 1):
                 some = some.to(self.device, memory_format=self.layout, non_blocking=True)
-                # With the other workers gradients are exchanged after the last part only.
-                alone = getattr(self.forward, "no_sync", nullcontext)
-                with alone() if part < parts else nullcontext():
+                # Workers exchange gradients after the last part only.
+                no_sync = getattr(self.forward, "no_sync", nullcontext)
+                with no_sync() if part < parts else nullcontext():
                     with self.autocast:
                         loss = self.loss(self.forward(some), labels, total, parts, self.group)
-                    # The workers' gradients are averaged, and their sum is wanted.
+                    # Gradients are averaged over the workers, but must be summed.
                     self.scaler.scale(loss * self.group.size).backward()
                 losses.append(loss.detach())
         return self.group.sum(torch.stack(losses).sum())
 
     def _update(self, loss: Tensor, step: int, steps_per_epoch: int) -> Tensor:
-        """Move the weights if loss and gradient are finite; return whether they are, 0-d bool."""
+        """Update the weights if loss and gradient are finite; return whether they are, 0-d bool."""
         for group in self.optimiser.param_groups:
             group["lr"] = learning_rate(self.recipe, step, steps_per_epoch)
         self.scaler.unscale_(self.optimiser)
         max_norm = self.recipe.clip_gradient or math.inf
         norm = nn.utils.clip_grad_norm_(self.module.parameters(), max_norm)
-        # In float16 a gradient that overflows is no failure: the scaler skips the step.
+        # In float16 an overflow of the gradient is not a failure: the scaler skips the step.
         finite = loss.isfinite() if self.scaler.is_enabled() else (loss + norm).isfinite()
-        # A fused optimiser skips the step on the device, so that nothing waits for `finite`. The
-        # running average then moves towards weights that did not.
+        # A fused optimiser skips the step on the device without waiting for `finite`. The running
+        # average then moves towards unchanged weights.
         if fused := self.optimiser.defaults["fused"]:
             vars(self.optimiser).update(grad_scale=None, found_inf=(~finite).float())
         if fused or finite:
@@ -141,7 +138,7 @@ def build_optimiser(module: nn.Module, recipe: Recipe, *, fused: bool = False) -
         return AdamW(parameters, rate, betas, weight_decay=decay, fused=fused)
     optimiser = SGD(parameters, rate, recipe.momentum, weight_decay=decay, fused=fused)
     if fused:
-        # A first step that is skipped would leave them uninitialised.
+        # A skipped first step would leave them uninitialised.
         for parameter in parameters:
             optimiser.state[parameter]["momentum_buffer"] = torch.zeros_like(parameter)
     return optimiser
@@ -167,7 +164,7 @@ def _half_cosine(start: float, end: float, progress: float) -> float:
 @torch.no_grad()
 def update_average(average: nn.Module, module: nn.Module, decay: float, step: int) -> None:
     """Move the running average of the weights towards a module, batch norm's statistics too."""
-    # The first steps move it farther, so that the random weights of the start are soon forgotten.
+    # The first steps move it farther, so that the initial weights soon lose their influence.
     decay = min(decay, (1 + step) / (10 + step))
     pairs = [*zip(average.state_dict().values(), module.state_dict().values(), strict=True)]
     olds, news = zip(*(pair for pair in pairs if pair[0].is_floating_point()), strict=True)

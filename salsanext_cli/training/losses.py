@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Loss of a training: class-weighted cross-entropy plus Lovász-Softmax.
 
-Both look only at pixels whose truth is a class that counts; a batch without any such pixel has
-loss 0 and gradient 0.
+Both use only pixels whose true class is scored; a batch without such pixels has loss 0 and
+gradient 0.
 """
 
 import math
@@ -16,15 +16,12 @@ from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 
 
 def weighted_cross_entropy(
-    log_probabilities: Tensor,
-    truth: Tensor,
-    weights: Tensor,
-    total_weight: Tensor | None = None,
+    log_probabilities: Tensor, truth: Tensor, weights: Tensor, total_weight: Tensor | None = None
 ) -> Tensor:
-    """Return the mean of -log p(truth), each pixel weighing what its true class does, 0-d.
+    """Return the mean of -log p(truth) weighted by the true class of each pixel, 0-d.
 
     Log-probabilities (P, T), truth (P,) int64, weights (T,). `total_weight` is the weight of all
-    pixels, if these are a part of them.
+    pixels if these are a part of them.
     """
     loss = F.nll_loss(log_probabilities, truth, weights, reduction="sum")
     total = weights[truth].sum() if total_weight is None else total_weight
@@ -33,18 +30,19 @@ def weighted_cross_entropy(
 
 @torch.no_grad()
 def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
-    """Return the gradient of the Lovász extension of the Jaccard loss, (K, P), by pixel."""
-    # Of errors (K, P) for each of K classes, and whether pixels are of the class, (K, P), at least
-    # one. With the pixels sorted by falling error, pixel i weighs by how much the Jaccard loss
-    # grows when it joins the mispredicted set {1 … i-1} (Berman et al. 2018, eq. 9 and algorithm
-    # 1).
+    """Return the gradient of the Lovász extension of the Jaccard loss by pixel, (K, P).
+
+    `errors` (K, P) for K classes; `foreground` (K, P) bool: pixels of the class, at least one. With
+    pixels sorted by falling error, the weight of pixel i is the growth of the Jaccard loss when it
+    joins the mispredicted set {1 … i-1} (Berman et al. 2018, eq. 9 and algorithm 1).
+    """
     order = errors.argsort(dim=1, descending=True)
     belongs = foreground.gather(1, order)
     hits = belongs.cumsum(1)
     size = hits[:, -1:]
     union = size + torch.arange(1, errors.shape[1] + 1, device=errors.device) - hits
-    # What a pixel adds, in closed form: differences of losses next to 1 would cancel. One more miss
-    # takes hits from size - hits of the intersection, one more false alarm widens the union by one.
+    # The growth in closed form, since differences of losses close to 1 would cancel. A miss reduces
+    # the intersection by one, a false alarm increases the union by one.
     shrinks, union = (size - hits).to(errors.dtype), union.to(errors.dtype)
     gradient = torch.where(belongs, 1, shrinks / (union - 1).clamp_min(1)) / union
     return torch.empty_like(gradient).scatter_(1, order, gradient)
@@ -53,7 +51,7 @@ def jaccard_gradient(errors: Tensor, foreground: Tensor) -> Tensor:
 def lovasz_softmax(
     probabilities: Tensor, truth: Tensor, group: ProcessGroup = SINGLE_PROCESS
 ) -> Tensor:
-    """Return a worker's share of the mean Lovász-Softmax loss of softmax (P, C), truth on a CPU."""
+    """Return a worker's share of the mean Lovász-Softmax loss of softmax (P, C); truth on a CPU."""
     counts = truth.bincount(minlength=probabilities.shape[1])
     if group.size > 1:
         counts = group.sum(counts.to(probabilities.device)).cpu()
@@ -64,16 +62,16 @@ def lovasz_softmax(
     foreground = truth == present[:, None]
     predicted = probabilities.t()[present]
     errors = torch.where(foreground, 1 - predicted, predicted)
-    # A worker's pixels are sorted in among those of all workers.
+    # The pixels of all workers are sorted together.
     of_all = group.gather(errors.detach())
     of_class = torch.cat(group.gather(foreground.byte()), 1).bool()
     gradients = jaccard_gradient(torch.cat(of_all, 1), of_class)
-    own = torch.split(gradients, [each.shape[1] for each in of_all], 1)[group.rank]
-    return (errors * own).sum() / len(present)
+    of_worker = torch.split(gradients, [part.shape[1] for part in of_all], 1)[group.rank]
+    return (errors * of_worker).sum() / len(present)
 
 
 def sent(indices: Tensor, device: torch.device) -> Tensor:
-    """Return indices on a device; from pinned memory, the copy to a GPU waits for nothing."""
+    """Return indices on a device; the copy to a GPU does not wait, since memory is pinned."""
     source = indices.pin_memory() if device.type == "cuda" else indices
     return source.to(device, non_blocking=True)
 
@@ -81,9 +79,9 @@ def sent(indices: Tensor, device: torch.device) -> Tensor:
 class SegmentationLoss(nn.Module):
     """Weighted cross-entropy plus Lovász-Softmax on logits (paper eq. 3).
 
-    Classes with weight 0, of weights (C,), are left out of both terms. The probability of target
-    C + k is the sum of those of the k-th set of classes, its weight the least of theirs above 0;
-    Lovász-Softmax leaves it out.
+    Both terms ignore classes with weight 0, of weights (C,). The probability of target C + k is the
+    sum over the k-th set of classes, its weight the least positive weight of them; Lovász-Softmax
+    ignores it.
     """
 
     weights: Tensor
@@ -108,9 +106,9 @@ class SegmentationLoss(nn.Module):
     ) -> Tensor:
         """Return the loss of logits (B, C, H, W) for integer targets (B, H, W) on a CPU, 0-d.
 
-        Which pixels count is decided on the CPU: shapes that a GPU decides must be waited for.
-        Of a part of a batch it is the part's share: of cross-entropy in the mean over the pixels of
-        all parts, whose weight is `total_weight`, of Lovász-Softmax in the mean over the `parts`.
+        The CPU chooses the scored pixels, since reading them from a GPU would wait. Of a batch in
+        `parts`, a part has its share: of cross-entropy by `total_weight`, the weight of the pixels
+        of all parts, of Lovász-Softmax by their number.
         """
         truth = truth.flatten().long()
         counted = self.counts[truth].nonzero()[:, 0]
@@ -118,8 +116,8 @@ class SegmentationLoss(nn.Module):
         classes = logits.movedim(1, -1).reshape(-1, logits.shape[1])[sent(counted, device)]
         precise = torch.promote_types(logits.dtype, torch.float32)
         log_probabilities = F.log_softmax(classes, 1, dtype=precise)
-        sets = [sent(torch.tensor(each), device) for each in self.sets]
-        of_sets = [log_probabilities[:, each].logsumexp(1, keepdim=True) for each in sets]
+        sets = [sent(torch.tensor(several), device) for several in self.sets]
+        of_sets = [log_probabilities[:, several].logsumexp(1, keepdim=True) for several in sets]
         of_targets = torch.cat([log_probabilities, *of_sets], 1) if of_sets else log_probabilities
         weights = self.weights.to(precise)
         loss = weighted_cross_entropy(of_targets, sent(truth, device), weights, total_weight)

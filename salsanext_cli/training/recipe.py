@@ -14,8 +14,8 @@ from salsanext_cli.errors import UsageError, shortened
 from salsanext_cli.files.yaml_toml import read_toml, refuse_unknown
 
 BUILT_IN = resources.files("salsanext_cli").joinpath("presets/recipes")
-REMOVED = ("label_smoothing", "whole_epochs")  # Keys of older versions, which 0 switched off
-MAX_INTEGER = 2**53  # Beyond it, floats are no longer exact
+REMOVED = ("label_smoothing", "whole_epochs")  # Keys of older versions, accepted if they are 0
+MAX_INTEGER = 2**53  # Beyond it, floats are not exact
 KINDS = {int: "a whole number", float: "a number", str: "a word"}  # Names of the types of keys
 
 Positive = Annotated[int, ("at least 1", lambda value: value >= 1)]
@@ -26,17 +26,17 @@ Amount = Annotated[float, ("at least 0", lambda value: value >= 0)]
 Rate = Annotated[float, ("above 0", lambda value: value > 0)]
 Share = Annotated[float, ("between 0 and 1", lambda value: 0 <= value <= 1)]
 ShareBelow1 = Annotated[float, ("from 0 to below 1", lambda value: 0 <= value < 1)]
-"""Types of keys: what is expected of their values, and whether one is that."""
+"""Types of keys with the condition on their values: its text, and a function that tests it."""
 
 
 def one_of(*words: str) -> tuple[str, Callable[[str], bool]]:
-    """Return what is expected of a key with some values."""
+    """Return the condition on a key that accepts some words."""
     return f"one of {', '.join(words)}", words.__contains__
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """Everything that decides what a training ends with; the defaults are the paper's."""
+    """Everything that determines the result of a training; the defaults are the paper's."""
 
     architecture: str = "salsanext"
     initial: Annotated[str, one_of("random", "default")] = "random"
@@ -86,7 +86,7 @@ class Recipe:
             if kind is float and type(value) is int and abs(value) < MAX_INTEGER:
                 value = float(value)
                 object.__setattr__(self, key.name, value)
-            self._require(key.name, type(value) is kind, f"a {kind.__name__}")
+            self._require(key.name, type(value) is kind, KINDS[kind])
             if kind is float:
                 self._require(key.name, math.isfinite(value), "finite")
             for expected, is_right in getattr(key.type, "__metadata__", ()):
@@ -96,7 +96,8 @@ class Recipe:
 
     def _require(self, key: str, holds: bool, expected: str) -> None:
         if not holds:
-            raise UsageError(f"recipe key {key}", shortened(getattr(self, key)), expected)
+            value = shortened(repr(getattr(self, key)))
+            raise UsageError(f"recipe key {key}", f"is {value}", expected)
 
     def with_changes(self, **changes: Any) -> Self:
         """Return the recipe with some keys changed; an unknown key raises `UsageError`."""
@@ -112,7 +113,7 @@ class Recipe:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], source: object = "recipe") -> Self:
-        """Build a recipe from plain data; keys that are left out keep the paper's value."""
+        """Build a recipe from plain data; absent keys have the paper's value."""
         known = {key: value for key, value in data.items() if value or key not in REMOVED}
         refuse_unknown(known, cls, source)
         return cls(**known)
@@ -134,17 +135,17 @@ def recipe(name_or_file: str | Path) -> Recipe:
 
 
 def read_overrides(texts: Iterable[str]) -> dict[str, object]:
-    """Return what `Recipe.with_changes` takes, of texts ``key=value``; the last of a key holds."""
+    """Return the changes for `Recipe.with_changes` from texts ``key=value``; the last one wins."""
     changes: dict[str, object] = {}
     for text in texts:
         key, equals, value = (part.strip() for part in text.partition("="))
         if not (key and equals and value):
-            raise UsageError(f"--set {text}", "no key and value", "key=value, such as batch=4")
+            raise UsageError(f"--set {text}", "not key=value", "key=value, such as batch=4")
         refuse_unknown({key: value}, Recipe, f"--set {text}")
         kind = type(getattr(Recipe(), key))
         try:
-            # Quotes are taken for those of TOML.
+            # A word may be quoted as in TOML.
             changes[key] = kind(value.strip("\"'") if kind is str else value)
         except ValueError as error:
-            raise UsageError(f"--set {key}={value}", f"{value!r}", KINDS[kind]) from error
+            raise UsageError(f"--set {key}", f"is {value!r}", KINDS[kind]) from error
     return changes

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Run folder of a training: its files, and the settings that decide what is in them."""
+"""Run folder of a training: its files, and the settings that determine their content."""
 
 import hashlib
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from salsanext_cli.classes.label_space import LabelSpace
-from salsanext_cli.engines.device import PRECISIONS
-from salsanext_cli.errors import OutputError, counted
 from salsanext_cli.files.atomic import require_writable
 from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.files.json_files import record_of
@@ -23,59 +20,53 @@ from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.sensors.sensor import Sensor
 from salsanext_cli.training.data.sources import Source
-from salsanext_cli.training.recipe import REMOVED, Recipe
+from salsanext_cli.training.recipe import Recipe
 
 STAGE = "train"
 CHECKPOINT = "checkpoint.safetensors"
 LAST, BEST = "last.safetensors", "best.safetensors"
 LOG, CURVE = "log.csv", "curve.png"
 RECIPE, CLASS_COUNTS = "recipe.toml", "class_counts.json"
-SAMPLES, EVENTS, FOLDS, STREETS = "samples", "tensorboard", "folds", "streets"
-RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE)
-"""Files that a new training in the folder removes, beside pictures and events."""
+SAMPLES, FOLDS, STREETS = "samples", "folds", "streets"
+RESULTS = (CHECKPOINT, BEST, LAST, LOG, CURVE)  # A new training removes them and the pictures
 
 
 @dataclass(frozen=True, slots=True)
 class FurtherData:
-    """Scans of another data set that are trained on too."""
+    """Further data set of a training."""
 
     label_space: LabelSpace
-    scans: str  # As of `scans_digest`
+    scans: str  # Their `scans_digest`
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingSettings:
-    """Settings that decide the result of a training."""
+    """Settings that determine the result of a training."""
 
     recipe: Recipe
     sensor: Sensor
     label_space: LabelSpace
-    scans: str  # As of `scans_digest`, of those trained on and for validation
-    weights: str | None = None  # SHA-256 of the weights that it begins from
+    scans: str  # `scans_digest` of the training and validation scans
+    weights: str | None = None  # SHA-256 of the initial weights
     labels: str | None = None  # Digest of the labels of a cross-validated training
     also: tuple[FurtherData, ...] | None = None
-    left_out: str | None = None  # Of a fold: `scans_digest` of its scans
+    held_out: str | None = None  # `scans_digest` of the scans of a fold
 
     @property
     def decisive(self) -> dict[str, object]:
-        """Settings that a resumed training keeps; the parts of a batch may change."""
+        """Settings that may not change when a training is resumed; the parts of a batch may."""
         recipe = replace(self.recipe, accumulate=Recipe().accumulate)
         return settings_json(replace(self, recipe=recipe))
-
-    @property
-    def recipe_file(self) -> bytes:
-        """Content of the file of the recipe in the run folder."""
-        return self.recipe.to_toml().encode()
 
 
 def training_settings(
     recipe: Recipe, sources: Sequence[Source], weights: Path | None
 ) -> TrainingSettings:
-    """Return all that decides a training's result; sources: trained on, validated, further ones."""
+    """Return the settings of a training; sources: training, validation, further data sets."""
     first, validation, *further = sources
     labels = None
     if first.files and recipe.folds:
-        # Labels of a few scans are corrected, and trained on again.
+        # The labels of a few scans are often corrected between two trainings.
         digests = "".join(fingerprint(file.label_path) for file in first.files)
         labels = hashlib.sha256(digests.encode()).hexdigest()[:16]
     return TrainingSettings(
@@ -96,85 +87,65 @@ def scans_digest(scans: Sequence[ScanFile]) -> str:
 
 
 def sample_path(run: Path, epoch: int) -> Path:
-    """Return where the picture of a validated scan after an epoch lies."""
+    """Return the path of the picture of a validated scan after an epoch."""
     return run / SAMPLES / f"epoch-{epoch:03d}.png"
 
 
 def fold_folder(run: Path, number: int) -> Path:
-    """Return the folder, itself one of a training, of a fold of a cross-validation, from 1."""
+    """Return the run folder of a fold of a cross-validation, counted from 1."""
     return run / FOLDS / str(number)
 
 
 def recorded_settings(run: Path) -> TrainingSettings | None:
-    """Return the settings of the training that a folder holds, None if it holds none."""
+    """Return the settings of the training in a folder, None without one."""
     manifest = Manifest(run)
     if (record := manifest.record(STAGE)) is None:
         return None
-    path, recipe = manifest.path(STAGE), record.settings.get("recipe")
-    if isinstance(recipe, dict) and (gone := [key for key in REMOVED if recipe.get(key)]):
-        found = f"a training of an older version with {gone[0]} {recipe[gone[0]]}"
-        raise OutputError(path, found, hint="use another folder, or --overwrite to start again")
-    return record_of(TrainingSettings, record.settings, path)
+    # Older versions named the held-out scans otherwise.
+    settings = {"held_out": record.settings.get("left_out"), **record.settings}
+    return record_of(TrainingSettings, settings, manifest.path(STAGE))
 
 
 def recorded_precision(run: Path) -> str | None:
-    """Return the number type of the training that a folder holds, None if it tells none."""
+    """Return the number type of the training in a folder, None if it is not recorded."""
     settings = recorded_settings(run)
     precision = settings.recipe.precision if settings else None
-    return precision if precision in PRECISIONS and precision != "auto" else None
+    return None if precision == "auto" else precision
 
 
 def require_free(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
-    """Refuse, before anything is done, a folder that a training may not have."""
+    """Refuse a folder with files that a training may not replace, or with other settings."""
     require_writable(run)
-    recorded, owned = None if overwrite else recorded_settings(run), OwnedFolder(run, STAGE)
-    replaced = [run / name for name in (*RESULTS, CLASS_COUNTS)]
+    owned, recorded = OwnedFolder(run, STAGE), None if overwrite else recorded_settings(run)
+    replaced = [run / name for name in (*RESULTS, CLASS_COUNTS, RECIPE)]
     replaced += [sample_path(run, epoch) for epoch in range(1, settings.recipe.epochs + 1)]
-    if not _holds_recipe(run, settings):
-        replaced.append(run / RECIPE)
-    owned.require_own(replaced)
-    results = (folder / name for folder in _folders(run) for name in RESULTS)
-    if recorded is None or overwrite or not any(path.exists() for path in results):
-        return
-    before, after = _extended(recorded, settings).decisive, settings.decisive
-    if before != after and _extended(recorded, settings, always=True).decisive == after:
-        found = f"{counted(recorded.recipe.epochs, 'epoch')}, and a schedule that has ended"
-        hint = f"go on from it in another folder: --weights {run / LAST}"
-        raise OutputError(owned.record_path, found, "a schedule that goes on: decay", hint)
-    require_same_settings(owned.record_path, before, after)
+    owned.refuse_foreign(replaced)
+    has_results = any((folder / name).exists() for folder in _folders(run) for name in RESULTS)
+    if recorded and has_results:
+        before = _extended(recorded, settings).decisive
+        require_same_settings(owned.record_path, before, settings.decisive)
 
 
 def begin(run: Path, settings: TrainingSettings, *, overwrite: bool) -> None:
     """Record a training in a free folder; remove results of other settings, or all to overwrite."""
-    recorded, owned = None if overwrite else recorded_settings(run), OwnedFolder(run, STAGE)
-    known = recorded and _extended(recorded, settings).decisive
-    if overwrite or known != settings.decisive:
+    owned, recorded = OwnedFolder(run, STAGE), None if overwrite else recorded_settings(run)
+    if not recorded or _extended(recorded, settings).decisive != settings.decisive:
         for folder in _folders(run):
-            results = [folder / name for name in RESULTS]
-            results += [*folder.glob(f"{SAMPLES}/epoch-*.png"), *folder.glob(f"{EVENTS}/events.*")]
-            OwnedFolder(folder).remove_own(results)
+            results = [folder / name for name in RESULTS] + [*folder.glob(f"{SAMPLES}/epoch-*.png")]
+            OwnedFolder(folder).remove_written(results)
     owned.manifest.write(StageRecord(STAGE, settings_json(settings)))
-    if not _holds_recipe(run, settings):
-        owned.write(run / RECIPE, settings.recipe_file)
+    owned.write(run / RECIPE, settings.recipe.to_toml().encode())
 
 
 def _folders(run: Path) -> list[Path]:
-    """Return the run folder, and those of its folds."""
+    """Return the run folder and the folders of its folds."""
     return [run, *run.glob(f"{FOLDS}/*")]
 
 
-def _holds_recipe(run: Path, settings: TrainingSettings) -> bool:
-    with suppress(OSError):
-        return (run / RECIPE).read_bytes() == settings.recipe_file
-    return False
-
-
-def _extended(
-    recorded: TrainingSettings, wanted: TrainingSettings, *, always: bool = False
-) -> TrainingSettings:
+def _extended(recorded: TrainingSettings, wanted: TrainingSettings) -> TrainingSettings:
     """Return recorded settings, with more epochs if those before stay the same."""
     recipe = wanted.recipe
     steady = recipe.schedule == "decay" and not recipe.folds
-    if (steady or always) and recorded.recipe.epochs < recipe.epochs:
+    if steady and recorded.recipe.epochs < recipe.epochs:
         return replace(recorded, recipe=replace(recorded.recipe, epochs=recipe.epochs))
     return recorded

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Setup of a training: the network it starts from, what its folds share, their cross-validation."""
+"""Setup of a training: its initial network, its data, its cross-validation."""
 
 import copy
 import logging
@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -25,11 +24,10 @@ from salsanext_cli.network.registry import build, described
 from salsanext_cli.network.segmentation import SegmentationNetwork
 from salsanext_cli.network.weights import read_weights
 from salsanext_cli.parallel.network_task import network_pipeline
-from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.sensors.sensor import Sensor, sensor
 from salsanext_cli.training import run_folder
-from salsanext_cli.training.cross_validation import Expectation, expectation, folds
+from salsanext_cli.training.cross_validation import Expectation, Parts, expectation, held_out
 from salsanext_cli.training.data.class_counts import ClassCounts, class_weights, rare_classes
 from salsanext_cli.training.data.dataset import Samples, SamplingPlan
 from salsanext_cli.training.data.sources import Source
@@ -46,7 +44,6 @@ from salsanext_cli.training.tuning.error import (
     is_better,
     judging,
     of_both_kinds,
-    points_of_scan,
 )
 from salsanext_cli.training.tuning.scans import LabelledImage, read_labelled_image
 from salsanext_cli.training.validation import validate
@@ -58,11 +55,13 @@ log = logging.getLogger(__name__)
 
 
 def initial_network(
-    weights: Path | None, space: LabelSpace, recipe: Recipe, own: Sensor | None
+    weights: Path | None, space: LabelSpace, recipe: Recipe, seen: Sensor | None
 ) -> tuple[SegmentationNetwork, WeightsCard]:
-    """Return the network before training, and its card: architecture, classes, sensor, scans."""
-    # Without weights it is random; where they are of other classes, so are the outputs of classes
-    # without one of the same name. The sensor is `own`, else that of the weights, else the default.
+    """Return the network before training and its card: architecture, classes, sensor, scans.
+
+    It is random without weights; so are the outputs of classes that the weights do not have. The
+    sensor is `seen`, else the sensor of the weights, else the default.
+    """
     architecture = described(
         recipe.architecture, class_count=space.class_count, dropout=recipe.dropout
     )
@@ -70,43 +69,43 @@ def initial_network(
         torch.manual_seed(recipe.seed)  # noqa: TID251
         module = build(architecture, "recipe key architecture")
     if weights is None:
-        return module, WeightsCard(architecture, space, _completed(own, sensor(DEFAULT_SENSOR)))
+        return module, WeightsCard(architecture, space, _completed(seen, sensor(DEFAULT_SENSOR)))
     trained, card = read_weights(weights)
     if _hidden_shapes(trained) != _hidden_shapes(module):
         name = card.architecture["name"]
         hint = f'set architecture = "{name}" in the recipe'
-        raise WeightsError(weights, f"of a {name}", f"of a {recipe.architecture}", hint)
+        raise WeightsError(weights, f"holds a {name}", f"a {recipe.architecture}", hint)
     tensors = trained.state_dict()
     if not card.space.fits(space):
         tensors |= _outputs(module, tensors, card.space, space)
     module.load_state_dict(tensors)
-    begun = WeightsCard(architecture, space, _completed(own, card.sensor))
+    begun = WeightsCard(architecture, space, _completed(seen, card.sensor))
     return module, replace(begun, trained_on=card.trained_on)
 
 
 def inheriting(card: WeightsCard, weights: Path) -> WeightsCard:
-    """Return a card with what was fitted to the weights that the training began from, marked."""
-    begun = read_card(weights)
-    error, name = begun.error, begun.named(weights)
-    fits = begun.space.fits(card.space) and (error is None or error.features == FEATURES)
+    """Return a card with error model and expected accuracy of the initial weights, marked."""
+    initial = read_card(weights)
+    error, name = initial.error, initial.named(weights)
+    fits = initial.space.fits(card.space) and (error is None or error.features == FEATURES)
     error = error and replace(error, scores={INHERITED: name, **error.scores})
-    accuracy = begun.accuracy
+    accuracy = initial.accuracy
     if accuracy and not accuracy.inherited_from:
         accuracy = replace(accuracy, inherited_from=name)
-    heir = replace(card, temperature=begun.temperature, error=error, accuracy=accuracy)
+    heir = replace(card, temperature=initial.temperature, error=error, accuracy=accuracy)
     if inherited := heir.inherited():
-        how = "inherited" if fits else "not inherited, since classes or features differ"
-        log.log(NOTICE, "%s: %s; fit a model by `salsanext tune error`", how, inherited)
+        status = "inherited" if fits else "not inherited, since classes or features differ"
+        log.log(NOTICE, "%s: %s; fit a model with `salsanext tune error`", status, inherited)
     return heir if inherited and fits else card
 
 
-def _completed(own: Sensor | None, trained: Sensor) -> Sensor:
-    """Return a sensor, or else that of trained weights, with what these know of it."""
-    if own is None:
+def _completed(seen: Sensor | None, trained: Sensor) -> Sensor:
+    """Return a sensor with the intensity and row gaps of a trained one, or the trained one."""
+    if seen is None:
         return trained
-    quantiles = own.intensity_quantiles or trained.intensity_quantiles
-    gaps = trained.row_gaps if own.row_gaps is None else own.row_gaps
-    return replace(own, intensity_quantiles=quantiles, row_gaps=gaps)
+    quantiles = seen.intensity_quantiles or trained.intensity_quantiles
+    gaps = trained.row_gaps if seen.row_gaps is None else seen.row_gaps
+    return replace(seen, intensity_quantiles=quantiles, row_gaps=gaps)
 
 
 def _outputs(
@@ -115,7 +114,7 @@ def _outputs(
     classes: LabelSpace,
     space: LabelSpace,
 ) -> dict[str, Tensor]:
-    """Return the tensors of the outputs, (C, …), that begin with those of trained classes."""
+    """Return the tensors of the outputs, (C, …), with the trained values of shared classes."""
     outputs = {f"{LOGITS}.{key}": t.clone() for key, t in module.logits.state_dict().items()}
     trained_ids = {name: i for i, name in enumerate(classes.names)}
     shared = [i for i, name in enumerate(space.names) if name in trained_ids]
@@ -123,19 +122,19 @@ def _outputs(
         tensor[shared] = trained[name][[trained_ids[space.names[i]] for i in shared]]
     new = [name for name in space.names if name not in trained_ids]
     text = f"; at random: {first_few(new)}" if new else ""
-    log.log(NOTICE, "weights of %d of %d classes kept%s", len(shared), space.class_count, text)
+    log.log(NOTICE, "weights of %d of %d classes reused%s", len(shared), space.class_count, text)
     return outputs
 
 
 def _hidden_shapes(module: SegmentationNetwork) -> dict[str, torch.Size]:
-    """Return the shapes of the tensors of all layers but the outputs, by name."""
+    """Return the shapes of the tensors of all layers except the outputs, by name."""
     tensors = module.state_dict().items()
     return {name: tensor.shape for name, tensor in tensors if not name.startswith(f"{LOGITS}.")}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
-    """All that a training needs but its scans."""
+    """Everything that a training needs, except the choice of its scans."""
 
     run: Path
     recipe: Recipe
@@ -144,14 +143,13 @@ class Setup:
     card: WeightsCard
     sources: Sequence[Source]  # All labelled scans of the data set, and further data sets
     counts: ClassCounts
-    settings: run_folder.TrainingSettings  # All that decides the result
+    settings: run_folder.TrainingSettings
     device: torch.device
     group: ProcessGroup
     workers: int
     overwrite: bool
-    error: ErrorModel | None  # Error model of the weights that the training begins from
-    # Draws a network's predictions for a scan into an open file and returns the picture
-    draw: Callable[[BinaryIO, ScanFile, Network], npt.NDArray[np.uint8]]
+    error: ErrorModel | None  # Error model of the initial weights
+    draw: Callable[[BinaryIO, ScanFile, Network], object]  # Draws predictions into an open file
     report: Callable[[StepReport], object]  # Called after every step
 
     def training(self, files: Sequence[ScanFile], validation: Source) -> Training:
@@ -161,8 +159,8 @@ class Setup:
         pictured = (validation.files or files)[0]
         shown = validation if validation.files else first
 
-        def draw(file: BinaryIO, network: Network) -> npt.NDArray[np.uint8]:
-            return self.draw(file, pictured, network.for_sensor(shown.sensor_of(pictured)))
+        def draw(file: BinaryIO, network: Network) -> None:
+            self.draw(file, pictured, network.for_sensor(shown.sensor_of(pictured)))
 
         weights = class_weights(*of_class, recipe.class_weight)
         module = copy.deepcopy(self.initial)
@@ -186,29 +184,28 @@ class Setup:
         )
 
     def cross_validated(self) -> Expectation | None:
-        """Train once without each fold of the scans, and score it; None of a single scan."""
-        first, parts, logs = self.sources[0], self._folds(), list[list[Row]]()
+        """Train once without each fold of the scans and score it; None for a single scan."""
+        first, parts, logs = self.sources[0], self._parts(), list[list[Row]]()
         if not parts:
-            log.warning("one labelled scan: what to expect on others is unknown")
+            log.warning("a single labelled scan gives no estimate for other scans")
             return None
-        for number, part in enumerate(parts, start=1):
+        for number, (rest, part) in enumerate(parts, start=1):
             fold = replace(
                 self,
                 run=run_folder.fold_folder(self.run, number),
-                settings=replace(self.settings, left_out=run_folder.scans_digest(part)),
+                settings=replace(self.settings, held_out=run_folder.scans_digest(part)),
                 report=partial(self._report_fold, number, len(parts)),
             )
             self.group.on_main(fold._begin)
-            files = [file for file in first.files if file not in part]
-            logs.append(fold.training(files, replace(first, files=part)).fit().rows)
-        found = expectation(logs, one_drive=len({file.sequence for file in first.files}) == 1)
-        if found is None:
+            logs.append(fold.training(rest, replace(first, files=part)).fit().rows)
+        one_drive = len({file.sequence for file in first.files}) == 1
+        if (expected := expectation(logs, one_drive=one_drive)) is None:
             return None
-        miou, accuracy = self._scores_before(parts)
-        if found.miou <= miou:
-            change = f"mean IoU {found.miou:.1%} on scans left out, {miou:.1%} before"
-            log.warning("training did not improve the weights: %s; label more places", change)
-        return replace(found, miou_before=miou, accuracy_before=accuracy)
+        miou, accuracy = self._scores_before([part for _, part in parts])
+        if expected.miou <= miou:
+            change = f"mean IoU {expected.miou:.1%} on held-out scans, {miou:.1%} before"
+            log.warning("training did not improve the weights: %s; label more locations", change)
+        return replace(expected, miou_before=miou, accuracy_before=accuracy)
 
     def _scores_before(self, parts: Sequence[Sequence[ScanFile]]) -> tuple[float, float]:
         """Return mean IoU and accuracy before training, means over the folds."""
@@ -221,10 +218,10 @@ class Setup:
     def after(self, expected: Expectation | None) -> "Setup":
         """Return the setup of the training on all scans, after a cross-validation."""
         counts = [len(source.files) for source in self.sources]
-        before = len(self._folds()) * SamplingPlan(counts, self.recipe).steps
+        before = len(self._parts()) * SamplingPlan(counts, self.recipe).steps
 
-        def report(own: StepReport) -> None:
-            self.report(replace(own, step=before + own.step, steps=before + own.steps))
+        def report(step: StepReport) -> None:
+            self.report(replace(step, step=before + step.step, steps=before + step.steps))
 
         if expected is None:
             return replace(self, report=report)
@@ -237,45 +234,37 @@ class Setup:
         recipe = self.recipe.with_changes(epochs=expected.epochs)
         return replace(self, recipe=recipe, card=card, report=report)
 
-    def _folds(self) -> list[list[ScanFile]]:
-        files = self.sources[0].files
-        return folds(files, self.recipe.folds) if len(files) > 1 else []
+    def _parts(self) -> Parts:
+        return held_out(self.sources[0].files, self.recipe.folds)
 
     def _begin(self) -> None:
         run_folder.require_free(self.run, self.settings, overwrite=self.overwrite)
         run_folder.begin(self.run, self.settings, overwrite=self.overwrite)
 
     def _report_fold(self, number: int, count: int, report: StepReport) -> None:
-        """Report a step of a fold as one of all; its weights become the run's if better."""
-        best = self.run / run_folder.BEST
-        own = run_folder.fold_folder(self.run, number) / run_folder.BEST
-        if report.row and own.exists() and not (self.run / run_folder.CHECKPOINT).exists():
-            scores = [read_card(p).scores.get("miou", -1.0) for p in (best, own) if p.exists()]
-            if len(scores) == 1 or scores[1] > scores[0]:
-                OwnedFolder(self.run).write(best, own.read_bytes(), durable=True)
+        """Report a step of a fold as one of the whole cross-validation."""
         done, steps = (number - 1) * report.steps + report.step, (count + 1) * report.steps
         self.report(replace(report, step=done, steps=steps, fold=number))
 
     def _error_model(self, temperature: float) -> ErrorModel | None:
-        """Fit a model of errors to the scans that each fold left out, judged by its weights."""
-        # The fit starts from the existing model, which stays if it is better; None if neither is
-        # better than the confidence.
-        source, parts = self.sources[0], self._folds()
+        """Fit an error model to the held-out scans of each fold, or return the existing one.
+
+        None if neither is better than the confidence.
+        """
+        source, parts = self.sources[0], [part for _, part in self._parts()]
         judged: dict[ScanFile, JudgedPoints] = {}
-        most = points_of_scan(len(source.files))
         for number, part in enumerate(parts, start=1):
-            weights = run_folder.fold_folder(self.run, number) / run_folder.LAST
-            module, card = read_weights(weights)
-            # That of the final weights: the fold's own was fitted to these very scans.
+            module, card = read_weights(run_folder.fold_folder(self.run, number) / run_folder.LAST)
+            # The fold's own temperature was fitted to these very scans.
             card = replace(card, temperature=temperature)
             network = network_of_module(module.to(self.device), card, str(self.device))
 
             def read(file: ScanFile, network: Network = network) -> LabelledImage:
-                own = network.for_sensor(source.sensor_of(file))
-                return read_labelled_image(file, own, source.space)
+                seen = network.for_sensor(source.sensor_of(file))
+                return read_labelled_image(file, seen, source.space)
 
-            results = network_pipeline(judging(network, read, most), network).results(part)
-            judged |= zip(part, results, strict=True)
+            job = judging(network, read, len(source.files))
+            judged |= zip(part, network_pipeline(job, network).results(part), strict=True)
         if of_both_kinds(judged.values()):
             start = self.error if self.error and self.error.features == FEATURES else None
             model = cross_validated(judged, parts, start=start)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Validation of a network in training: scores on labelled scans, and the temperature that fits."""
+"""Validation of a network in training: scores on labelled scans, and the best temperature."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -23,7 +23,7 @@ from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.log import Row
 from salsanext_cli.training.tuning.temperature import best_temperature, with_temperature
 
-MAX_VALIDATED_POINTS = 200_000  # Points of a validation that the temperature is fitted to
+MAX_VALIDATED_POINTS = 200_000  # Points that the temperature is fitted to
 
 
 class ProjectedTruth(NamedTuple):
@@ -35,32 +35,34 @@ class ProjectedTruth(NamedTuple):
 
 
 class ValidatedScan(NamedTuple):
-    """Numbers about a validated scan."""
+    """Confusion of a validated scan, and a sample of its points."""
 
     confusion: Counts  # (C, C)
-    logits: torch.Tensor  # (C, M) float32: of some points of the classes that count
+    logits: torch.Tensor  # (C, M) float32: of some points of scored classes
     truth: torch.Tensor  # (M,) int64
 
 
 def validate(
     network: Network, source: Source, group: ProcessGroup = SINGLE_PROCESS
 ) -> tuple[Row, WeightsCard]:
-    """Score scans labelled as `predict` does, shared by workers; fit the card's temperature."""
+    """Score labels as `predict` makes them; return a row of the log, and a tempered card.
+
+    The workers of a group divide the scans.
+    """
     card, space = network.card, network.card.space
     confusion = np.zeros((space.class_count, space.class_count), np.int64)
     logits, truth = [torch.empty(space.class_count, 0)], [torch.empty(0, dtype=torch.int64)]
 
     def read(file: ScanFile) -> ProjectedTruth:
-        own = network.for_sensor(source.sensor_of(file))
-        scan, labels = read_labelled(file, source.space, own.sensor)
-        return ProjectedTruth(own, labels, project(scan, own.sensor))
+        fitted = network.for_sensor(source.sensor_of(file))
+        scan, labels = read_labelled(file, source.space, fitted.sensor)
+        return ProjectedTruth(fitted, labels, project(scan, fitted.sensor))
 
     def logits_of(scans: Sequence[ProjectedTruth]) -> list[Float]:
-        inputs = [own.input(image.channels) for own, _, image in scans]
-        return network.backend.logits(inputs)
+        return network.backend.logits([s.network.input(s.image.channels) for s in scans])
 
     def compare(scan: ProjectedTruth, of_pixels: Float) -> ValidatedScan:
-        _, labels, image = scan
+        labels, image = scan.labels, scan.image
         refined = knn_refine(image, of_pixels.argmax(axis=0), space.class_count)
         of_classes = confusion_matrix(labels, refined, space.class_count)
         usable = np.flatnonzero(space.scored[labels] & (image.pixel_of_point >= 0))
@@ -76,8 +78,8 @@ def validate(
         truth.append(scan.truth)
     counts = group.sum(torch.from_numpy(confusion).to(network.device)).cpu().numpy()
     all_logits, all_truth = (
-        torch.cat(group.gather(torch.cat(own, dim=-1).to(network.device)), dim=-1).cpu()
-        for own in (logits, truth)
+        torch.cat(group.gather(torch.cat(parts, dim=-1).to(network.device)), dim=-1).cpu()
+        for parts in (logits, truth)
     )
     result, (lowest, highest) = scores(counts, space), TEMPERATURES
     of_points = all_logits.T.contiguous()

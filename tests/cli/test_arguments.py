@@ -102,6 +102,7 @@ def test_a_named_sensor_sets_its_device_and_nothing_of_the_training(tmp_path):
         "tune error data tuned.safetensors --limit 5",
         "eval --split valid --out out",
         "filter out --split --to split",
+        "export-rrd out/",
     ],
 )
 def test_a_removed_option_is_an_error_that_names_what_to_use(run, line):

@@ -151,7 +151,7 @@ def test_eval_scores_the_uncertainty_again_when_it_changes(run, predict, data, w
     assert result.exit_code == 0
     assert "eval: 2 scans" in result.stderr
     assert (out / "scores.txt").exists()
-    for word in ("car", "NLL", "least_confidence", "mutual_information", "AUSE"):
+    for word in ("car", "NLL", "least_confidence", "mutual_information", "AURC"):
         assert word in result.stdout
     report = json.loads((out / "eval.json").read_text("utf-8"))
     assert report["settings"]["uncertainty"]["samples"] == 2

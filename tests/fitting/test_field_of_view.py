@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""View and vehicle, fitted to scans whose rays are known."""
+"""Field of view and vehicle, fitted to scans with known rays."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,8 +23,8 @@ from salsanext_cli.results.selection import evenly_spaced
 
 SCANS = [make_scan(3000, seed) for seed in range(3)]
 
-TOLD = replace(SMALL, min_range=0.0, ego_box=())
-"""What else is found is told."""
+KNOWN_EGO = replace(SMALL, min_range=0.0, ego_box=())
+"""Its vehicle is known, so that only the field of view is fitted."""
 
 
 def outside(scan, sensor):
@@ -37,14 +37,14 @@ def turned(scan, up):
     return Scan(points.astype(np.float32), scan.intensity)
 
 
-def test_a_view_that_fits_is_left_alone():
-    assert fit_view(SCANS, TOLD) == TOLD
-    nearly = replace(TOLD, fov_up=1.0)
+def test_a_matching_field_of_view_stays():
+    assert fit_view(SCANS, KNOWN_EGO) == KNOWN_EGO
+    nearly = replace(KNOWN_EGO, fov_up=1.0)
     assert fit_view(SCANS, nearly) == nearly
 
 
-def test_another_view_is_found_and_the_image_stays():
-    above = replace(TOLD, fov_up=25.0, fov_down=-7.0)
+def test_another_field_of_view_is_fitted_and_the_image_stays():
+    above = replace(KNOWN_EGO, fov_up=25.0, fov_down=-7.0)
     found = fit_view(SCANS, above)
     assert (found.fov_up, found.fov_down) == pytest.approx((3, -25), abs=0.3)
     shares = [outside(scan, found) for scan in SCANS]
@@ -53,7 +53,7 @@ def test_another_view_is_found_and_the_image_stays():
 
 
 @pytest.mark.parametrize("out_of_view", ["clamp", "drop"])
-def test_points_above_and_below_the_view_are_counted_one_by_one(out_of_view):
+def test_points_above_and_below_the_field_of_view_are_counted(out_of_view):
     elevations = np.array([-90, -60, -25.1, -24.9, 0, 2.9, 3.1, 89])
     sensor = replace(SMALL, out_of_view=out_of_view)
     assert share_outside(np.sin(np.radians(elevations)), sensor) == 5 / 8
@@ -61,8 +61,8 @@ def test_points_above_and_below_the_view_are_counted_one_by_one(out_of_view):
 
 
 @pytest.mark.parametrize("extent", [5.0, 15.0, 22.0])
-def test_no_more_is_shown_than_most_points_need(extent):
-    """Else objects would be lower in the image than those of training."""
+def test_the_field_of_view_is_no_larger_than_most_points_need(extent):
+    """Else objects would be lower in the image than in training."""
     found = fit_view(SCANS, replace(SMALL, fov_up=30.0 + extent, fov_down=30.0))
     elevations = [
         np.degrees(np.arcsin(s.points[:, 2] / np.linalg.norm(s.points, axis=1))) for s in SCANS
@@ -80,11 +80,11 @@ def test_a_field_of_view_that_no_rotating_sensor_has_is_not_fitted(lowest, highe
     """As of an accumulated cloud; the warning stays."""
     random = np.random.default_rng(0)
     azimuth, elevation = random.uniform(-180, 180, 4000), random.uniform(lowest, highest, 4000)
-    seen = rays(azimuth[:1], elevation) * random.uniform(5, 30, (4000, 1))
-    x, y, z = seen.T
-    turn = np.radians(azimuth)
-    seen = [x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z]
-    scan = Scan(np.stack(seen, axis=1).astype(np.float32), random.random(4000, np.float32))
+    around, upwards = np.radians([azimuth, elevation])
+    flat = np.cos(upwards)
+    points = np.stack([flat * np.cos(around), flat * np.sin(around), np.sin(upwards)], axis=1)
+    points = (points * random.uniform(5, 30, (4000, 1))).astype(np.float32)
+    scan = Scan(points, random.random(4000, np.float32))
     found = fit_view([scan], SMALL)
     assert (found.fov_up, found.fov_down, found.origin) == (3, -25, (0, 0, 0))
     assert "out-of-view" in [f.code for f in check_scan(Path("s.bin"), scan, found, SMALL).findings]
@@ -159,7 +159,7 @@ def rays(azimuths_deg=tuple(range(360)), elevations_deg=tuple(range(-40, 8))) ->
 
 
 def hits(box: np.ndarray) -> np.ndarray:
-    """Return the ranges at which rays meet a box, infinite for those that miss it."""
+    """Return the ranges at which rays meet a box, infinite for a miss."""
     with np.errstate(divide="ignore", invalid="ignore"):
         planes = box[:, None] / rays()
     entry, end = planes.min(axis=0).max(axis=1), planes.max(axis=0).min(axis=1)
@@ -211,7 +211,7 @@ def test_the_box_holds_the_roof_and_little_more(beside):
     ],
     ids=["two scans", "vehicle that stands", "no ground", "another beside it all the way"],
 )
-def test_scans_that_do_not_tell_a_box(scans):
+def test_scans_that_show_no_box(scans):
     assert fit_ego(scans, SMALL).ego_box == ()
 
 
@@ -246,7 +246,7 @@ def test_points_of_the_vehicle_by_a_plain_loop(points, nearest, boxed):
 
 @pytest.mark.real
 @pytest.mark.parametrize("drive", ["0001", "0004"])
-def test_the_vehicle_of_real_drives_is_left_out(real_data, drive):
+def test_the_vehicle_of_real_drives_is_in_the_box(real_data, drive):
     """By their labels: 31 is the vehicle itself."""
     files = sorted((real_data / f"data/drives/sequences/{drive}/velodyne").glob("*.bin"))
     files = evenly_spaced(files, MAX_SCANS)

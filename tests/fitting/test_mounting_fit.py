@@ -30,14 +30,8 @@ def street_points(azimuth, elevation, height, farthest, noise):
     `farthest` bounds their ranges, in metres, and `noise` (N,) is added to these. The nearer of the
     walls has most of them.
     """
-    rays = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ],
-        axis=1,
-    )
+    flat = np.cos(elevation)
+    rays = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
     with np.errstate(divide="ignore"):
         ground = np.where(rays[:, 2] < 0, -height / rays[:, 2], np.inf)
         wall = np.where(rays[:, 1] > 0, 6, -9) / rays[:, 1]
@@ -80,8 +74,8 @@ def test_the_ground_of_a_street_and_not_its_walls(height):
 
 
 @given(DIRECTION)
-def test_in_any_orientation(up):
-    """Of a sensor that turns about an axis of its frame, or near one."""
+def test_the_ground_in_any_orientation(up):
+    """The sensor turns about an axis of its frame, or near one."""
     axis = np.zeros(3)
     axis[np.abs(up).argmax()] = np.sign(up[int(np.abs(up).argmax())])
     points = street(0).points @ upright_rotation(axis)
@@ -90,17 +84,13 @@ def test_in_any_orientation(up):
     assert found.height == pytest.approx(1.7, abs=0.05)
 
 
-def test_where_there_is_none():
-    for points in (
-        np.zeros((0, 3)),
-        np.zeros((500, 3)),
-        np.random.default_rng(0).normal(size=(20, 3)) * 10,
-        np.full((500, 3), 5.0),
-    ):
+def test_points_without_a_ground():
+    few = np.random.default_rng(0).normal(size=(20, 3)) * 10
+    for points in (np.zeros((0, 3)), np.zeros((500, 3)), few, np.full((500, 3), 5.0)):
         assert find_ground(points.astype(np.float32)) is None
 
 
-def test_what_is_ahead_stays_ahead():
+def test_the_direction_ahead_stays_ahead():
     """Hanging, lying, leaning sensors, and the frames of cameras, whose z is ahead and y down."""
     for up, ahead in (
         ((0, 0, 2), (1, 0, 0)),
@@ -115,14 +105,14 @@ def test_what_is_ahead_stays_ahead():
 
 @pytest.mark.parametrize("beams", [16, 64])
 @pytest.mark.parametrize("place", PLACES)
-def test_the_place_that_beams_come_from(beams, place):
+def test_the_origin_of_the_beams(beams, place):
     scan = moved(objects(beams), place)
     assert find_origin(scan.points) == pytest.approx(place, abs=0.05)
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 1, 0)])
 def test_scans_in_the_frame_of_a_vehicle_make_the_images_of_their_sensor(up):
-    """In frames with z or y up; only the direction that is ahead is not told."""
+    """In frames with z or y up, up to the direction ahead."""
     turn = upright_rotation(np.array(up, float))
     scans = [
         Scan((moved(scan, (0.9, 0, HEIGHT)).points @ turn).astype(np.float32), scan.intensity)
@@ -181,7 +171,7 @@ def test_points_without_a_measurement_get_none_in_another_frame():
 
 
 @pytest.mark.parametrize("other", [{"origin": (2.0, 0.0, 1.0)}, {"up": (0.0, 1.0, 0.0)}])
-def test_the_mounting_of_other_scans_is_forgotten(other):
+def test_the_mounting_of_other_scans_is_not_used(other):
     """As that of weights that were tuned on them, which an earlier version did."""
     for scans in ([street(32)], [moved(street(32), (0.9, 0, HEIGHT))]):
         assert (

@@ -1,15 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Poses that are read, and those that fit their scans or not."""
+"""Files of poses, and whether poses fit their scans."""
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
 from scans import make_scan
 
 from salsanext_cli.errors import FormatError
 from salsanext_cli.fusion.pose_checks import (
-    CAMERA,
     best_reading,
     fitting_parts,
     overlap,
@@ -20,10 +17,10 @@ from salsanext_cli.fusion.poses import (
     encode_poses,
     pose_readings,
     read_fused_poses,
-    rotation,
-    with_w_first,
 )
 
+CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+"""From x forward, y left, z up to the camera's x right, y down, z forward."""
 STEMS = ("000000", "000001", "000002")
 
 
@@ -62,7 +59,7 @@ def test_names_may_be_line_numbers_from_0_or_from_1(tmp_path):
         with pytest.raises(FormatError, match="10 lines"):
             pose_readings(path, scans.split(), wanted.split())
     with pytest.raises(FormatError, match="10 lines"):
-        read_fused_poses(path, ["000002", "000007"], ["000002", "000007"])
+        read_fused_poses(path, ["2", "7"], ["2", "7"])
 
 
 def test_tum_is_read_as_kitti(tmp_path):
@@ -74,17 +71,18 @@ def test_tum_is_read_as_kitti(tmp_path):
     np.testing.assert_allclose(read_poses(path, STEMS, STEMS), poses, atol=1e-12)
 
 
-def test_poses_of_the_camera_become_those_of_the_scans(tmp_path):
+def test_poses_of_the_camera_become_poses_of_the_scans(tmp_path):
     poses = along(0, 1, 2)
     of_camera = CAMERA @ poses @ np.linalg.inv(CAMERA)
     path = written(tmp_path, encode_poses(of_camera))
     row = " ".join(map(str, CAMERA[:3].ravel()))
     (tmp_path / "calib.txt").write_text(f"P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: {row}\n")
     np.testing.assert_allclose(read_poses(path, STEMS, STEMS), poses, atol=1e-8)
-    for line, found in (("P0", "no line Tr"), ("Tr", "Tr scales, shears or mirrors")):
+    for line in ("P0", "Tr"):
         (tmp_path / "calib.txt").write_text(f"{line}: 1 0 0 0 0 1 0 0 0 0 0 0\n")
-        with pytest.raises(FormatError, match=found):
+        with pytest.raises(FormatError) as refused:
             read_poses(path, STEMS, STEMS)
+        assert refused.value.subject == str(tmp_path / "calib.txt")
 
 
 def test_rounded_rotations_become_rigid(tmp_path):
@@ -98,24 +96,20 @@ def test_rounded_rotations_become_rigid(tmp_path):
     np.testing.assert_array_equal(read_poses(path, STEMS, STEMS[1:]), poses[1:])
 
 
-def test_what_is_no_pose_is_refused(tmp_path):
-    for content, found in (
+def test_damaged_lines_are_refused_by_their_number(tmp_path):
+    for content, number in (
         (encode_poses(along(0, 1)), "2 lines"),
-        (b"1 2 3\n" * 3, "line 1: '1 2 3'"),
-        (b"a b\n" * 3, "line 1: 'a b'"),
-        (b"nan " * 12 + b"\n" + b"1 " * 12, "2 lines"),
-        ((b"nan " * 12 + b"\n") * 3, "line 1"),
-        (encode_poses(along(0, 1, 2) * 1.1), "line 1 scales"),
-        (
-            encode_poses(along(0, 1, 2) @ np.diag([1, 1, -1, 1.0])),
-            "line 1 scales",
-        ),
-        (b"0 1 2 3 0 0 0.5 0.5\n" * 3, "line 1 has a quaternion of length 0.707"),
+        (b"1 2 3\n" * 3, "line 1"),
+        (b"a b\n" * 3, "line 1"),
         (b"", "0 lines"),
-        (encode_poses(along(0, 1e308, 2)), r"line 2 has a coordinate of 1e\+308 m"),
-        (b"0 1 -1e12 3 0 0 0 1\n" * 3, r"line 1 has a coordinate of 1e\+12 m"),
+        ((b"nan " * 12 + b"\n") * 3, "line 1"),
+        (encode_poses(along(0, 1, 2) * 1.1), "line 1"),
+        (encode_poses(along(0, 1, 2) @ np.diag([1, 1, -1, 1.0])), "line 1"),
+        (b"0 1 2 3 0 0 0.5 0.5\n" * 3, "line 1 .* 0.707"),
+        (encode_poses(along(0, 1e308, 2)), r"line 2 .* 1e\+308 m"),
+        (b"0 1 -1e12 3 0 0 0 1\n" * 3, r"line 1 .* 1e\+12 m"),
     ):
-        with pytest.raises(FormatError, match=found):
+        with pytest.raises(FormatError, match=number):
             read_poses(written(tmp_path, content), ("a", "b", "c"), ("a", "b", "c"))
 
 
@@ -131,7 +125,7 @@ def street(poses):
 
 
 def moved(poses, start, by):
-    """Return poses of which those from a number on are elsewhere."""
+    """Return poses that are elsewhere from a number on."""
     return np.concatenate([poses[:start], by @ poses[start:]])
 
 
@@ -159,7 +153,7 @@ def test_overlap_is_the_share_of_points_in_voxels_of_the_other():
     assert overlap(second, first, shift(500, 0)) == 0
 
 
-def test_the_reading_by_which_scans_fit_is_the_best():
+def test_the_reading_with_the_best_fit_is_chosen():
     """The car gains speed, so that poses of the next scan are wrong ones."""
     faster = along(*(0.2 * n * n for n in range(12)))
     right, late = faster[:11], faster[1:]
@@ -199,47 +193,18 @@ def test_poses_of_a_slow_drive_must_fit_over_some_metres():
     seen = street(slow)
     assert require_fitting("poses.txt", slow, seen).tolist() == [0] * 30
     for wrong in (np.tile(np.eye(4), (30, 1, 1)), CAMERA @ slow @ np.linalg.inv(CAMERA)):
-        with pytest.raises(FormatError, match="poses that"):
+        with pytest.raises(FormatError) as refused:
             require_fitting("poses.txt", wrong, seen)
+        assert refused.value.subject == "poses.txt"
 
 
-def test_poses_must_lay_the_scans_on_each_other():
-    in_centimetres = WAY.copy()
-    in_centimetres[:, :3, 3] *= 100
+def test_poses_must_align_the_scans():
     frozen = WAY.copy()
     frozen[6:] = WAY[6]
-    wrong = {
-        "world to the scans": np.linalg.inv(WAY),
-        "poses that are of the camera ": CAMERA @ WAY @ np.linalg.inv(CAMERA),
-        "not of the camera of calib.txt": np.linalg.inv(CAMERA) @ WAY @ CAMERA,
-        "in centimetres": in_centimetres,
-        "do not fit 100%": along(*range(0, -84, -7)),
-        "do not fit": frozen,
-    }
-    for found, each in wrong.items():
-        with pytest.raises(FormatError, match=found):
-            require_fitting("poses.txt", each, SEEN)
-
-
-def test_quaternions_with_w_first_are_said(tmp_path):
-    turns = np.arctan2(WAY[:, 1, 0], WAY[:, 0, 0]) / 2
-    places = [" ".join(map(str, pose[:3, 3])) for pose in WAY]
-    lines = [f"0 {p} {np.cos(h)} 0 0 {np.sin(h)}" for p, h in zip(places, turns, strict=True)]
-    path, stems = tmp_path / "tum.txt", [f"{n:02}" for n in range(len(WAY))]
-    path.write_text("\n".join(lines))
-    poses = read_poses(path, stems, stems)
-    np.testing.assert_allclose(with_w_first(poses), WAY, atol=1e-12)
-    with pytest.raises(FormatError, match="w first"):
-        require_fitting(path, poses, SEEN)
-
-
-@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4))
-def test_any_quaternion_may_have_w_first(numbers):
-    assume(np.linalg.norm(numbers) > 0.1)
-    a, b, c, d = np.array(numbers) / np.linalg.norm(numbers)
-    read, meant = np.tile(np.eye(4), (2, 1, 1))
-    read[:3, :3], meant[:3, :3] = rotation(a, b, c, d), rotation(b, c, d, a)
-    np.testing.assert_allclose(with_w_first(read[None])[0], meant, atol=1e-9)
+    inverse, backwards = np.linalg.inv(WAY), along(*range(0, -84, -7))
+    for wrong in (inverse, backwards, frozen, CAMERA @ WAY @ np.linalg.inv(CAMERA)):
+        with pytest.raises(FormatError):
+            require_fitting("poses.txt", wrong, SEEN)
 
 
 def test_scans_that_stand_apart_or_still_may_have_such_poses():

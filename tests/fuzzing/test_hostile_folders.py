@@ -57,11 +57,11 @@ def test_links_in_an_output_folder(tmp_path):
     (disk / "b.label").symlink_to(victim)
     scans = find_scans(write_sequence(tmp_path / "08", ["a", "b"], count=5))
     output = begin_and_end(out, "predict", {}, ["predictions"], scans, overwrite=True)
-    assert {path.name for path in output.kept} == {"b.label"}
+    assert {path.name for path in output.foreign} == {"b.label"}
     output.write_labels(scans[0], LABELS)
     assert (disk / "a.label").stat().st_size == 20
     output = begin_and_end(out, "predict", {"seed": 2}, ["predictions"], scans, overwrite=True)
-    assert {path.name for path in output.kept} == {"a.label", "b.label"}
+    assert {path.name for path in output.foreign} == {"a.label", "b.label"}
     assert victim.read_bytes() == b"mine"
 
 

@@ -41,7 +41,7 @@ def as_listed(found):
     jitter=st.sampled_from([0.0, 0.0004]),
     share=st.sampled_from([0.0, 0.5, 1.0]),
 )
-def test_it_is_what_a_loop_over_all_pairs_gives(seed, count, size, jitter, share):
+def test_labels_equal_a_loop_over_all_pairs(seed, count, size, jitter, share):
     random = np.random.default_rng(seed)
     points = random.uniform(-size, size, (count, 3)).astype(np.float32)
     chosen = random.integers(0, max(count, 1), int(share * 2 * count))
@@ -98,7 +98,7 @@ def slow_merge(points, clouds, unlabelled):
     count=st.integers(1, 4),
     unlabelled=st.sampled_from([0, 255]),
 )
-def test_several_clouds_are_merged_as_a_loop_over_all_pairs_does(seed, size, count, unlabelled):
+def test_merged_clouds_equal_a_loop_over_all_pairs(seed, size, count, unlabelled):
     random = np.random.default_rng(seed)
     points = random.uniform(-size, size, (40, 3)).astype(np.float32)
     points[random.random(40) < 0.1] = np.nan
@@ -119,7 +119,7 @@ def test_several_clouds_are_merged_as_a_loop_over_all_pairs_does(seed, size, cou
     assert len(found.unmatched) == sum(len(part.unmatched) for part in parts)
 
 
-def test_points_at_one_place_take_no_more_time_and_those_beyond_anything_are_far_away():
+def test_equal_points_are_fast_and_huge_coordinates_are_far_away():
     """A sensor without returns gives tens of thousands of zeros, and billions of pairs."""
     points = np.zeros((60_000, 3), np.float32)
     found = transfer_labels(points, points - np.float32(1e-4), np.full(60_000, 9, np.uint32))

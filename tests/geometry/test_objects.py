@@ -49,7 +49,7 @@ def slow_components(channels, labels):
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9), st.integers(1, 40))
-def test_components_are_those_of_a_flood(seed, height, width):
+def test_components_equal_a_flood(seed, height, width):
     random = np.random.default_rng(seed)
     azimuth = -np.linspace(-np.pi, np.pi, width, endpoint=False) / 8
     elevation = np.radians(-2.0 * np.arange(height))[:, None]
@@ -88,13 +88,13 @@ def test_objects_end_where_class_or_range_does_and_go_on_behind_the_sensor():
     assert (found[0] > 0).mean() > 0.95
 
 
-def test_objects_that_no_16_bits_number_are_none(monkeypatch):
-    monkeypatch.setattr(objects, "MOST", 2)
+def test_objects_beyond_16_bits_have_no_number(monkeypatch):
+    monkeypatch.setattr(objects, "MAX_OBJECTS", 2)
     found = objects_of([thing(angle, 8) for angle in (0, 30, 60)], [CAR] * 3)
     assert sorted({number for each in found for number in each[each > 0].tolist()}) == [1, 2]
 
 
-def test_few_points_and_those_without_a_measurement_are_no_object():
+def test_few_points_and_unmeasured_points_are_no_object():
     few = thing(0, 8, count=objects.MIN_OBJECT_POINTS - 1, width=0.3)
     none = np.zeros((50, 3), np.float32)
     assert not np.concatenate(objects_of([few, none], [CAR, CAR])).any()

@@ -98,7 +98,7 @@ def test_takes_views_and_read_only_arrays(rings):
     assert_same(image, [getattr(expected, field) for field in FIELDS])
 
 
-def test_the_arctangent_is_that_of_the_library():
+def test_the_arctangent_equals_the_library():
     y, x = np.random.default_rng(5).normal(size=(2, 20_000))
     x[:4], y[:4] = (0, -0.0, 0, 1), (0, 0.0, -1, 0)
     found = np.array([arctan2(*pair) for pair in zip(y, x, strict=True)])

@@ -41,43 +41,42 @@ def sums_of(pairs):
 
 def slow(pairs):
     total = [sum(pair[i] for pair in pairs) for i in (0, 1)]
-    before, after = (scores(each, SPACE) for each in total)
+    before, after = (scores(confusion, SPACE) for confusion in total)
     return after.accuracy - before.accuracy, after.iou_mean_present - before.iou_mean_present
 
 
-def test_a_slow_loop_finds_the_same():
+PRESENT = np.array([False, True, True, False])
+
+
+def test_intervals_are_those_of_a_slow_loop():
     pairs = runs(7)
-    held = np.array([False, True, True, False])
-    accuracy, mean, *classes = paired_differences(sums_of(pairs), held)
+    accuracy, mean, *classes = paired_differences(sums_of(pairs), PRESENT)
     assert (accuracy.difference, mean.difference) == pytest.approx(slow(pairs))
     random = np.random.default_rng(SEED)
     drawn = [random.integers(7, size=7) for _ in range(RESAMPLES)]
-    found = np.percentile([slow([pairs[i] for i in each]) for each in drawn], (2.5, 97.5), axis=0)
-    assert np.array([[accuracy.low, mean.low], [accuracy.high, mean.high]]) == pytest.approx(found)
+    of_draws = [slow([pairs[i] for i in draw]) for draw in drawn]
+    expected = np.percentile(of_draws, (2.5, 97.5), axis=0)
+    assert [(accuracy.low, mean.low), (accuracy.high, mean.high)] == pytest.approx(expected)
     assert accuracy.low > 0
     assert classes[1].difference == pytest.approx(classes[1].after - classes[1].before)
 
 
 def test_equal_runs_differ_by_nothing_and_few_scans_have_no_interval():
     pairs = [[pair[0], pair[0]] for pair in runs(MIN_SCANS)]
-    held = np.array([False, True, True, False])
-    assert paired_differences(sums_of(pairs), held)[0][2:] == (0, 0, 0)
-    few = paired_differences(sums_of(pairs[1:]), held)[0]
+    assert paired_differences(sums_of(pairs), PRESENT)[0][2:] == (0, 0, 0)
+    few = paired_differences(sums_of(pairs[1:]), PRESENT)[0]
     assert few.difference == 0
     assert math.isnan(few.low)
-
-
-def pair(stem, turned, sums=None, trained_on=False):
-    return ScanPair(ScanFile("08", stem, Path(stem)), np.array(turned), sums, trained_on)
 
 
 def test_turned_classes_and_changed_scans():
     a = [[5, 0, 0, 0], [0, 3, 2, 0], [0, 0, 4, 0], [1, 0, 0, 0]]
     b = np.diag([5, 1, 1, 1])
-    found = RunComparison(SPACE, [pair("a", a), pair("b", b)])
-    assert found.turns() == [("car", "road", 2, 2 / 6), ("tree", "nothing", 1, 1 / 2)]
-    assert [each.file.stem for each in found.most_changed()] == ["a"]
-    data = found.to_dict()
+    files = (ScanFile("08", stem, Path(stem)) for stem in "ab")
+    compared = RunComparison(SPACE, [*map(ScanPair, files, np.array([a, b]))])
+    assert compared.turns() == [("car", "road", 2, 2 / 6), ("tree", "nothing", 1, 1 / 2)]
+    assert [pair.file.stem for pair in compared.most_changed()] == ["a"]
+    data = compared.to_dict()
     assert data["agreement"] == pytest.approx(10 / 13)
-    assert [each["changed"] for each in data["changed_most"]] == pytest.approx([0.3])
-    assert data["scores"] == data["by_distance"] == {}
+    assert [scan["changed"] for scan in data["changed_most"]] == pytest.approx([0.3])
+    assert data["scores"] == {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Panoptic quality, compared with figures of the benchmark's own program, and by hand."""
+"""Panoptic quality, compared with figures of the benchmark's program, and by hand."""
 
 import numpy as np
 import pytest
@@ -33,11 +33,11 @@ def scans_of_segments():
         truth, predicted = [], []
         for number in range(60):
             label = random.choice(RAW_IDS) | random.randint(3) << 16
-            guess = label & 0xFFFF | number << 16 if random.rand() < 0.5 else label
+            numbered = label & 0xFFFF | number << 16 if random.rand() < 0.5 else label
             size = random.randint(1, 120)
             missed = random.randint(size // 2 + 1)
             truth += [label] * size
-            predicted += [guess] * (size - missed) + [random.choice(RAW_IDS)] * missed
+            predicted += [numbered] * (size - missed) + [random.choice(RAW_IDS)] * missed
         yield np.array(truth, np.uint32), np.array(predicted, np.uint32)
 
 
@@ -47,10 +47,10 @@ def test_qualities_are_those_of_the_official_program():
     for raw in scans_of_segments():
         truth, predicted = ((space.to_train(labels), labels) for labels in raw)
         counts = counts + count_segments(truth, predicted, space.scored)
-    found = panoptic_quality(counts, space, space.movable)
-    found |= found.pop("classes")
-    for name, qualities in OFFICIAL.items():
-        assert [found[name][key] for key in COLUMNS[:3]] == pytest.approx(qualities, rel=1e-12)
+    quality = panoptic_quality(counts, space, space.movable)
+    quality |= quality.pop("classes")
+    for name, expected in OFFICIAL.items():
+        assert [quality[name][key] for key in COLUMNS[:3]] == pytest.approx(expected, rel=1e-12)
 
 
 def counts_of(truth, predicted):
@@ -66,19 +66,12 @@ def test_qualities_of_counts():
     """Three of four points of a car, all of a road, and a person that is called a car."""
     truth = [(2, 7)] * 100 + [(1, 0)] * 100 + [(3, 1)] * 60
     predicted = [(2, 1)] * 75 + [(1, 0)] * 125 + [(2, 2)] * 60
-    found = panoptic_quality(counts_of(truth, predicted), SCENE, THINGS)
-    car = found["classes"]["car"]
-    assert car == {
-        "pq": 0.5,
-        "sq": 0.75,
-        "rq": pytest.approx(2 / 3),
-        "matches": 1,
-        "false_alarms": 1,
-        "misses": 0,
-    }
-    assert found["classes"]["road"]["pq"] == pytest.approx(0.8)
-    assert found["classes"]["person"]["misses"] == 1
-    assert found["things"]["pq"] == pytest.approx(0.25)
-    assert found["all"]["pq"] == pytest.approx((0.5 + 0.8) / 3)
+    quality = panoptic_quality(counts_of(truth, predicted), SCENE, THINGS)
+    car, road, person = (quality["classes"][name] for name in ("car", "road", "person"))
+    assert [*car.values()] == [0.5, 0.75, pytest.approx(2 / 3), 1, 1, 0]
+    assert road["pq"] == pytest.approx(0.8)
+    assert person["misses"] == 1
+    assert quality["things"]["pq"] == pytest.approx(0.25)
+    assert quality["all"]["pq"] == pytest.approx((0.5 + 0.8) / 3)
     assert counts_of(truth, predicted)[:, -1].tolist() == [0, 0, 1, 1]
     assert panoptic_quality(counts_of([], []), SCENE, THINGS)["all"] == {"pq": 0, "sq": 0, "rq": 0}

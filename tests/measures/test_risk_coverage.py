@@ -26,7 +26,7 @@ from salsanext_cli.measures.histograms import (
 )
 from salsanext_cli.measures.risk_coverage import (
     COVERAGE,
-    kept_points,
+    accepted_points,
     ranking_scores,
     risk_coverage,
     spearman,
@@ -101,8 +101,8 @@ def test_risk_and_sparsification_are_those_of_a_slow_loop(points):
     assert result.ause == pytest.approx(mean(gaps), abs=1e-11)
 
 
-def test_raw_values_are_ranked_nearly_as_exactly():
-    """Only pairs within a bin are not told apart, here about one in a thousand."""
+def test_binned_values_rank_nearly_as_raw_values():
+    """Pairs within a bin are tied, here about one in a thousand."""
     rng = np.random.default_rng(0)
     uncertainty = np.exp(rng.normal(-12, 2, 4000)).astype(np.float32)
     wrong = rng.random(4000) < np.clip(uncertainty * 2e4, 0.05, 0.6)
@@ -114,7 +114,7 @@ def test_raw_values_are_ranked_nearly_as_exactly():
     assert result.mean == pytest.approx(uncertainty.astype(float).mean(), rel=1e-12)
 
 
-def test_with_nothing_to_find_or_nothing_else_there_is_no_auroc():
+def test_points_of_one_kind_have_no_auroc():
     for wrong, auroc, aupr, aurc, ause in (
         ((False, False), math.nan, math.nan, 0, math.nan),
         ((True, True), math.nan, 1, 1, 0),
@@ -122,8 +122,8 @@ def test_with_nothing_to_find_or_nothing_else_there_is_no_auroc():
         ((True,), math.nan, 1, 1, 0),
     ):
         result = ranking_scores(of([0.3, 1.0][: len(wrong)], wrong))
-        found = (result.auroc, result.aupr, result.aurc, result.ause)
-        np.testing.assert_array_equal(found, (auroc, aupr, aurc, ause))
+        areas = (result.auroc, result.aupr, result.aurc, result.ause)
+        np.testing.assert_array_equal(areas, (auroc, aupr, aurc, ause))
         assert (result.points, result.wrong, result.excess_aurc) == (len(wrong), sum(wrong), 0)
 
 
@@ -131,7 +131,7 @@ def test_with_nothing_to_find_or_nothing_else_there_is_no_auroc():
 def test_without_values_there_are_no_scores(count):
     nothing = of([math.nan] * count, [True] * count)
     result = ranking_scores(nothing)
-    assert (result.points, nothing.left_out, nothing.scans) == (0, count, 0)
+    assert (result.points, nothing.without_value, nothing.scans) == (0, count, 0)
     for name in ("mean", "auroc", "aupr", "aurc", "excess_aurc", "ause"):
         assert math.isnan(getattr(result, name)), name
     assert np.isnan(risk_coverage(*nothing.counts[:, 0])).all()
@@ -156,14 +156,13 @@ def test_scores_do_not_depend_on_the_order_of_the_scans(scans, random):
     assert ranking_scores(added(halves)) == ranking_scores(forth)
 
 
-def test_thresholds_keep_at_least_their_share():
+def test_thresholds_accept_at_least_their_share():
     random = np.random.default_rng(3)
     values = random.lognormal(-4, 1.5, 5000).astype(np.float32)
     wrong = random.random(5000) < 0.2
     counts = of(values, wrong).counts[:, 0]
     _, thresholds = risk_coverage(*counts)
-    kept = (values[:, None] <= thresholds).mean(axis=0)
-    assert (kept >= COVERAGE - 1e-9).all()
+    assert ((values[:, None] <= thresholds).mean(axis=0) >= COVERAGE - 1e-9).all()
     exact = np.sort(values)[np.ceil(COVERAGE * 5000 - 1e-6).astype(int) - 1]
     np.testing.assert_array_less(exact, thresholds + 1e-12)
     assert (thresholds <= exact * 1.01).all()
@@ -179,31 +178,28 @@ def test_correlation_is_scipys(pairs):
     assert spearman(one, other) == pytest.approx(expected, abs=1e-13)
 
 
-KEPT_LEVELS = (0.0, 2.0**-49, 0.01, 0.1, 0.101, 0.21, 0.5, 0.999, 1.0)
-"""Uncertainties of different bins, but for the first two, which are tied."""
-KEPT_POINTS = st.lists(
-    st.tuples(st.sampled_from(KEPT_LEVELS), st.booleans()), min_size=1, max_size=60
-)
+ERRORS = (0.0, 2.0**-49, 0.01, 0.1, 0.101, 0.21, 0.5, 0.999, 1.0)
+"""Uncertainties of different bins, except that the first two are tied."""
 
 
-@given(KEPT_POINTS)
+@given(st.lists(st.tuples(st.sampled_from(ERRORS), st.booleans()), min_size=1, max_size=60))
 def test_threshold_is_that_of_a_slow_loop(points):
     values, wrong = (np.array(column) for column in zip(*points, strict=True))
-    values[values == KEPT_LEVELS[1]] = 0
-    found = kept_points("error", of(values, wrong, np.arange(len(values)) % 3, 3))
-    assert found.points == len(points)
-    assert found.risk_of_all == wrong.mean()
+    values[values == ERRORS[1]] = 0
+    result = accepted_points("error", of(values, wrong, np.arange(len(values)) % 3, 3))
+    assert result.points == len(points)
+    assert result.risk_of_all == wrong.mean()
     coverages = [(values <= level).mean() for level in sorted(set(values))[:-1]]
     if wrong.all() or not wrong.any() or not coverages:
-        assert math.isnan(found.threshold)
-        assert math.isnan(found.coverage)
-        assert "no threshold of error helps" in found.sentence
+        assert math.isnan(result.threshold)
+        assert math.isnan(result.coverage)
+        assert result.sentence
         return
-    assert abs(found.coverage - 0.8) == pytest.approx(min(abs(c - 0.8) for c in coverages))
-    kept = values.astype(np.float32) < found.threshold
-    assert found.coverage == pytest.approx(kept.mean())
-    assert found.risk == pytest.approx(wrong[kept].mean())
-    assert found.threshold == float(f"{found.threshold:.4g}")
+    assert abs(result.coverage - 0.8) == pytest.approx(min(abs(c - 0.8) for c in coverages))
+    accepted = values.astype(np.float32) < result.threshold
+    assert result.coverage == pytest.approx(accepted.mean())
+    assert result.risk == pytest.approx(wrong[accepted].mean())
+    assert result.threshold == float(f"{result.threshold:.4g}")
 
 
 C = 4
@@ -216,8 +212,8 @@ def softmax(seed: int, count: int = 200, scale: float = 3) -> tuple[np.ndarray, 
     logits = rng.normal(0, scale, (count, C))
     powers = np.exp(logits - logits.max(axis=1, keepdims=True))
     probabilities = (powers / powers.sum(axis=1, keepdims=True)).astype(np.float16)
-    guess = rng.integers(0, C, count)
-    return probabilities, np.where(rng.random(count) < 0.4, guess, probabilities.argmax(axis=1))
+    other = rng.integers(0, C, count)
+    return probabilities, np.where(rng.random(count) < 0.4, other, probabilities.argmax(axis=1))
 
 
 def of_softmax(probabilities: np.ndarray, truth: np.ndarray) -> Histogram:
@@ -287,12 +283,12 @@ def test_a_probability_of_0_costs_as_much_as_the_smallest_float16():
     assert result.ece == result.ace == 1
 
 
-def test_groups_are_separate_and_points_without_a_softmax_left_out():
+def test_groups_are_separate_and_points_without_a_softmax_are_skipped():
     probabilities, truth = softmax(1)
     some = probabilities.copy()
     some[::2] = np.nan
     by_truth = of_softmax(some, truth)
-    assert by_truth.left_out == 100
+    assert by_truth.without_value == 100
     assert by_truth.points.tolist() == np.bincount(truth[1::2], minlength=C).tolist()
     for i in range(C):
         alone = of_softmax(probabilities[1::2][truth[1::2] == i], truth[1::2][truth[1::2] == i])
@@ -303,7 +299,7 @@ def test_groups_are_separate_and_points_without_a_softmax_left_out():
 def test_without_points_there_are_no_scores(count):
     nothing = of_softmax(np.full((count, C), np.nan, np.float16), np.zeros(count, int))
     result = calibration_scores(nothing)
-    assert (result.points, nothing.scans, nothing.left_out) == (0, 0, count)
+    assert (result.points, nothing.scans, nothing.without_value) == (0, 0, count)
     for name in ("confidence", "accuracy", "nll", "brier", "ece", "ace"):
         assert math.isnan(getattr(result, name)), name
 
@@ -311,9 +307,9 @@ def test_without_points_there_are_no_scores(count):
 def test_entropy_is_that_of_scipy_and_lack_of_confidence_that_of_the_largest():
     powers = np.exp(np.random.default_rng(0).normal(0, 4, (300, 20)))
     softmax = powers / powers.sum(axis=1, keepdims=True)
-    found = softmax_entropy(softmax)
-    assert found.dtype == np.float32
-    np.testing.assert_allclose(found, entropy(softmax, axis=1), atol=1e-5)
+    entropies = softmax_entropy(softmax)
+    assert entropies.dtype == np.float32
+    np.testing.assert_allclose(entropies, entropy(softmax, axis=1), atol=1e-5)
     np.testing.assert_allclose(lack_of_confidence(softmax), 1 - softmax.max(axis=1), atol=1e-6)
     rows = np.array([[1 - 1e-4, 1e-4], [1 - 1e-5, 1e-5]], np.float16)
     assert (rows[:, 0] == 1).all()

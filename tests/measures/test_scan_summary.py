@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a run says of its scans at its end: classes, findings, scans of two sensors, bands."""
+"""Summary of a run: classes, warnings, scans of two sensors, bands."""
 
 from collections import Counter
 from dataclasses import replace
@@ -32,33 +32,36 @@ def test_the_largest_classes_are_those_counted_slowly(scans):
         labels = np.array(train_ids, np.uint8)
         summary.add(ScanSummary.of_labels(FILE, labels, SPACE))
     counts = Counter(SPACE.names[i] for train_ids in scans for i in train_ids)
-    found = summary.largest_classes()
-    assert all(share == counts[name] / counts.total() for name, share in found.items())
+    largest = summary.largest_classes()
+    assert all(share == counts[name] / counts.total() for name, share in largest.items())
     total, unlabelled = counts.total(), counts.pop(SPACE.names[0], 0)
-    assert list(found.values()) == [count / total for _, count in counts.most_common(5)]
+    assert list(largest.values()) == [count / total for _, count in counts.most_common(5)]
     assert summary.unlabelled_share == unlabelled / max(total, 1)
 
 
-def test_labels_of_little_probability_are_doubted():
+def codes_of(labels, space=SPACE, **options):
+    summary = ScanSummary.of_labels(FILE, labels, space, **options)
+    return [finding.code for finding in summary.check.findings]
+
+
+def test_labels_of_low_probability_are_doubted():
     labels = np.arange(1000, dtype=np.uint8) % 20
-    for confidence, codes in ((0.5, ["low-confidence"]), (0.6, [])):
-        found = ScanSummary.of_labels(FILE, labels, SPACE, confidence=confidence)
-        assert [finding.code for finding in found.check.findings] == codes
+    assert codes_of(labels, confidence=0.5) == ["low-confidence"]
+    assert codes_of(labels, confidence=0.6) == []
 
 
-def test_a_class_that_takes_the_scan_unless_there_are_few():
-    for count, share, codes in (
-        (20, 0.72, []),
-        (20, 0.78, ["one-class"]),
-        (8, 0.83, []),
-        (8, 0.87, ["one-class"]),
+@pytest.mark.parametrize(
+    ("count", "share", "codes"),
+    [
+        *((20, 0.72, []), (20, 0.78, ["one-class"]), (8, 0.83, []), (8, 0.87, ["one-class"])),
         (3, 1, []),
-    ):
-        labels = np.where(np.arange(1000) < 1000 * share, 1, 2).astype(np.uint8)
-        unlabelled, space = np.zeros(5000, np.uint8), small_space(*map(str, range(count)))
-        found = ScanSummary.of_labels(FILE, np.append(labels, unlabelled), space)
-        assert [finding.code for finding in found.check.findings] == codes
-        assert ScanSummary.of_labels(FILE, labels[:50], space).check.findings == ()
+    ],
+)
+def test_a_class_of_nearly_the_whole_scan_is_doubted(count, share, codes):
+    labels = np.where(np.arange(1000) < 1000 * share, 1, 2).astype(np.uint8)
+    space = small_space(*map(str, range(count)))
+    assert codes_of(np.append(labels, np.zeros(5000, np.uint8)), space) == codes
+    assert codes_of(labels[:50], space) == []
 
 
 @given(st.permutations(range(6)))
@@ -68,9 +71,9 @@ def test_warnings_do_not_depend_on_the_order_of_the_scans(order):
         codes = [
             code for place, code in enumerate(("tilted", "height", "of-3")) if number % 3 > place
         ]
-        found = tuple(Finding(code, f"{code} of {number}", "turn it") for code in codes)
+        findings = tuple(Finding(code, f"{code} of {number}", "turn it") for code in codes)
         file = ScanFile("08", f"{number}", Path("scan.bin"))
-        scans.append(ScanSummary(file, ScanCheck(found)))
+        scans.append(ScanSummary(file, ScanCheck(findings)))
     summary = RunSummary(SMALL)
     for place in order:
         summary.add(scans[place])
@@ -101,10 +104,10 @@ def scan_of(name, place, brightest=0.5):
     height = random.uniform(1.5, 2.1)
     ground = -height / np.minimum(np.sin(elevation), -1e-3)
     distance = np.where(tall, np.minimum(wall, ground), ground)
-    kept = (distance < 100) & (random.random(distance.shape) < random.uniform(0.9, 1))
+    hit = (distance < 100) & (random.random(distance.shape) < random.uniform(0.9, 1))
     flat = distance * np.cos(elevation)
     xyz = (flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation))
-    points = np.stack(xyz, axis=-1)[kept].astype(np.float32)
+    points = np.stack(xyz, axis=-1)[hit].astype(np.float32)
     bright = np.linspace(0, brightest * random.uniform(0.7, 1.4), len(points))
     return Scan(points, bright.astype(np.float32))
 
@@ -117,25 +120,28 @@ def files(sequence, count):
     return [ScanFile(sequence, f"{number:06d}", FILE.path) for number in range(count)]
 
 
+def mixed(*traits_of_scans):
+    return mixed_sensors(dict(zip(files("08", len(traits_of_scans)), traits_of_scans, strict=True)))
+
+
 OF = {name: [traits(scan_of(name, place)) for place in range(9)] for name in BEAMS}
 
 
 @pytest.mark.parametrize("name", BEAMS)
-def test_places_of_one_sensor_are_not_told_apart(name):
-    assert mixed_sensors(dict(zip(files("08", 9), OF[name], strict=True))) == {}
-    for pair in combinations(OF[name], 2):
-        assert mixed_sensors(dict(zip(files("08", 2), pair, strict=True))) == {}
+def test_scans_of_one_sensor_at_different_locations_are_not_mixed(name):
+    for scans in (OF[name], *combinations(OF[name], 2)):
+        assert mixed(*scans) == {}
 
 
 @pytest.mark.parametrize(("one", "other"), [*combinations(BEAMS, 2)])
 @pytest.mark.parametrize(("of_one", "of_other"), [(6, 6), (9, 1), (1, 9)])
-def test_two_sensors_are_told_apart(one, other, of_one, of_other):
+def test_scans_of_two_sensors_are_mixed(one, other, of_one, of_other):
     scans = dict(zip(files("00", of_one), OF[one], strict=False))
     scans |= dict(zip(files("08", of_other), OF[other], strict=False))
-    found = mixed_sensors(scans)
+    findings = mixed_sensors(scans)
     fewer = "00" if of_one < of_other else "08"
-    assert {file for file in scans if file.sequence == fewer} == found.keys()
-    assert {finding.code for finding in found.values()} == {"mixed-sensors"}
+    assert {file for file in scans if file.sequence == fewer} == findings.keys()
+    assert {finding.code for finding in findings.values()} == {"mixed-sensors"}
 
 
 def cut(scan, share):
@@ -151,42 +157,37 @@ def thinned(scan, share):
 
 @pytest.mark.parametrize("part", [cut, thinned])
 @pytest.mark.parametrize("share", [0.4, 0.6])
-def test_a_scan_that_is_cut_off_or_thinned_out_is_of_the_same_sensor(part, share):
+def test_a_truncated_or_thinned_scan_is_of_the_same_sensor(part, share):
     for name in BEAMS:
         scan = scan_of(name, 0)
-        pair = traits(scan), traits(part(scan, share))
-        assert mixed_sensors(dict(zip(files("08", 2), pair, strict=True))) == {}
+        assert mixed(traits(scan), traits(part(scan, share))) == {}
 
 
-def test_small_scans_of_two_sensors_are_told_apart_beside_a_large_one():
+def test_small_scans_of_two_sensors_are_mixed_with_a_large_one():
     small, other = (traits(thinned(scan_of(n, 0), 0.2)) for n in ("of-16", "wide"))
     large = traits(scan_of("dense", 0))
-    found = mixed_sensors(dict(zip(files("08", 3), (large, small, other), strict=True)))
-    assert len(found) == 2
+    assert len(mixed(large, small, other)) == 2
     assert len({*groups_of([large, small, other])}) == 3
 
 
-def test_scans_that_were_fitted_by_themselves_are_not_compared():
-    pair = OF["of-16"][0], traits(scan_of("of-64", 0), replace(SMALL, fov_up=20.0))
-    assert mixed_sensors(dict(zip(files("08", 2), pair, strict=True))) == {}
+def test_scans_of_different_fits_are_not_compared():
+    assert mixed(OF["of-16"][0], traits(scan_of("of-64", 0), replace(SMALL, fov_up=20.0))) == {}
 
 
-def test_intensities_of_two_scales_are_told_apart():
-    usual, bytes_ = (replace(OF["of-64"][0], bright=bright) for bright in (0.5, 130.0))
-    none = replace(usual, bright=0.0)
-    scans = dict(zip(files("08", 4), [usual, usual, bytes_, none], strict=True))
-    (file,) = found = mixed_sensors(scans)
+def test_intensities_of_two_scales_are_mixed():
+    usual, in_bytes, none = (replace(OF["of-64"][0], bright=b) for b in (0.5, 130.0, 0.0))
+    ((file, finding),) = mixed(usual, usual, in_bytes, none).items()
     assert file.stem == "000002"
-    assert "intensities to 130)" in found[file].found
+    assert "130)" in finding.problem
 
 
 def test_scans_of_one_sensor_may_differ_in_brightness_as_on_a_wet_road():
-    """The largest factor between scans of one real sensor; scales differ by 100 or more."""
+    """The factor is the largest of one real sensor; scales differ by 100 or more."""
     dry, wet = (replace(OF["of-64"][0], bright=bright) for bright in (0.247, 0.043))
     assert groups_of([dry, wet]) == [0, 0]
 
 
-def test_a_run_says_it_at_its_end(caplog):
+def test_a_finished_run_warns_of_mixed_sensors(caplog):
     summary = RunSummary(SMALL)
     for file, of_scan in zip(files("08", 5), [*OF["of-64"][:4], OF["of-16"][0]], strict=True):
         summary.add(ScanSummary(file, ScanCheck((), of_scan)))
@@ -205,14 +206,14 @@ def test_a_distance_band_begins_where_the_previous_one_ends(distance, band):
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "said"), [(300, 9800, "3.0%"), (2100, 8000, ""), (1, 900, "")]
+    ("right", "wrong", "share"), [(300, 9800, "3.0%"), (2100, 8000, ""), (1, 900, "")]
 )
-def test_labels_that_hardly_ever_agree_are_doubted(right, wrong, said):
-    counts = ScanCounts.none(label_space(), by_distance=False)
+def test_labels_that_hardly_agree_with_predictions_are_doubted(right, wrong, share):
+    counts = ScanCounts.none(SPACE, by_distance=False)
     counts.confusion[[1, 9, 0], [1, 0, 5]] = right, wrong, 100_000
-    warnings = [*counts.label_warnings(label_space())]
-    assert len(warnings) == bool(said)
-    assert all(said in text and "--label-space" in text for text in warnings)
+    warnings = [*counts.label_warnings(SPACE)]
+    assert len(warnings) == bool(share)
+    assert all(share in text and "--label-space" in text for text in warnings)
 
 
 def test_the_share_of_the_vehicle_is_one_of_points():

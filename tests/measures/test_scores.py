@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Scores of classes, compared with scikit-learn and with counting one by one."""
 
-import json
 import math
 
 import numpy as np
@@ -12,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn import metrics
 
-from salsanext_cli.files.json_files import plain
 from salsanext_cli.measures.scores import confusion_matrix, scores
 
 SPACE = small_space("unlabelled", "car", "on: road", "tree")
@@ -102,9 +100,3 @@ def test_the_official_text_is_sorted_yaml_with_every_digit():
     assert list(yaml.safe_load(text)) == sorted(yaml.safe_load(text))
     assert yaml.safe_load(text)["iou_on: road"] == pytest.approx(0.5)
     assert yaml.safe_load(text)["iou_tree"] == 0
-
-
-def test_json_holds_null_for_what_is_absent():
-    found = json.loads(json.dumps(plain(of([(1, 1)])), allow_nan=False))
-    car, road, _ = found["classes"]
-    assert (car["name"], car["iou"], road["iou"], found["accuracy"]) == ("car", 1.0, None, 1.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Colours, and the plots that have them."""
+"""Colours, and the plots that use them."""
 
 from dataclasses import replace
 from io import BytesIO
@@ -25,11 +25,10 @@ from salsanext_cli.report.colours import (
     on_dark,
     screen_colours,
     value_colours,
-    value_range,
 )
 from salsanext_cli.report.plots import (
     CELL_PX,
-    HEIGHT_ABOVE,
+    HEIGHT,
     LEFT,
     NAMES_PX,
     PLOT_PX,
@@ -37,13 +36,11 @@ from salsanext_cli.report.plots import (
     SKY,
     TOP,
     WIDTH,
-    class_uncertainty,
     confusion_picture,
     error_diagram,
     iou_bars,
     reliability_diagram,
     risk_coverage,
-    sparsification,
 )
 
 SPACE = label_space()
@@ -68,15 +65,7 @@ def test_marks_of_a_scale_are_at_equal_steps_of_the_map():
     np.testing.assert_array_equal(colours, [*map_on_dark()[steps], EMPTY])
 
 
-@given(arrays(np.float32, (3, 4), elements=st.floats(width=32)))
-def test_any_value_has_a_colour(values):
-    low, high = value_range(values)
-    colours = value_colours(values, low, high)
-    assert colours.shape == (3, 4, 3)
-    assert (np.isnan(values) == (colours == EMPTY).all(axis=-1)).all()
-
-
-def test_a_legend_names_what_occurs_once():
+def test_a_legend_names_each_class_once():
     legend = legend_of(SPACE, np.array([ROAD, CAR]), np.array([[CAR]]))
     car, road = (tuple(screen_colours(SPACE)[i].tolist()) for i in (CAR, ROAD))
     assert legend == [("car", car), ("road", road)]
@@ -100,14 +89,14 @@ def contrast(colour):
 
 
 @given(arrays(np.uint8, (5, 3)))
-def test_dark_colours_are_mixed_with_as_little_white_as_makes_them_visible(colours):
+def test_dark_colours_are_mixed_with_just_enough_white(colours):
     for colour, seen in zip(colours.tolist(), on_dark(colours).tolist(), strict=True):
         assert contrast(seen) >= MIN_CONTRAST
         if contrast(colour) >= MIN_CONTRAST:
             assert seen == colour
         else:
             assert contrast(seen) < MIN_CONTRAST + 0.1
-            # Hues stay: what was the largest part still is.
+            # The order of red, green and blue stays.
             assert all(seen[i] >= seen[j] for i in range(3) for j in range(3)
                        if colour[i] >= colour[j])  # fmt: skip
 
@@ -118,20 +107,20 @@ def screen_of(colours):
 
 
 @pytest.mark.parametrize("name", ["coarse", "semantic-kitti"])
-def test_classes_can_be_told_apart_in_pictures(name):
+def test_classes_differ_clearly_in_pictures(name):
     space = label_space(name)
     colours = dict(zip(space.names, screen_colours(space).astype(int), strict=True))
     for first, second in combinations(colours.values(), 2):
         assert np.linalg.norm(first - second) > 40
     assert all(contrast(colour) >= MIN_CONTRAST for colour in colours.values())
     assert np.ptp(colours["unlabeled"]) == 0
-    # Those known from SemanticKITTI's are hardly changed.
-    own = dict(zip(space.names, space.colours.astype(int), strict=True))
-    for name in {"car", "road", "building", "vegetation", "terrain", "person"} & {*own}:
-        assert np.linalg.norm(colours[name] - own[name]) < 25
+    # The familiar colours of SemanticKITTI hardly change.
+    original = dict(zip(space.names, space.colours.astype(int), strict=True))
+    for name in {"car", "road", "building", "vegetation", "terrain", "person"} & {*original}:
+        assert np.linalg.norm(colours[name] - original[name]) < 25
 
 
-def test_classes_of_one_colour_get_others_that_can_be_told_apart():
+def test_classes_of_one_colour_get_colours_that_differ_clearly():
     colours = screen_of(np.zeros((17, 3))).astype(int)
     assert len(colours) == 17
     for first, second in combinations(colours, 2):
@@ -139,25 +128,24 @@ def test_classes_of_one_colour_get_others_that_can_be_told_apart():
 
 
 def test_colours_of_another_label_space_stay():
-    """SemanticKITTI's colours are changed on dark pages there only."""
-    own = SPACE.colours[[SPACE.names.index("person"), CAR]]
-    named = {i: f"own {name}" for i, name in SPACE.labels.items()}
-    of_own = screen_colours(replace(SPACE, labels=named, colours=own))
-    np.testing.assert_array_equal(of_own, on_dark(own))
+    """Only classes of SemanticKITTI get its colours for dark backgrounds."""
+    person_and_car = SPACE.colours[[SPACE.names.index("person"), CAR]]
+    renamed = {i: f"other {name}" for i, name in SPACE.labels.items()}
+    colours = screen_colours(replace(SPACE, labels=renamed, colours=person_and_car))
+    np.testing.assert_array_equal(colours, on_dark(person_and_car))
 
 
 @given(st.integers(1, 255).flatmap(lambda n: arrays(np.uint8, (n, 3))))
-def test_any_classes_have_different_visible_colours(own):
-    colours = screen_of(own)
-    assert len(np.unique(colours, axis=0)) == len(own)
+def test_any_classes_have_different_visible_colours(given_colours):
+    colours = screen_of(given_colours)
+    assert len(np.unique(colours, axis=0)) == len(given_colours)
     assert all(contrast(colour) >= MIN_CONTRAST for colour in colours)
-    np.testing.assert_array_equal(colours, screen_of(own))
+    np.testing.assert_array_equal(colours, screen_of(given_colours))
 
 
 def counts() -> Counts:
-    """Every car found, half the road called unlabelled, everything else absent."""
-    car, road = SPACE.names.index("car"), SPACE.names.index("road")
-    truth, predicted = np.array([[car, car, road, road, 0], [car, car, road, 0, car]])
+    """Every car right, half of the road unlabelled, all other classes absent."""
+    truth, predicted = np.array([[CAR, CAR, ROAD, ROAD, 0], [CAR, CAR, ROAD, 0, CAR]])
     return confusion_matrix(truth, predicted, SPACE.class_count)
 
 
@@ -180,16 +168,15 @@ def test_bars_are_as_long_as_the_iou_in_the_colour_of_the_class():
 
 def test_cells_are_as_dark_as_the_share_of_the_row():
     picture = pixels(confusion_picture(counts(), SPACE))
-    car, road = SPACE.names.index("car"), SPACE.names.index("road")
 
     def cell(truth, predicted):
         return picture[30 + (truth - 1) * CELL_PX + 5, NAMES_PX + predicted * CELL_PX + 5].sum()
 
-    assert cell(car, car) < cell(road, road) < cell(car, road)
+    assert cell(CAR, CAR) < cell(ROAD, ROAD) < cell(CAR, ROAD)
     # The row of an absent class is grey from end to end.
     grey = picture[30 + 5 * CELL_PX + 5, NAMES_PX + 5]
     assert grey.max() - grey.min() < 10
-    assert cell(6, 3) == cell(6, 6) < cell(car, road)
+    assert cell(6, 3) == cell(6, 6) < cell(CAR, ROAD)
 
 
 def test_without_points_and_with_any_names_there_is_a_picture():
@@ -206,9 +193,9 @@ def rgb(colour: str) -> list[int]:
 
 def rows_of(picture, colour, x) -> np.ndarray:
     """Return how high a colour reaches in a column of the axes: 0 at the bottom, 1 at the top."""
-    column = picture[TOP : TOP + HEIGHT_ABOVE + 1, LEFT + round(x * WIDTH)]
+    column = picture[TOP : TOP + HEIGHT + 1, LEFT + round(x * WIDTH)]
     near = np.abs(column - rgb(colour)).sum(axis=-1) < 60
-    return 1 - np.flatnonzero(near) / HEIGHT_ABOVE
+    return 1 - np.flatnonzero(near) / HEIGHT
 
 
 def test_bars_are_as_high_as_the_accuracy():
@@ -218,13 +205,11 @@ def test_bars_are_as_high_as_the_accuracy():
 
 
 @pytest.mark.parametrize("count", [0, 2])
-def test_pictures_are_of_one_size_with_wrong_points_or_without(count):
+def test_plots_have_one_size_with_and_without_points(count):
     result = ranking_result([0.1] * count, np.zeros(count, bool))
     for picture in (
         risk_coverage({"epistemic": result}),
-        sparsification({"epistemic": result}),
-        class_uncertainty(result, SPACE),
         reliability_diagram(calibration_result([])),
-        error_diagram(result, SPACE),
+        error_diagram(result),
     ):
         assert pixels(picture).shape[1::-1] == PLOT_PX

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The page of a run in headless Chromium: it draws, and its switches do what they say."""
+"""The page of a run in headless Chromium: it draws, and its controls work."""
 
 import json
 import os
@@ -27,11 +27,11 @@ CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium: make test installs it")
 COUNT = 1500
 STEMS = ("000000", "000001")
-FOUND = re.compile(r"FOUND (\{.*\})\"")
+RESULT = re.compile(r"RESULT (\{.*\})\"")
 PROBE = """<script>
 {
 const shown = () => +document.documentElement.dataset.shown;
-const found = { shown: shown(), told: byId("told").textContent };
+const result = { shown: shown(), summary: byId("summary").textContent };
 const picture = () => {
   view.draw();
   const { gl } = view, { width, height } = gl.canvas;
@@ -47,14 +47,14 @@ const legend = () => [...byId("legend").children];
 const at = (target, name, x, y) => target.dispatchEvent(
   new PointerEvent(name, { clientX: x, clientY: y, bubbles: true, pointerId: 1 }));
 (async () => {
-  found.state = [byId("scan").value, byId("colour").value, byId("by").value, byId("size").value];
-  found.colours = Object.fromEntries([...byId("colour").options].map(({ value }) => {
+  result.state = [byId("scan").value, byId("colour").value, byId("by").value, byId("size").value];
+  result.colours = Object.fromEntries([...byId("colour").options].map(({ value }) => {
     change("colour", value, "change");
     return [value, picture().size];
   }));
   change("colour", "label", "change");
   byId("all").click();
-  found.boxed = ["wrong", "label"].map(colour => {
+  result.boxed = ["wrong", "label"].map(colour => {
     change("colour", colour, "change");
     const boxed = picture().size;
     byId("boxes").click();
@@ -62,20 +62,20 @@ const at = (target, name, x, y) => target.dispatchEvent(
     byId("boxes").click();
     return boxed - without;
   });
-  found.all = shown();
-  found.legend = legend().map(each => each.textContent);
+  result.all = shown();
+  result.legend = legend().map(button => button.textContent);
   legend()[0].click();
-  found.pressed = legend()[0].getAttribute("aria-pressed");
+  result.pressed = legend()[0].getAttribute("aria-pressed");
   await new Promise(done => setTimeout(done, 300));
-  found.without = [shown(), picture().size, location.hash];
+  result.without = [shown(), picture().size, location.hash];
   legend()[1].dispatchEvent(new MouseEvent("dblclick"));
-  found.alone = shown();
+  result.alone = shown();
   byId("all").click();
   change("by", "entropy", "change");
   change("above", 64, "input");
-  found.below = [shown(), byId("above-value").textContent];
+  result.below = [shown(), byId("above-value").textContent];
   data.scales.error = { marks: [0, 0.1, 1], unit: "" };
-  found.marks = [0, 127, 254].map(byte => valueOf("error", byte));
+  result.marks = [0, 127, 254].map(byte => valueOf("error", byte));
   byId("all").click();
   view.azimuth = 0; view.elevation = 89; view.draw();
   const m = view.matrix(), [x, y, z] = view.place(700);
@@ -83,34 +83,34 @@ const at = (target, name, x, y) => target.dispatchEvent(
   const row = i => m[i] * x + m[4 + i] * y + m[8 + i] * z + m[12 + i];
   const px = (row(0) / row(3) + 1) / 2 * box.width;
   const py = (1 - row(1) / row(3)) / 2 * box.height;
-  found.picked = view.pick(px, py);
+  result.picked = view.pick(px, py);
   at(canvas, "pointermove", box.left + px, box.top + py);
   await new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
   const point = byId("point");
-  found.hover = [point.hidden, point.textContent, +document.documentElement.dataset.point];
-  const asked = point.hidden, label = cloud.values.label[found.picked];
-  const button = legend().find(each => each.textContent.startsWith(data.classes[label].name));
+  result.hover = [point.hidden, point.textContent, +document.documentElement.dataset.point];
+  const before_hiding = point.hidden, label = cloud.values.label[result.picked];
+  const button = legend().find(entry => entry.textContent.startsWith(data.classes[label].name));
   button.click();
-  found.hidden = [asked, point.hidden, view.marked];
+  result.hidden = [before_hiding, point.hidden, view.marked];
   button.click();
   const stage = byId("full").closest("#stage");
   const controls = ["cloud", "play", "colour", "above", "legend"];
-  stage.requestFullscreen = () => { found.full = controls.every(id => stage.contains(byId(id))); };
+  stage.requestFullscreen = () => { result.full = controls.every(id => stage.contains(byId(id))); };
   byId("full").click();
   const before = view.azimuth;
   canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
-  found.turned = view.azimuth - before;
-  found.pixels = Array.from({ length: cloud.shown }, (_, i) => pixelOf(i))
+  result.turned = view.azimuth - before;
+  result.pixels = Array.from({ length: cloud.shown }, (_, i) => pixelOf(i))
     .every((pixel, i) => pixel < 0 || (cloud.first[pixel] <= i && i < cloud.first[pixel + 1]));
   const strip = byId("strip"), area = strip.getBoundingClientRect(), pixel = pixelOf(700);
   at(strip, "pointermove", area.left + (pixel % cloud.width + 0.5) * area.width / cloud.width,
     area.top + (Math.floor(pixel / cloud.width) + 0.5) * area.height / cloud.height);
-  found.strip = [cloud.first[pixel], +document.documentElement.dataset.point];
+  result.strip = [cloud.first[pixel], +document.documentElement.dataset.point];
   byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "End" }));
   byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "Enter" }));
-  found.opened = [cloud.name, byId("column").textContent];
-  found.fetched = performance.getEntriesByType("resource").length;
-  console.log("FOUND " + JSON.stringify(found));
+  result.opened = [cloud.name, byId("column").textContent];
+  result.fetched = performance.getEntriesByType("resource").length;
+  console.log("RESULT " + JSON.stringify(result));
 })();
 }
 </script>"""
@@ -145,42 +145,42 @@ LIVE_PROBE = """<script>
     byId(id).dispatchEvent(new Event(name));
   };
   const played = async () => {
-    found.from = [];
+    result.from = [];
     byId("play").click();
-    found.playing = byId("play").textContent;
+    result.playing = byId("play").textContent;
     await until(() => byId("play").textContent === "play");
   };
-  const found = { early: view.pick(100, 100), from: [] };
+  const result = { early: view.pick(100, 100), from: [] };
   byId("strip").dispatchEvent(new PointerEvent("pointermove", { clientX: 1, clientY: 1 }));
   await until(() => cloud);
-  Object.assign(found, { first: cloud.name, left: document.documentElement.dataset.shown });
-  view.show = (old => cloud => { found.from.push(cloud.name); old.call(view, cloud); })(view.show);
+  Object.assign(result, { first: cloud.name, left: document.documentElement.dataset.shown });
+  view.show = (old => cloud => { result.from.push(cloud.name); old.call(view, cloud); })(view.show);
   await played();
-  found.unread = byId("unread").textContent;
-  found.played = [[...found.from], cloud.name, byId("place").value];
-  found.column = byId("column").textContent;
+  result.unread = byId("unread").textContent;
+  result.played = [[...result.from], cloud.name, byId("place").value];
+  result.column = byId("column").textContent;
   for (const place of [0, 1, 3, 0]) change("place", place, "input");
   await until(() => cloud.name === "08/000000");
-  found.told = byId("told").textContent;
-  found.legend = byId("legend").children[0];
+  result.summary = byId("summary").textContent;
+  result.legend = byId("legend").children[0];
   change("scan", 1, "change");
   await until(() => cloud.name === "08/000001");
-  found.legend = found.legend === byId("legend").children[0];
+  result.legend = result.legend === byId("legend").children[0];
   byId("play").click();
   change("scan", 0, "change");
   await until(() => cloud.name === "08/000000");
   await new Promise(done => setTimeout(done, 500));
-  found.chosen = [cloud.name, byId("play").textContent];
+  result.chosen = [cloud.name, byId("play").textContent];
   byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "End" }));
   byId("columns").dispatchEvent(new KeyboardEvent("keydown", { key: "Enter" }));
   await until(() => cloud.name === "08/000003");
-  found.colours = [...byId("colour").options].map(each => each.value);
+  result.colours = [...byId("colour").options].map(option => option.value);
   change("scan", 2, "change");
   await until(() => byId("scan").value === "3");
-  found.failed = [byId("told").textContent, cloud.name];
-  const fetched = performance.getEntriesByType("resource").map(each => new URL(each.name).pathname);
-  found.fetched = fetched.map(each => each.split("/").pop());
-  console.log("FOUND " + JSON.stringify(found));
+  result.failed = [byId("summary").textContent, cloud.name];
+  const paths = performance.getEntriesByType("resource").map(entry => new URL(entry.name).pathname);
+  result.fetched = paths.map(path => path.split("/").pop());
+  console.log("RESULT " + JSON.stringify(result));
 })();
 </script>"""
 
@@ -200,12 +200,12 @@ def console_of(page: str, tmp_path: Path) -> str:
     return "\n".join(line for line in done.stderr.splitlines() if ":CONSOLE" in line)
 
 
-def found_in(said: str) -> dict[str, Any]:
+def result_in(console: str) -> dict[str, Any]:
     """Return what a probe wrote to the console."""
-    written = FOUND.search(said)
-    assert written, said
-    found: dict[str, Any] = json.loads(written[1].replace('\\"', '"').replace("\\\\", "\\"))
-    return found
+    written = RESULT.search(console)
+    assert written, console
+    result: dict[str, Any] = json.loads(written[1].replace('\\"', '"').replace("\\\\", "\\"))
+    return result
 
 
 def test_the_page_draws_and_its_controls_work(world, tmp_path):
@@ -213,50 +213,48 @@ def test_the_page_draws_and_its_controls_work(world, tmp_path):
     page = tmp_path / "with a probe.html"
     page.write_text(made.page.read_text("utf-8").replace("</body>", f"{PROBE}</body>"), "utf-8")
     wanted = {"scan": "08/000000", "colour": "wrong", "by": "entropy", "above": "0.5", "size": "4"}
-    said = console_of(f"{page.as_uri()}#{urlencode(wanted)}", tmp_path)
-    found = found_in(said)
-    assert said.count("CONSOLE") == 1, said
-    # The address said so: entropies go from 0 to 2, so a quarter is below 0.5.
-    assert found["state"] == ["1", "wrong", "entropy", "4"]
-    assert abs(found["shown"] - COUNT / 4) < 0.02 * COUNT
-    assert re.search(
-        r"1,500 points, 2\d\.\d % of them shown: \d+\.\d % wrong instead", found["told"]
-    )
-    assert [*found["colours"]] == ["label", "truth", "wrong", "entropy", "range", "intensity"]
-    # The background and a colour or more, of values many.
-    assert all(count >= 3 for count in found["colours"].values())
-    assert min(found["colours"][name] for name in ("entropy", "range", "intensity")) > 20
-    # Boxes have the colour of their class, whatever points are coloured by.
-    assert found["boxed"] == [1, 0]
-    assert found["all"] == COUNT
-    cars, roads = (float(each.split()[1]) / 100 for each in found["legend"])
-    shown, colours, address = found["without"]
-    assert found["pressed"] == "false"
+    console = console_of(f"{page.as_uri()}#{urlencode(wanted)}", tmp_path)
+    result = result_in(console)
+    assert console.count("CONSOLE") == 1, console
+    # The address hides entropies above 0.5; they go from 0 to 2.
+    assert result["state"] == ["1", "wrong", "entropy", "4"]
+    assert abs(result["shown"] - COUNT / 4) < 0.02 * COUNT
+    assert re.search(r"1,500 points, 2\d\.\d % visible: \d+\.\d % wrong", result["summary"])
+    assert [*result["colours"]] == ["label", "truth", "wrong", "entropy", "range", "intensity"]
+    # The background and at least two colours, many for values.
+    assert all(count >= 3 for count in result["colours"].values())
+    assert min(result["colours"][name] for name in ("entropy", "range", "intensity")) > 20
+    # Boxes keep the colour of their class.
+    assert result["boxed"] == [1, 0]
+    assert result["all"] == COUNT
+    cars, roads = (float(text.split()[1]) / 100 for text in result["legend"])
+    shown, colours, address = result["without"]
+    assert result["pressed"] == "false"
     assert shown == pytest.approx(COUNT * roads, abs=COUNT / 2000)
-    assert colours == found["colours"]["label"] - 1
+    assert colours == result["colours"]["label"] - 1
     assert "hide=car" in address
-    assert found["alone"] == shown
+    assert result["alone"] == shown
     assert cars + roads == pytest.approx(1)
-    assert abs(found["below"][0] - COUNT / 4) < 0.02 * COUNT
-    assert found["marks"] == [0, 0.1, 1]
-    hidden, words, point = found["hover"]
-    assert found["picked"] == point >= 0
+    assert abs(result["below"][0] - COUNT / 4) < 0.02 * COUNT
+    assert result["marks"] == [0, 0.1, 1]
+    hidden, words, point = result["hover"]
+    assert result["picked"] == point >= 0
     assert not hidden
     assert re.search(r"label +(car|road)\ntruth +(car|road)\n", words)
     assert re.search(r"entropy +(0|[\d.]+) nats\n", words)
-    # Once its class is hidden, nothing is said of a point.
-    assert found["hidden"] == [False, True, -1]
-    assert found["full"]
-    assert found["turned"] == 5
-    assert found["pixels"]
-    assert found["strip"][0] == found["strip"][1]
-    assert found["opened"][0] == "08/000001"
-    assert found["opened"][1].startswith("08/000001: mean entropy 0.5")
-    assert found["fetched"] == 0
+    # The description of a point disappears with its class.
+    assert result["hidden"] == [False, True, -1]
+    assert result["full"]
+    assert result["turned"] == 5
+    assert result["pixels"]
+    assert result["strip"][0] == result["strip"][1]
+    assert result["opened"][0] == "08/000001"
+    assert result["opened"][1].startswith("08/000001 · mean entropy 0.5")
+    assert result["fetched"] == 0
 
 
 @pytest.mark.slow
-def test_the_live_page_plays_the_drive_and_names_what_fails(world, tmp_path, monkeypatch):
+def test_the_live_page_plays_the_drive_and_names_failures(world, tmp_path, monkeypatch):
     for stem in ("000002", "000003"):
         world.add(stem, [CAR, ROAD], [CAR, CAR])
     with view(world.out, query=ResultQuery(world.dataset)) as server, served(server):
@@ -264,25 +262,25 @@ def test_the_live_page_plays_the_drive_and_names_what_fails(world, tmp_path, mon
         page = server.page.replace(b"</body>", f"{LIVE_PROBE}</body>".encode())
         monkeypatch.setattr(server, "page", page)
         state = {"scan": "08/000000", "colour": "wrong", "by": "entropy", "above": "0.5"}
-        said = console_of(f"{server.url}#{urlencode(state)}", tmp_path)
-    found = found_in(said)
-    assert found["early"] == -1
-    assert found["first"] == "08/000000"
+        console = console_of(f"{server.url}#{urlencode(state)}", tmp_path)
+    result = result_in(console)
+    assert result["early"] == -1
+    assert result["first"] == "08/000000"
     # The address hides entropies, which go from 0 to 2, above 0.5.
-    assert abs(int(found["left"]) - COUNT / 4) < 0.02 * COUNT
-    assert found["playing"] == "pause"
-    # Playing passes over the scan that cannot be read.
-    assert found["played"] == [["08/000001", "08/000003"], "08/000003", "3"]
-    assert found["column"].startswith("08/000003 ")
-    assert found["unread"].startswith("could not be read: 08/000002: ")
-    assert "000002.bin" in found["unread"]
-    assert "of them shown" in found["told"]
-    assert found["legend"], "the buttons are the same ones"
-    assert found["chosen"] == ["08/000000", "play"]
-    assert found["colours"] == ["label", "truth", "wrong", "range", "intensity"]
-    told, shown = found["failed"]
-    assert told.startswith("2 points")
+    assert abs(int(result["left"]) - COUNT / 4) < 0.02 * COUNT
+    assert result["playing"] == "pause"
+    # The animation skips the unreadable scan.
+    assert result["played"] == [["08/000001", "08/000003"], "08/000003", "3"]
+    assert result["column"].startswith("08/000003 ")
+    assert result["unread"].startswith("could not be read: 08/000002: ")
+    assert "000002.bin" in result["unread"]
+    assert "% visible" in result["summary"]
+    assert result["legend"], "the buttons stay"
+    assert result["chosen"] == ["08/000000", "play"]
+    assert result["colours"] == ["label", "truth", "wrong", "range", "intensity"]
+    summary, shown = result["failed"]
+    assert summary.startswith("2 points")
     assert shown == "08/000003"
-    # What was shown before is not asked for again; what cannot be read is, when it is wanted.
-    assert sorted(set(found["fetched"])) == ["0", "1", "2", "3"]
-    assert [found["fetched"].count(each) for each in "013"] == [1, 1, 1]
+    # Scans in memory are not requested again; unreadable scans are.
+    assert sorted(set(result["fetched"])) == ["0", "1", "2", "3"]
+    assert [result["fetched"].count(index) for index in "013"] == [1, 1, 1]

@@ -56,12 +56,12 @@ def test_views_are_side_by_side():
     top = HEAD_PX + VIEW_TITLE_PX
     body = drawn[top : top + size].astype(int)
     starts = (MARGIN_PX, 2 * MARGIN_PX + size)
-    for start, own, other in zip(starts, (0, 1), (1, 0), strict=True):
+    for start, channel, other in zip(starts, (0, 1), (1, 0), strict=True):
         view = body[:, start : start + size]
-        coloured = view[..., own] - view[..., other] > 100
+        coloured = view[..., channel] - view[..., other] > 100
         assert coloured[: size // 2].sum() > 5000
         assert not coloured[size // 2 + 5 :].any()
-        assert not (view[..., other] - view[..., own] > 100).any()
+        assert not (view[..., other] - view[..., channel] > 100).any()
     assert count(drawn[top + size :], (1, 2, 250))
 
 
@@ -79,7 +79,7 @@ def draw(results, *colours, strips=None, scales=None):
     return picture_of_results("08/1", results, SPACE, SMALL, scales or {}, colours, strips)
 
 
-def test_colours_and_legend_are_of_the_classes_that_are_there(results):
+def test_pictures_show_the_classes_of_the_scan(results):
     of_class = dict(zip(SPACE.names, map(tuple, screen_colours(SPACE).tolist()), strict=True))
     drawn = pixels(draw(results, "label"))
     assert drawn.shape[1] == NARROW_PX + 2 * MARGIN_PX
@@ -88,14 +88,14 @@ def test_colours_and_legend_are_of_the_classes_that_are_there(results):
     assert not count(drawn, of_class["road"])
     truth = pixels(draw(results, "truth"))
     assert not count(truth, of_class["sidewalk"])
-    # What is absent keeps its place, so that frames of an animation stay alike.
+    # Absent classes stay in the legend, so that frames of an animation have one size.
     assert truth.shape == drawn.shape
     wrong = pixels(draw(results, "wrong"))
     assert count(wrong, WRONG) > 2000
     assert not count(wrong, of_class["car"])
 
 
-def test_values_have_their_scale_beside_them(results):
+def test_strips_of_values_have_their_scale(results):
     near, far = (draw(results, "entropy", scales={"entropy": (0, high)}) for high in (1, 2))
     assert near != far
     assert near == draw(results, "entropy", scales={"entropy": (0, 1)})
@@ -140,7 +140,7 @@ def test_a_higher_point_hides_a_lower_one(spread):
 
 
 @pytest.mark.parametrize("point", [(np.nan, 0, 0), (np.inf, 0, 0), (10.01, 0, 0), (0, -1e9, 0)])
-def test_points_outside_the_view_are_left_out(point):
+def test_points_outside_the_picture_are_skipped(point):
     assert (seen([point], [RED]) == EMPTY).all()
     assert (seen(np.zeros((0, 3)), np.zeros((0, 3))) == EMPTY).all()
 
@@ -150,17 +150,17 @@ def test_points_outside_the_view_are_left_out(point):
 )
 def test_a_picture_from_above_is_as_wide_as_the_scan(farthest, reach, monkeypatch):
     drawn = []
-    monkeypatch.setattr(scan_pictures, "_draw_from_above", lambda *given: drawn.append(given[4]))
+    monkeypatch.setattr(scan_pictures, "_draw_from_above", lambda *args: drawn.append(args[4]))
     monkeypatch.setattr("salsanext_cli.report.canvas.png_of", lambda _: b"")
     points = np.zeros((1000, 3), np.float32)
     points[:700, 1] = np.linspace(0.1, farthest, 700)
-    points[0, 0], points[1] = 80, np.nan  # One that is far, and one without a measurement
+    points[0, 0], points[1] = 80, np.nan  # A far point, and one without a measurement
     scan_picture("", points, {"": np.zeros((1000, 3), np.uint8)})
     assert drawn == [reach]
 
 
 def test_a_sample_shows_truth_prediction_and_errors(tmp_path):
-    """Of a network that says road of everything."""
+    """The network labels everything road."""
     (file,) = find_scans(write_sequence(tmp_path / "00", ["0"], count=600))
     module = TinyNetwork(SPACE.class_count).eval()
     module.logits.weight.data.zero_()

@@ -20,11 +20,11 @@ from salsanext_cli.network.complexity import NetworkCosts, PaperFigures
 from salsanext_cli.report.comparison import comparison_tables
 from salsanext_cli.report.picked import picked_table
 from salsanext_cli.report.tables import (
+    accepted_table,
     band_table,
     card_table,
     error_table,
     imported_table,
-    kept_table,
     network_table,
     score_table,
     survey_tables,
@@ -67,7 +67,7 @@ def test_a_row_per_class_then_the_means():
 
 
 def test_bands_are_compared_in_the_same_classes():
-    """Of classes of other bands only, the mean of a band says nothing."""
+    """A mean over classes of other bands would not be comparable."""
     nothing = scores(np.zeros((4, 4), np.int64), SPACE)
     assert printed(band_table({"0–10 m": result(), "over 50 m": nothing})) == [
         ["0–10 m", "75.0", "66.7", "3,000", ""],
@@ -78,16 +78,18 @@ def test_bands_are_compared_in_the_same_classes():
     assert [row[1::3] for row in rows] == [["100.0", ""], ["50.0", "car [red]"], ["100.0", ""]]
 
 
-def test_a_class_with_a_threshold_of_its_own_has_a_row_though_none_is_kept():
-    assert printed(kept_table({"car": (10, 1), "road": (5, 0)}, {"bus": -1.0, "car": 0.125})) == [
+def test_a_class_with_a_threshold_has_a_row_without_accepted_points():
+    assert printed(
+        accepted_table({"car": (10, 1), "road": (5, 0)}, {"bus": -1.0, "car": 0.125})
+    ) == [
         ["car", "10", "10.0", "0.125"],
         ["road", "5", "0.0", ""],
-        ["bus", "0", "–", "none kept"],
+        ["bus", "0", "–", "none accepted"],
     ]
 
 
 def ranked(*uncertainty):
-    """Return what is found of points of which the last is wrong."""
+    """Return the ranking of points of which the last is wrong."""
     count = len(uncertainty)
     return ranking_result(uncertainty, np.arange(count) == count - 1)
 
@@ -100,8 +102,8 @@ def test_a_row_of_calibration_and_one_for_each_kind():
     kinds = {"epistemic": ranked(0.1, 0.2, 0.4), "total": ranked(0.4, 0.4)}
     assert printed(*tables_of(calibration_result([1, 1, 2, 2]), **kinds)) == [
         ["softmax", "0.837", "0.625", "25.00", "25.00", "25.00", "1", "4"],
-        ["epistemic", "100.0", "100.0", "11.11", "0.000", "33.3", "3"],
-        ["total", "50.0", "50.0", "50.00", "0.500", "50.0", "2"],
+        ["epistemic", "100.0", "100.0", "11.11", "33.3", "3"],
+        ["total", "50.0", "50.0", "50.00", "50.0", "2"],
     ]
 
 
@@ -109,7 +111,7 @@ def test_undefined_scores_are_dashes_and_absent_results_have_no_table():
     tables = tables_of(calibration_result([]), mutual_information=ranked())
     assert printed(*tables) == [
         ["softmax", *"–––––", "0", "0"],
-        ["mutual_information", *"–––––", "0"],
+        ["mutual_information", *"––––", "0"],
     ]
     assert tables_of() == []
     assert [len(tables_of(calibration_result([1]))), len(tables_of(total=ranked(0.1)))] == [1, 1]
@@ -130,7 +132,7 @@ def tables_of_a_large_data_set(weights):
     of_error = {"ece": 0.1, "risk_80": 0.1, "auroc": 0.9, "aurc": 0.1, "nll": 0.5}
     models = dict.fromkeys(("confidence", "existing", "error"), of_error)
     yield error_table({"folds": 5, **models})
-    yield kept_table({"person-or-cycle": (MANY, 1000)}, {"person-or-cycle": 0.0008049})
+    yield accepted_table({"person-or-cycle": (MANY, 1000)}, {"person-or-cycle": 0.0008049})
     field, miou = (543, 543), dict.fromkeys(("miou_pixels", "miou", "miou_test"), "59.5")
     paper = PaperFigures(field, "", "26.38", "125.68", **miou, determined=False)
     costs = NetworkCosts("salsanext-v1-context", 26_406_196, 359_710_000_000, field, paper, True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scans that are found, and those of them that are selected."""
+"""Scans of files, folders and data sets, and their selection."""
 
 import logging
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from scans import write_sequence
+from scans import refused, write_sequence
 
 from salsanext_cli.classes.label_space import LabelSpace, label_space
 from salsanext_cli.errors import NOTICE, NoInputError, OutputError, UsageError
@@ -32,7 +32,7 @@ def make(folder: Path, *names: str) -> None:
 
 @pytest.fixture
 def dataset(tmp_path: Path) -> Path:
-    """Make two sequences, equal file names, and things that are no scans."""
+    """Make two sequences with equal file names, and other files and folders."""
     root = tmp_path / "Straße 1"
     for sequence in ("08", "00"):
         make(root / "sequences" / sequence / "velodyne", "000001.bin", "000000.bin")
@@ -74,7 +74,7 @@ def test_relative_places_get_their_true_names(dataset, place, monkeypatch) -> No
     assert scan.path.is_absolute()
 
 
-def test_links_keep_the_name_as_typed_and_are_scans_when_theirs_is_gone(dataset, tmp_path) -> None:
+def test_links_have_their_names_and_may_point_nowhere(dataset, tmp_path) -> None:
     link = tmp_path / "drive"
     link.symlink_to(dataset / "sequences" / "08" / "velodyne")
     assert {(scan.sequence, scan.path.parent) for scan in find_scans(link)} == {("drive", link)}
@@ -104,8 +104,8 @@ def test_sequences_are_chosen_by_name_or_number(dataset, names, expected) -> Non
 
 
 @pytest.mark.parametrize("name", ["9", "8.0", "-8", "x", "", "empty", ".hidden", "../08"])
-def test_missing_sequence_names_those_that_exist(dataset: Path, name: str) -> None:
-    with pytest.raises(NoInputError, match="one of 00, 08"):
+def test_a_missing_sequence_is_refused(dataset: Path, name: str) -> None:
+    with refused(NoInputError, dataset):
         find_scans(dataset, ["08", name])
 
 
@@ -117,15 +117,13 @@ def test_exact_name_wins_over_number_and_text_beside_sequences_is_no_scan(tmp_pa
     assert [scan.sequence for scan in find_scans(tmp_path, ["008"])] == ["08", "8"]
 
 
-def test_nothing_to_find(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "source", ["folder", "folder/notes.md", "missing", "folder/notes.md/deeper"]
+)
+def test_sources_without_scans_are_refused(tmp_path: Path, source: str) -> None:
     make(tmp_path / "folder", "notes.md", ".hidden.bin")
-    with pytest.raises(NoInputError, match=r"holds no scans, but 1 \.md"):
-        find_scans(tmp_path / "folder")
-    with pytest.raises(NoInputError, match=r"a \.md file, which is not read .* to \.ply or \.las"):
-        find_scans(tmp_path / "folder/notes.md")
-    for source in ("missing", "folder/notes.md/deeper"):
-        with pytest.raises(NoInputError, match="directory"):
-            find_scans(tmp_path / source)
+    with refused(NoInputError, tmp_path / source):
+        find_scans(tmp_path / source)
 
 
 @pytest.mark.parametrize(
@@ -146,39 +144,37 @@ def test_tables_are_scans_where_there_are_no_clouds(tmp_path: Path, names, scans
 
 
 @pytest.mark.parametrize("name", ["scores.txt", "log.csv", "picked.csv"])
-def test_our_tables_are_no_scans_which_is_said_unless_they_are_named(
-    tmp_path: Path, name, caplog
-) -> None:
+def test_our_tables_are_scans_only_if_they_are_named(tmp_path: Path, name, caplog) -> None:
     suffix = Path(name).suffix
     make(tmp_path, f"a{suffix}", name)
     assert [scan.path.name for scan in find_scans(tmp_path / name)] == [name]
     with caplog.at_level(NOTICE):
-        found = select_scans(tmp_path, ScanSelection())
-    assert [scan.path.name for scan in found] == [f"a{suffix}"]
-    assert caplog.messages == [f"{tmp_path}: passed over 1 {suffix}"]
+        scans = select_scans(tmp_path, ScanSelection())
+    assert [scan.path.name for scan in scans] == [f"a{suffix}"]
+    assert caplog.messages == [f"{tmp_path}: skipped 1 {suffix}"]
 
 
-def test_what_is_passed_over_is_said_once(tmp_path: Path, caplog) -> None:
+def test_other_files_are_counted_once(tmp_path: Path, caplog) -> None:
     make(tmp_path, "a.bin", "b.bin", "a.label", "notes.txt", "x.JPG", "y.jpg", "README", ".z.jpg")
     make(tmp_path / "labels", "a.label")
     with caplog.at_level("INFO"):
         assert len(select_scans(tmp_path, ScanSelection())) == 2
     (notice,) = caplog.records
     assert notice.levelno == NOTICE
-    assert notice.getMessage() == f"{tmp_path}: passed over 1 without a suffix, 2 .jpg, 1 .txt"
+    assert notice.getMessage() == f"{tmp_path}: skipped 1 without a suffix, 2 .jpg, 1 .txt"
     caplog.clear()
     select_scans(tmp_path / "a.bin", ScanSelection())
     assert not caplog.records
 
 
-def test_two_scans_of_one_stem_are_both_named(tmp_path: Path) -> None:
+def test_two_scans_of_one_stem_are_refused(tmp_path: Path) -> None:
     make(tmp_path, "000000.bin", "000000.pcd", "000001.bin")
-    with pytest.raises(OutputError, match=r"000000\.bin, .*000000\.pcd"):
+    with refused(OutputError, f"{tmp_path.name}/000000"):
         find_scans(tmp_path)
 
 
 @pytest.mark.parametrize("folder", ["predictions", "uncertainty/entropy", "laz/label"])
-def test_outputs_are_found_where_they_are_put(tmp_path: Path, folder: str) -> None:
+def test_outputs_are_at_their_paths(tmp_path: Path, folder: str) -> None:
     assert find_outputs(tmp_path, folder) == {}
     names = [("08", "b.c"), ("08", "a"), ("00 ä", "a")]
     for sequence, stem in names:
@@ -219,16 +215,17 @@ def test_choices(world):
         assert names(select_scans(world.data, selection)) == expected
 
 
-def test_a_split_does_not_choose_in_a_folder_of_ones_own(tmp_path, caplog):
+def test_a_split_does_not_restrict_a_plain_folder(tmp_path, caplog):
     folder = write_sequence(tmp_path / "Straße 9", ["a"])
     with caplog.at_level(logging.WARNING):
         scans = select_scans(folder, ScanSelection(split="valid"))
     assert names(scans) == ["Straße 9/a"]
-    assert "no split names Straße 9: taking all" in caplog.text
+    (warning,) = caplog.messages
+    assert "Straße 9" in warning
 
 
 @pytest.mark.parametrize("name", ["labels.yaml", "semantic-kitti.yaml"])
-def test_a_data_set_may_bring_its_own_splits(world, name):
+def test_a_data_set_may_describe_its_splits(world, name):
     space = label_space().to_dict() | {"name": "mine", "split": {"odd": ["00"]}}
     (world.data / name).write_text(yaml.safe_dump(space))
     scans = find_scans(world.data)
@@ -236,23 +233,23 @@ def test_a_data_set_may_bring_its_own_splits(world, name):
     assert names(select_scans(world.data, ScanSelection(split="odd"))) == ["00/000000"]
 
 
-OWN, SAME_IDS = {"odd": ["00"], "valid": ["00", "08"]}, label_space("coarse").to_dict()
+SPLITS, SAME_IDS = {"odd": ["00"], "valid": ["00", "08"]}, label_space("coarse").to_dict()
 
 
-@pytest.mark.parametrize("own", [None, {}, OWN])
+@pytest.mark.parametrize("described", [None, {}, SPLITS])
 @pytest.mark.parametrize("given", [{}, {"valid": ["00"]}])
-def test_splits_are_those_given_else_of_the_data_set_else_semantic_kittis(world, own, given):
-    if own is not None:
-        text = yaml.safe_dump(label_space().to_dict() | {"split": own})
+def test_given_splits_precede_those_of_the_data_set_and_semantic_kitti(world, described, given):
+    if described is not None:
+        text = yaml.safe_dump(label_space().to_dict() | {"split": described})
         (world.data / "labels.yaml").write_text(text)
     space = LabelSpace.from_dict(SAME_IDS | {"split": given})
     for alternatives in (False, True):
-        found = with_splits(space, world.data, alternatives=alternatives)
-        usual = ("00", "08") if own else ("08",)
-        assert found.splits["valid"] == (("00",) if given else usual)
-        assert found.fits(space)
+        complete = with_splits(space, world.data, alternatives=alternatives)
+        usual = ("00", "08") if described else ("08",)
+        assert complete.splits["valid"] == (("00",) if given else usual)
+        assert complete.fits(space)
     chosen = choose(find_scans(world.data), ScanSelection(split="valid"), space, world.data)
-    assert {scan.sequence for scan in chosen} == {*found.splits["valid"]}
+    assert {scan.sequence for scan in chosen} == {*complete.splits["valid"]}
 
 
 def test_a_broken_label_space_is_read_only_where_it_is_needed(world, caplog):
@@ -261,11 +258,10 @@ def test_a_broken_label_space_is_read_only_where_it_is_needed(world, caplog):
     assert with_splits(whole, world.data) is whole
     for _ in range(2):
         assert with_splits(whole, world.data, alternatives=True) is whole
-    (said,) = caplog.messages
-    assert "labels.yaml: not a label space" in said
-    assert said.endswith("label space coarse is taken without it")
+    (warning,) = caplog.messages
+    assert str(world.data / "labels.yaml") in warning
     for alternatives in (False, True):
-        with pytest.raises(UsageError, match=r"labels\.yaml: not a label space"):
+        with refused(UsageError, world.data / "labels.yaml"):
             with_splits(label_space("coarse"), world.data, alternatives=alternatives)
 
 

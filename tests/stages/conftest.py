@@ -19,3 +19,12 @@ def target(tmp_path: Path) -> Path:
 def on_openvino(world: World) -> World:
     """Return the world with the engine that users have; torch starts sooner."""
     return replace(world, network=replace(world.network, engine="openvino"))
+
+
+@pytest.fixture
+def in_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fit a useless error model, and accept it."""
+    from salsanext_cli.training.tuning import error
+
+    monkeypatch.setattr(error, "MIN_STEPS", 1)
+    monkeypatch.setattr(error, "gains", lambda model: True)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import yaml
 from evaluated import CAR, MOVING_CAR, ROAD, SPACE, UNKNOWN, World
-from scans import files_below
+from scans import files_below, refused
 
 from salsanext_cli.errors import LabelError, NoInputError, OutputError
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.results.owned_folder import OwnedFolder
-from salsanext_cli.results.paths import find_scans
+from salsanext_cli.results.paths import find_scans, output_path
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.stages.evaluate import evaluate, part_of
 
@@ -37,7 +37,7 @@ def test_the_file_is_the_official_evaluators(real_data, tmp_path):
 
 
 def test_scans_of_several_sequences_are_pooled(world):
-    # Neither instances nor whether a class moves are compared.
+    # Instances, and moving classes, are not compared.
     world.add("000000", [CAR, CAR | 1234 << 16, ROAD], [MOVING_CAR, ROAD, ROAD], "08")
     world.add("000000", [MOVING_CAR], [CAR | 1 << 16], "09")
     evaluation = world.evaluate()
@@ -56,8 +56,8 @@ def test_unknown_ids_are_counted_as_unlabelled(world, caplog):
         evaluation = world.evaluate()
     assert evaluation.counts.unknown_truth == {UNKNOWN: 2}
     assert iou(evaluation, "car") == pytest.approx(1 / 3)
-    assert "predictions: unknown ids 77 (1×), 65535 (1×)" in caplog.text
-    assert "labels: unknown ids 77 (2×)" in caplog.text
+    assert "77 (1×), 65535 (1×)" in caplog.text
+    assert "77 (2×)" in caplog.text
     report = json.loads((world.out / "eval.json").read_text())
     assert report["unknown_ids"] == {"truth": {"77": 2}, "predictions": {"77": 1, "65535": 1}}
 
@@ -66,42 +66,40 @@ def test_ids_of_something_else_are_refused(world):
     """A few of nuScenes' ids are SemanticKITTI's of other things; so are a few train ids."""
     nuscenes, right = [24, 24, 28, 28, 30, 17, 0], [ROAD, ROAD, CAR, CAR, CAR, CAR, 0]
     world.add("000000", 10 * right, 10 * nuscenes)
-    with pytest.raises(NoInputError, match=r"000000\.label: unknown label ids 24 .*--label-space"):
+    with refused(NoInputError, world.out):
         world.evaluate()
     assert not (world.out / "eval.json").exists()
-    # One scan of them is left out by name.
+    # One such scan is a failure.
     world.add("000001", right, right)
     evaluation = world.evaluate()
     assert evaluation.counts.scans == 1
-    assert "83 % of the labelled points" in evaluation.failures[0].reason
+    assert "83 %" in evaluation.failures[0].reason
 
 
 def test_bad_scans_are_named_and_the_others_are_scored(world):
     for i in range(5):
         truth = [CAR, ROAD] if i != 1 else None
         world.add(f"{i:06d}", truth, [CAR, ROAD] if i != 3 else [CAR])
-    cut_off = world.dataset / "sequences/08/labels/000002.label"
-    cut_off.write_bytes(cut_off.read_bytes()[:3])
+    truncated = world.dataset / "sequences/08/labels/000002.label"
+    truncated.write_bytes(truncated.read_bytes()[:3])
     evaluation = world.evaluate()
     assert evaluation.counts.scans == 2
     stems = [failure.scan.stem for failure in evaluation.failures]
     assert stems == ["000001", "000002", "000003"]
-    assert "1 label" in evaluation.failures[-1].reason
-    assert "expected 2" in evaluation.failures[-1].reason
     report = json.loads((world.out / "eval.json").read_text())
     assert report["failures"][-1]["scan"].endswith("000003.bin")
 
 
 def test_no_scores_without_a_scan_that_can_be_compared_or_labels_of_a_sequence(world):
     world.add("000000", [CAR, ROAD], [CAR])
-    with pytest.raises(NoInputError, match=r"no scan could be compared.*1 label"):
+    with refused(NoInputError, world.out):
         world.evaluate()
     world.add("000001", [CAR], [CAR])
-    with pytest.raises(LabelError, match=r"000000\.label.*1 label"):
+    with refused(LabelError, output_path(world.out, "08", "predictions", "000000")):
         world.evaluate(on_error="stop")
     assert not (world.out / "scores.txt").exists()
     world.add("000000", None, [CAR], "11")
-    with pytest.raises(LabelError, match=r"11/labels: no labels of sequence 11"):
+    with refused(LabelError, world.dataset / "sequences/11/labels"):
         world.evaluate()
 
 
@@ -113,10 +111,9 @@ def test_distance_bands(world):
     world.add("000004", [CAR], [CAR])
     folder = world.dataset / "sequences/08/velodyne"
     shutil.copy(folder / "000000.bin", folder / "000004.bin")
-    found = world.evaluate(by_distance=True)
-    assert [failure.scan.stem for failure in found.failures] == ["000003", "000004"]
-    assert "000003.bin: is empty" in found.failures[0].reason
-    bands = found.by_distance
+    evaluation = world.evaluate(by_distance=True)
+    assert [failure.scan.stem for failure in evaluation.failures] == ["000003", "000004"]
+    bands = evaluation.by_distance
     assert bands["0–10 m"].accuracy == 1
     assert bands["30–40 m"].accuracy == 0.5
     assert [band.points for band in bands.values()] == [2, 0, 0, 2, 0, 0]
@@ -125,7 +122,7 @@ def test_distance_bands(world):
 def test_files_are_complete_and_replace_earlier_ones(world):
     world.add("000000", [CAR], [CAR])
     world.evaluate(by_distance=True)
-    # Of an evaluation with probabilities, say.
+    # An evaluation with probabilities wrote it.
     OwnedFolder(world.out).write(world.out / "eval_reliability.png", b"PNG")
     world.add("000001", [CAR], [ROAD])
     world.evaluate(by_distance=True)
@@ -149,7 +146,7 @@ def test_foreign_files_stay(world, name):
     world.add("000000", [CAR], [CAR])
     (world.out / name).write_text("mine")
     before = files_below(world.out)
-    with pytest.raises(OutputError, match=rf"{name}: .*and is kept"):
+    with refused(OutputError, world.out / name):
         world.evaluate(by_distance=True)
     assert files_below(world.out) == before
 
@@ -158,33 +155,28 @@ def test_scores_of_each_scan_and_sequence(world):
     world.add("000000", [CAR, CAR, ROAD], [CAR, ROAD, ROAD], "08")
     world.add("000001", [CAR], [CAR], "08")
     world.add("000000", [ROAD], [CAR], "09")
-    found = world.evaluate().to_dict()
-    assert found["by_scan"]["08/000000"] == {
+    data = world.evaluate().to_dict()
+    assert data["by_scan"]["08/000000"] == {
         "points": 3,
         "accuracy": pytest.approx(2 / 3),
         "iou_mean_present": pytest.approx(0.5),
     }
-    assert [found["by_scan"][name]["accuracy"] for name in ("08/000001", "09/000000")] == [1, 0]
-    assert {name: each["accuracy"] for name, each in found["by_sequence"].items()} == {
-        "08": pytest.approx(3 / 4),
-        "09": 0,
-    }
-    assert "panoptic" not in found
+    assert [data["by_scan"][name]["accuracy"] for name in ("08/000001", "09/000000")] == [1, 0]
+    assert [data["by_sequence"][name]["accuracy"] for name in ("08", "09")] == [3 / 4, 0]
+    assert "panoptic" not in data
 
 
 def test_objects_are_matched_where_the_labels_have_instances(world):
     truth = [CAR | 5 << 16] * 60 + [MOVING_CAR | 6 << 16] * 60 + [ROAD] * 80
     world.add("000000", truth, [CAR | 1 << 16] * 60 + [CAR | 2 << 16] * 40 + [ROAD] * 100, "08")
-    found = world.evaluate().to_dict()["panoptic"]
-    assert found["classes"]["car"] == {
-        **{"pq": pytest.approx(5 / 6), "sq": pytest.approx(5 / 6), "rq": 1},
-        **{"matches": 2, "false_alarms": 0, "misses": 0},
-    }
-    assert found["things_present"]["pq"] == pytest.approx(5 / 6)
-    assert found["classes"]["road"]["pq"] == pytest.approx(0.8)
+    panoptic = world.evaluate().to_dict()["panoptic"]
+    quality = pytest.approx(5 / 6)
+    assert [*panoptic["classes"]["car"].values()] == [quality, quality, 1, 2, 0, 0]
+    assert panoptic["things_present"]["pq"] == quality
+    assert panoptic["classes"]["road"]["pq"] == pytest.approx(0.8)
 
 
-def test_a_part_leaves_the_evaluation_of_all(world):
+def test_a_part_is_evaluated_in_a_folder_below(world):
     world.add("000000", [CAR], [CAR], "08")
     world.add("000000", [ROAD], [CAR], "09")
     world.evaluate()
@@ -200,7 +192,7 @@ def test_a_part_leaves_the_evaluation_of_all(world):
     assert part_of(folder, scans[:1], ScanSelection(limit=1)) == "08-first-1"
     world.add("000000", [ROAD], [CAR], "08-09")
     scans = find_scans(world.dataset)
-    names = [part_of(folder, each, ScanSelection(limit=9)) for each in (scans[::2], scans[1:2])]
+    names = [part_of(folder, some, ScanSelection(limit=9)) for some in (scans[::2], scans[1:2])]
     assert names == ["08,09-first-9", "08-09-first-9"]
     for number in range(20):
         world.add("000000", [ROAD], [CAR], f"a long name of a sequence {number}")
@@ -208,5 +200,5 @@ def test_a_part_leaves_the_evaluation_of_all(world):
     for chosen in (scans[1:], scans[2:]):
         assert len(part_of(folder, chosen, ScanSelection(sequences=("x",)))) < 60
     (world.out / "eval/08/scores.txt").write_text("mine")
-    with pytest.raises(OutputError, match=r"scores\.txt: was changed"):
+    with refused(OutputError, world.out / "eval/08/scores.txt"):
         evaluate(scans[:1], world.out, SPACE, part=part)

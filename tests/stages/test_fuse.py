@@ -51,7 +51,7 @@ def way(count):
 
 
 def write_drive(world, count):
-    """Write scans of one place, each with its own noise, and their poses; return the folder."""
+    """Write scans of one location, with different noise, and their poses; return the folder."""
     folder = world.data / "sequences/08"
     scan, poses = read_scan(world.scan()), way(count)
     for number in range(1, count):
@@ -85,7 +85,7 @@ def fused_folder(world):
     return world.out / "fused/sequences/08"
 
 
-def test_labels_are_those_of_the_function(drive):
+def test_labels_equal_the_function(drive):
     single = {stem: drive.labels(stem=stem) for stem in STEMS}
     outcome = fuse_results(drive.out)
     assert (outcome.done, outcome.failures) == (3, ())
@@ -124,8 +124,9 @@ def test_fused_labels_are_a_folder_of_results_and_rejected_ones_are_not_fused(dr
     record = json.loads(path.read_text())
     record["settings"] |= {"reject": 0.9, "reject_by": "least_confidence"}
     path.write_text(json.dumps(record))
-    with pytest.raises(OutputError, match="some were rejected"):
+    with pytest.raises(OutputError) as refused:
         fuse_results(drive.out)
+    assert refused.value.subject == str(drive.out)
 
 
 def test_a_run_goes_on_with_the_same_bytes(drive, tmp_path):
@@ -138,7 +139,7 @@ def test_a_run_goes_on_with_the_same_bytes(drive, tmp_path):
     assert files_below(fused_folder(drive)) == before
 
 
-def test_new_labels_take_away_what_is_known_against_the_old(drive):
+def test_new_labels_remove_the_disagreement_with_the_old_ones(drive):
     fuse_results(drive.out)
     predict_scans(
         drive.data / "sequences/08",
@@ -152,14 +153,14 @@ def test_new_labels_take_away_what_is_known_against_the_old(drive):
     assert not any(drive.result("views").parent.iterdir())
 
 
-def test_fused_labels_of_refined_ones_are_fused_anew(drive):
+def test_fused_labels_of_refined_ones_are_fused_again(drive):
     fuse_results(drive.out, drive.out / "TARGET")
     record = json.loads((drive.out / "predict.json").read_text())
     record["settings"]["knn"] = None
     (drive.out / "predict.json").write_text(json.dumps(record))
-    with pytest.raises(OutputError, match="made anew") as found:
+    with pytest.raises(OutputError) as refused:
         ResultFolder(drive.out / "TARGET").scans()
-    done = typed(found.value.hint)
+    done = typed(refused.value.hint)
     assert done.exit_code == 0, done.output
     assert ResultFolder(drive.out / "TARGET").scans()
 
@@ -169,13 +170,16 @@ def test_votes_of_other_scans_are_not_mixed(drive):
     hidden.rename(hidden.with_suffix(".hidden"))
     assert [scan.stem for scan in fuse_results(drive.out).missing.scans] == ["000002"]
     hidden.with_suffix(".hidden").rename(hidden)
-    with pytest.raises(OutputError, match="not have the scans and poses") as found:
+    record = fused_folder(drive) / "drive.json"
+    with pytest.raises(OutputError) as refused:
         fuse_results(drive.out)
-    assert typed(found.value.hint).exit_code == 0
+    assert refused.value.subject == str(record)
+    assert typed(refused.value.hint).exit_code == 0
     assert fuse_results(drive.out).skipped == 3
-    (fused_folder(drive) / "drive.json").unlink()
-    with pytest.raises(OutputError, match="not have the scans and poses"):
+    record.unlink()
+    with pytest.raises(OutputError) as refused:
         fuse_results(drive.out)
+    assert refused.value.subject == str(record)
 
 
 def test_unpadded_numbers_are_in_order_for_labels_and_map(world):
@@ -204,7 +208,8 @@ def test_a_drive_in_parts_is_a_finding(drive):
         result = CliRunner().invoke(app, words)
         ((warning),) = [w for w in only_json(result)["warnings"] if w["code"] == "apart"]
         assert warning["scans"] == ["08"]
-        assert "2 parts only, the second from 000002 on" in warning["message"]
+        assert "2 parts" in warning["message"]
+        assert "000002" in warning["message"]
         assert (result.exit_code, result.stderr.count("apart")) == (0, 1)
 
 
@@ -266,10 +271,11 @@ def test_names_that_count_from_1_find_their_lines(world, caplog):
     assert "line numbers counted from 1" in caplog.text
 
 
-def test_what_cannot_be_fused_is_said(world, drive):
-    with pytest.raises(UsageError, match="another folder"):
+def test_unfusible_results_are_refused(world, drive):
+    with pytest.raises(UsageError) as refused:
         fuse_results(drive.out, drive.out)
-    with pytest.raises(NoInputError, match="no scans of sequence 77"):
+    assert refused.value.subject == "TARGET"
+    with pytest.raises(NoInputError, match="77"):
         fuse_results(drive.out, query=ResultQuery(selection=ScanSelection(sequences=("77",))))
     poses = drive.data / "sequences/08/poses.txt"
     poses.write_bytes(encode_poses(way(2)))
@@ -281,7 +287,7 @@ def test_what_cannot_be_fused_is_said(world, drive):
     assert not fused_folder(drive).exists()
 
 
-def test_damaged_votes_are_those_of_no_scan_and_so_are_votes_for_no_class(drive):
+def test_damaged_votes_and_votes_for_unknown_classes_fail_alone(drive):
     drive.result("probabilities", stem="000001").write_bytes(b"no array")
     outcome = fuse_results(drive.out)
     assert [failure.scan.stem for failure in outcome.failures] == ["000001"]
@@ -296,19 +302,29 @@ def test_damaged_votes_are_those_of_no_scan_and_so_are_votes_for_no_class(drive)
     assert np.load(fused_folder(drive) / "views/000001.npy").max() == 2
 
 
-def test_computed_poses_are_written_and_kept(drive):
+def test_computed_poses_are_written_and_used_again(drive):
     pytest.importorskip("small_gicp")
     (drive.data / "sequences/08/poses.txt").unlink()
     fuse_results(drive.out)
-    path, before = fused_folder(drive) / "poses.txt", files_below(fused_folder(drive))
-    assert len(path.read_text().splitlines()) == 3
+    before = files_below(fused_folder(drive))
+    assert len((fused_folder(drive) / "poses.txt").read_text().splitlines()) == 3
     (fused_folder(drive) / "predictions/000001.label").unlink()
     assert fuse_results(drive.out).done == 1
     assert files_below(fused_folder(drive)) == before
-    edited = encode_poses(way(3))
-    path.write_bytes(edited)
-    fuse_results(drive.out, options=RunOptions(overwrite=True))
-    assert path.read_bytes() == edited
+
+
+def test_edited_poses_are_neither_used_nor_replaced(drive):
+    fuse_results(drive.out)
+    path, moved = fused_folder(drive) / "poses.txt", way(3)
+    moved[:, 1, 3] += 1
+    path.write_bytes(encode_poses(moved))
+    for overwrite in (False, True):
+        with pytest.raises(OutputError) as refused:
+            fuse_results(drive.out, options=RunOptions(overwrite=overwrite))
+        assert refused.value.subject == str(path)
+    with pytest.raises(OutputError) as refused:
+        export_ply(drive.out / "fused", voxel=0.1)
+    assert refused.value.subject == str(path)
 
 
 def shifted(folder, metres):
@@ -340,18 +356,6 @@ def test_a_killed_run_by_other_poses_leaves_no_labels_of_the_earlier_ones(drive,
             fuse_results(drive.out, options=overwrite)
     assert fuse_results(drive.out).done == 2
     assert files_below(labels) == expected
-
-
-def test_edited_poses_are_not_those_of_the_labels(drive):
-    fuse_results(drive.out)
-    path, moved = fused_folder(drive) / "poses.txt", way(3)
-    moved[:, 1, 3] += 1
-    path.write_bytes(encode_poses(moved))
-    with pytest.raises(OutputError, match="not the poses that the scans were fused by"):
-        export_ply(drive.out / "fused", voxel=0.1)
-    for overwrite in (False, True):
-        with pytest.raises(OutputError, match="is kept"):
-            fuse_results(drive.out, options=RunOptions(overwrite=overwrite))
 
 
 def test_predict_can_fuse_at_once(world):

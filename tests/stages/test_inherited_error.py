@@ -18,15 +18,12 @@ from salsanext_cli.files.identity import fingerprint
 from salsanext_cli.network.card import AccuracyLine, WeightsCard, read_card
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.network.weights import save_weights, save_with_card
-from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.report.page.run_results import expected_of_run, facts_of_run
 from salsanext_cli.results.paths import ERROR, find_scans
 from salsanext_cli.stages.models import describe_weights
 from salsanext_cli.stages.predict import predict_scans
 from salsanext_cli.stages.train import TrainResult, train
-from salsanext_cli.stages.tune import tune
 from salsanext_cli.training.recipe import Recipe
-from salsanext_cli.training.tuning import error
 from salsanext_cli.uncertainty.error_features import FEATURES
 
 MODEL = ErrorModel(FEATURES, [(np.full((9, 1), 0.1, "f4"), np.zeros(1, "f4"))], {"folds": 5})
@@ -71,7 +68,7 @@ def mean_confidences(weights: Path, data: Path, *temperatures: float) -> list[fl
     return [float(np.concatenate(values).mean()) for values in largest]
 
 
-def test_validated_weights_inherit_both_at_their_own_temperature(data, start, tmp_path, caplog):
+def test_validated_weights_inherit_both_at_another_temperature(data, start, tmp_path, caplog):
     caplog.set_level(NOTICE)
     result = go(data, tmp_path / "run", start)
     card, name = (
@@ -83,7 +80,7 @@ def test_validated_weights_inherit_both_at_their_own_temperature(data, start, tm
     parts = f"error model and expected accuracy of {name}"
     assert card.inherited() == parts
     assert [text for text in caplog.messages if text.startswith("inherited: ")] == [
-        f"inherited: {parts}; fit a model by `salsanext tune error`"
+        f"inherited: {parts}; fit a model with `salsanext tune error`"
     ]
     # The error model describes the softmax that it was fitted to.
     marked = replace(MODEL, temperature=1.3, scores={"inherited_from": name, "folds": 5})
@@ -93,12 +90,12 @@ def test_validated_weights_inherit_both_at_their_own_temperature(data, start, tm
     assert card.temperature == pytest.approx(result.rows[-1]["temperature"])
     assert card.temperature != 1.3
     old, new = mean_confidences(result.best, data, 1.3, card.temperature)
-    logits = [np.log(each / (1 - each)) for each in (old, new)]
+    logits = [np.log(share / (1 - share)) for share in (old, new)]
     assert card.accuracy is not None
     assert (card.accuracy.inherited_from, card.accuracy.slope) == (name, 1.25)
     expected = 1.25 * logits[0] + 0.5
     assert 1.25 * logits[1] + card.accuracy.offset == pytest.approx(expected, abs=1e-4)
-    # What is trained from them names the weights that both were fitted to.
+    # Weights trained from them name the weights that both were fitted to.
     again = read_card(go(data, tmp_path / "again", result.best).best)
     assert again.inherited() == parts
     assert again.recipe["initial"] == f"best.safetensors (SHA-256 {fingerprint(result.best)[:16]})"
@@ -123,10 +120,8 @@ def test_weights_for_other_classes_inherit_nothing(data, start, tmp_path, caplog
     (data / "labels.yaml").write_text(json.dumps(LabelSpace.from_dict(named, "own").to_dict()))
     card = read_card(go(data, tmp_path / "run", start).best)
     assert (card.error, card.accuracy, card.inherited()) == (None, None, "")
-    said = [text for text in caplog.messages if "inherited" in text]
-    assert [text.partition(":")[0] for text in said] == [
-        "not inherited, since classes or features differ"
-    ]
+    (message,) = [text for text in caplog.messages if "inherited" in text]
+    assert message.startswith("not inherited, ")
     # Errors by other features cannot be used.
     caplog.clear()
     (data / "labels.yaml").unlink()
@@ -137,7 +132,7 @@ def test_weights_for_other_classes_inherit_nothing(data, start, tmp_path, caplog
     assert "not inherited" in caplog.text
 
 
-def test_weights_without_either_give_none_and_no_notice(data, start, tmp_path, caplog):
+def test_weights_without_either_have_no_heirs_and_no_notice(data, start, tmp_path, caplog):
     caplog.set_level(NOTICE)
     save_with_card(start, start, replace(read_card(start), error=None, accuracy=None))
     shutil.rmtree(data / "sequences/08")
@@ -154,12 +149,13 @@ def heirs(world: World) -> World:
     assert path is not None
     card = replace(read_card(path), error=replace(MODEL, scores={"inherited_from": city}))
     card = replace(card, accuracy=replace(LINE, inherited_from=city))
-    own = world.out.parent / "heirs.safetensors"
-    save_with_card(path, own, card)
-    return replace(world, network=replace(world.network, weights=own))
+    target = world.out.parent / "heirs.safetensors"
+    save_with_card(path, target, card)
+    return replace(world, network=replace(world.network, weights=target))
 
 
-def test_a_run_says_once_what_is_not_fitted_to_its_weights(heirs, tmp_path, monkeypatch, caplog):
+@pytest.mark.usefixtures("in_few_steps")
+def test_a_run_names_once_inherited_parts_of_its_weights(heirs, tmp_path, caplog):
     caplog.set_level(NOTICE)
     world, both = heirs, "error model and expected accuracy of city (SHA-256 abc)"
     predict_scans(world.data, world.out, settings=world.network, extras=(ERROR,))
@@ -174,11 +170,9 @@ def test_a_run_says_once_what_is_not_fitted_to_its_weights(heirs, tmp_path, monk
     assert world.network.weights is not None
     described = describe_weights(world.network.weights).to_dict()
     assert described["error"] == {"inherited_from": "city (SHA-256 abc)"}
-    # A model that is fitted to the weights is their own; the line stays that of others.
-    monkeypatch.setattr(error, "MIN_STEPS", 1)
-    monkeypatch.setattr(error, "gains", lambda model: True)
-    tuned, every = tmp_path / "tuned.safetensors", ScanSelection(sequences=("00", "08"))
-    tune("error", world.data, tuned, settings=world.network, selection=every)
+    # A fitted model is no longer inherited; the line still is.
+    tuned = tmp_path / "tuned.safetensors"
+    world.tune("error", tuned)
     assert read_card(tuned).inherited() == "expected accuracy of city (SHA-256 abc)"
     caplog.clear()
     settings = replace(world.network, weights=tuned)
@@ -188,7 +182,7 @@ def test_a_run_says_once_what_is_not_fitted_to_its_weights(heirs, tmp_path, monk
     ]
 
 
-def test_weights_of_ones_own_are_not_said_to_inherit(world, caplog):
+def test_weights_with_nothing_inherited_have_no_notice(world, caplog):
     caplog.set_level(NOTICE)
     predict_scans(world.data, world.out, settings=world.network)
     assert "fitted" not in caplog.text

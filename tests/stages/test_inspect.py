@@ -25,7 +25,7 @@ def tilted(tmp_path):
     return tmp_path / "scans", scan
 
 
-def test_a_fitted_sensor_is_measured_through_its_own_view(tilted, tmp_path):
+def test_a_fitted_sensor_is_normalised_through_its_field_of_view(tilted, tmp_path):
     folder, scan = tilted
     quiet = replace(SMALL, range_noise=None)
     fitted = inspect(folder, sensor=quiet, fit=True).fitted_sensor("mine")
@@ -41,18 +41,15 @@ def test_a_fitted_sensor_is_measured_through_its_own_view(tilted, tmp_path):
 
 
 def test_scans_without_a_field_of_view_are_not_fitted(tmp_path):
-    for points, found in (
-        (np.zeros((2000, 3)), r"0 points with a measurement.* expected 1000 or more"),
-        (make_scan(999).points, r"999 points"),
-        (
-            make_scan(2000).points * [1, 1, 0.01],
-            r"a field of view of 0\.\d\d°.* 1° or more",
-        ),
+    for points, number in (
+        (np.zeros((2000, 3)), " 0 points"),
+        (make_scan(999).points, "999 points"),
+        (make_scan(2000).points * [1, 1, 0.01], r" 0\.\d\d°"),
     ):
         scan = Scan(points.astype(np.float32), np.zeros(len(points), np.float32))
         write_bin(tmp_path / "scans/0.bin", scan)
         inspection = inspect(tmp_path / "scans", sensor=SMALL, fit=True)
-        with pytest.raises(NoInputError, match=found):
+        with pytest.raises(NoInputError, match=number):
             inspection.fitted_sensor("mine")
 
 

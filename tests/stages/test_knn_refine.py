@@ -31,8 +31,8 @@ def pixels(world):
 
 @pytest.fixture
 def truth(world):
-    """Return a folder of somebody's point labels, in the benchmark's layout."""
-    folder = world.out.with_name("somebody's")
+    """Return a folder of point labels of another program, in the layout of the benchmark."""
+    folder = world.out.with_name("another program's")
     for sequence in ("00", "08"):
         source = world.data / "sequences" / sequence / "labels"
         shutil.copytree(source, folder / "sequences" / sequence / "predictions")
@@ -50,7 +50,7 @@ def expected(world, sequence, stem):
     return SPACE.to_raw(knn_refine(image, pixels))
 
 
-def test_labels_of_anybody_are_refined(world, truth):
+def test_labels_of_other_programs_are_refined(world, truth):
     assert refine(world, truth).done == 3
     for sequence, stem in (("00", "000000"), ("08", "000000"), ("08", "000001")):
         np.testing.assert_array_equal(world.labels(sequence, stem), expected(world, sequence, stem))
@@ -67,8 +67,9 @@ def test_labels_that_do_not_fit_or_are_missing_fail_that_scan(world, truth):
     write_labels(other, np.full(1500, 77, np.uint32))
     outcome = refine(world, truth)
     assert outcome.done == 1
-    assert f"{path}: 1,499 labels (expected 1,500" in outcome.failures[0].reason
-    assert f"{other}: unknown label ids 77 (1500×)" in outcome.failures[1].reason
+    assert [failure.scan.stem for failure in outcome.failures] == ["000000", "000001"]
+    for failure, number in zip(outcome.failures, ("1,499", "77"), strict=True):
+        assert number in failure.reason
 
 
 def test_labels_are_not_refined_onto_themselves(world, truth):
@@ -76,31 +77,32 @@ def test_labels_are_not_refined_onto_themselves(world, truth):
     predict_scans(world.data, world.out, settings=world.network)
     before = files_below(world.out)
     for inside in (world.out, world.out / "sequences/08/predictions"):
-        with pytest.raises(UsageError, match="--labels"):
+        with pytest.raises(UsageError) as refused:
             knn_refine_scans(world.out, labels=inside, options=RunOptions(overwrite=True))
+        assert refused.value.subject == "--labels"
     assert files_below(world.out) == before
 
 
 def test_other_neighbours_are_other_settings(pixels):
     knn_refine_scans(pixels.out)
     assert knn_refine_scans(pixels.out).skipped == 3
-    with pytest.raises(OutputError, match=r"knn\.cutoff was 1\.0 and is"):
+    with pytest.raises(OutputError, match=r"knn\.cutoff"):
         knn_refine_scans(pixels.out, knn=KnnParameters(cutoff=float("inf")))
 
 
-def test_pixel_labels_of_other_weights_are_not_passed_over(pixels, tmp_path):
+def test_pixel_labels_of_other_weights_are_noticed(pixels, tmp_path):
     knn_refine_scans(pixels.out)
     before = labels_below(pixels.out)
     other = replace(pixels.network, weights=write_weights(tmp_path / "other.safetensors", seed=1))
     overwrite = RunOptions(overwrite=True)
     predict_range_images(pixels.out, pixels.out, settings=other, options=overwrite)
-    with pytest.raises(OutputError, match="`predict` has replaced its results since"):
+    with pytest.raises(OutputError):
         knn_refine_scans(pixels.out)
     assert knn_refine_scans(pixels.out, options=overwrite).done == 3
     assert labels_below(pixels.out) != before
 
 
-def test_rejected_labels_do_not_come_back(world, tmp_path):
+def test_rejected_labels_are_not_restored(world, tmp_path):
     network, weights = world.network, tmp_path / "risk.safetensors"
     tuned = labels_depend_on(network, network.load())
     risk = RiskThreshold("least_confidence", 0.5, 0.5, None, 3, ("00",), settings=tuned)
@@ -108,39 +110,38 @@ def test_rejected_labels_do_not_come_back(world, tmp_path):
     network = replace(network, weights=weights)
     predict_scans(world.data, world.out, settings=network, extras=("pixel_labels",), reject="risk")
     before = files_below(world.out)
-    with pytest.raises(OutputError, match=r"some were rejected .* predict without --reject"):
+    with pytest.raises(OutputError) as refused:
         knn_refine_scans(world.out)
+    assert refused.value.subject == str(world.out)
     for labels in (world.out, world.out / "sequences/08/predictions"):
-        with pytest.raises(OutputError, match="some were rejected"):
+        with pytest.raises(OutputError) as refused:
             knn_refine_scans(tmp_path / "refined", labels=labels, dataset=world.data)
+        assert refused.value.subject == str(labels)
     assert files_below(world.out) == before
     assert not (tmp_path / "refined").exists()
 
 
 def test_no_pixel_labels_at_all(world):
     project_scans(world.data, world.out, sensor=SMALL)
-    with pytest.raises(NoInputError, match=r"holds no pixel_labels.*--labels"):
-        knn_refine_scans(world.out)
-    with pytest.raises(NoInputError, match="no such folder"):
-        knn_refine_scans(world.out / "none")
+    for out in (world.out, world.out / "none"):
+        with pytest.raises(NoInputError) as refused:
+            knn_refine_scans(out)
+        assert refused.value.subject == str(out)
 
 
 @pytest.mark.parametrize(
-    ("array", "says"),
-    [
-        (np.zeros((16, 64), np.uint8), "16, 64"),
-        (np.full((16, 128), 20, np.uint8), "train ids up to 20 (expected 0 … 19"),
-    ],
+    ("array", "number"),
+    [(np.zeros((16, 64), np.uint8), "16, 64"), (np.full((16, 128), 20, np.uint8), "20")],
 )
-def test_pixel_labels_that_do_not_fit_are_named(pixels, array, says):
+def test_pixel_labels_that_do_not_fit_are_named(pixels, array, number):
     path = pixels.result("pixel_labels")
     write_array(path, array)
     (failure,) = knn_refine_scans(pixels.out).failures
     assert str(path) in failure.reason
-    assert says in failure.reason
+    assert number in failure.reason
 
 
-def test_ones_own_network_between_project_and_knn_refine(world):
+def test_another_network_between_project_and_knn_refine(world):
     """Pixel labels may come from any program; space and sensor are then project's and the set's."""
     project_scans(world.data, world.out, sensor=SMALL)
     for sequence, stem in (("00", "000000"), ("08", "000000"), ("08", "000001")):
@@ -152,11 +153,8 @@ def test_ones_own_network_between_project_and_knn_refine(world):
 def test_a_folder_without_labels_is_named_once(world, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").touch()
-    for name, found in (
-        ("typo", "no such folder"),
-        ("file", "not a folder"),
-        ("empty", r"no labels of any of 3 scans \(expected files like .*00/predictions/000000"),
-    ):
-        with pytest.raises(NoInputError, match=rf"{name}: {found}"):
+    for name in ("typo", "file", "empty"):
+        with pytest.raises(NoInputError) as refused:
             refine(world, tmp_path / name)
+        assert refused.value.subject == str(tmp_path / name)
     assert not world.out.exists()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from scans import SMALL, files_below, make_scan, write_sequence, write_weights
-from world import Kept
+from world import Stored
 
 from salsanext_cli import (
     knn_refine,
@@ -49,13 +49,13 @@ def drive(world):
 
 @pytest.fixture(scope="module")
 def once_picked(tmp_path_factory, weights, few_samples):
-    return Kept(tmp_path_factory.mktemp("picked"), weights, lambda world: run(with_drive(world)))
+    return Stored(tmp_path_factory.mktemp("picked"), weights, lambda world: run(with_drive(world)))
 
 
 @pytest.fixture
 def picked(once_picked):
     """Return the drive, three scans of which are picked."""
-    return once_picked.anew()
+    return once_picked.restored()
 
 
 def with_drive(world):

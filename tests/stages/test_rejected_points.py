@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Points that `predict --reject` left without a label are neither right nor wrong."""
+"""Points that `predict --reject` left unlabelled are neither right nor wrong."""
 
 import json
 
@@ -46,7 +46,7 @@ def query(world):
     return ResultQuery(world.dataset)
 
 
-def test_the_report_gives_coverage_and_risk(world, query):
+def test_the_report_has_coverage_and_risk(world, query):
     found = report(world.out, query=query, by_distance=True)
     numbers = found.to_dict()
     assert (numbers["coverage"], numbers["risk"]) == (4 / 16, 1 / 4)
@@ -58,13 +58,12 @@ def test_the_report_gives_coverage_and_risk(world, query):
     assert "accuracy, 2 scans" not in page
     confusions = page.partition("Largest confusions")[2].partition("</ol>")[0]
     assert "<li>road taken for car: 50.0 % of 2 points</li></ol>" in f"{confusions}</ol>"
-    # By distance, the accuracy is of accepted points, too.
     assert "<td>0–10 m</td><td>50.0</td><td>66.7</td><td>3</td>" in page
     rejection = evaluate(find_scans(world.dataset), world.out, SPACE).to_dict()["rejection"]
     assert (rejection["points"], rejection["kept"], rejection["wrong"]) == (16, 4, 1)
 
 
-def test_the_page_that_is_served_does_not_judge_them(world, query):
+def test_the_served_page_does_not_judge_rejected_points(world, query):
     with view(world.out, query=query) as server:
         assert b"<b>25.0 %</b>risk" in server.page
         shown = server._run.read(server._run.rows[0])
@@ -73,10 +72,10 @@ def test_the_page_that_is_served_does_not_judge_them(world, query):
     assert wrong[[0, 2, 3]].tolist() == [0, 0, 1]
 
 
-def test_pictures_and_clouds_say_coverage_and_risk(world, query, monkeypatch):
+def test_pictures_and_clouds_state_coverage_and_risk(world, query, monkeypatch):
     titles = []
     monkeypatch.setattr("salsanext_cli.report.scan_pictures.scan_picture", _titles_into(titles))
-    # In the place of what draws nothing, which `undrawn` in conftest.py has put there
+    # Undo `undrawn` of conftest.py.
     monkeypatch.setattr(pictures, "picture_of_results", picture_of_results)
     picture(world.out, colours=["wrong"], query=query)
     assert titles[0] == "errors of the accepted labels: coverage 37.5 %, risk 33.3 %"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Scans of several sensors in one folder: each is labelled as in a folder of its own."""
+"""Scans of several sensors in one folder are labelled as in separate folders."""
 
 from dataclasses import replace
 
@@ -9,17 +9,16 @@ from command_line import only_json
 from scans import SMALL, files_below, labels_below, make_scan, write_bin, write_weights
 from typer.testing import CliRunner
 
-from salsanext_cli import Scan, project, read_scan
+from salsanext_cli import Scan, read_scan
 from salsanext_cli.cli.app import app
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NoInputError, UsageError
-from salsanext_cli.fitting.sensor_fit import fitted_view
 from salsanext_cli.geometry.projection import in_sensor_frame, measured_ranges, upright_rotation
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.run_options import Shard
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.paths import find_scans
-from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.inspect import inspect
@@ -61,7 +60,7 @@ def network(tmp_path, weights):
 
 @pytest.fixture
 def apart(tmp_path, mixed, network):
-    """Return the labels of the same scans, those of each sensor labelled by themselves."""
+    """Return the labels of the same scans, predicted in a folder for each sensor."""
     for name, stems in (("level", "024"), ("leaning", "13")):
         for stem in stems:
             write_bin(tmp_path / name / f"{stem}.bin", read_scan(mixed / f"{stem}.bin"))
@@ -70,7 +69,7 @@ def apart(tmp_path, mixed, network):
     return {f"sequences/mixed/{name.split('/', 2)[2]}": data for name, data in found.items()}
 
 
-def test_each_is_labelled_as_in_a_folder_of_its_own(mixed, network, apart, tmp_path, caplog):
+def test_labels_are_those_of_separate_folders(mixed, network, apart, tmp_path, caplog):
     out = tmp_path / "out"
     caplog.set_level("INFO")
     outcome = predict_scans(mixed, out, settings=network)
@@ -99,7 +98,7 @@ def test_parts_steps_workers_and_batches_give_the_same(mixed, network, apart, tm
     assert files_below(parts)[name] == files_below(batched)[name]
 
 
-def test_later_stages_see_each_scan_through_its_sensor(mixed, network, tmp_path):
+def test_later_stages_use_the_sensor_of_each_scan(mixed, network, tmp_path):
     """By their height: seen upright, hardly a point is below the ground."""
     predict_scans(mixed, tmp_path / "out", settings=network)
     results = ResultFolder(tmp_path / "out")
@@ -114,10 +113,10 @@ def test_later_stages_see_each_scan_through_its_sensor(mixed, network, tmp_path)
 def test_scans_that_come_later_are_of_one_of_the_sensors(mixed, network, tmp_path):
     out = tmp_path / "out"
     predict_scans(mixed, out, settings=network)
-    before = Provenance(out).known_sensor()
+    before = Manifest(out).known_sensor()
     write_bin(mixed / "9.bin", leaning(9))
     assert predict_scans(mixed, out, settings=network).done == 1
-    assert Provenance(out).known_sensor() == before
+    assert Manifest(out).known_sensor() == before
     (later,) = (file for file in find_scans(mixed) if file.stem == "9")
     assert ResultFolder(out).read(later, before).sensor == before.others[0]
 
@@ -126,11 +125,11 @@ def test_one_sensor_is_recorded_as_before(network, tmp_path):
     for number in range(3):
         write_bin(tmp_path / f"one/{number}.bin", level(number))
     predict_scans(tmp_path / "one", tmp_path / "out", settings=network)
-    recorded = Provenance(tmp_path / "out").settings("predict").sensor
+    recorded = Manifest(tmp_path / "out").settings("predict").sensor
     assert (recorded.others, recorded.traits) == ((), ())
 
 
-def test_a_scan_that_no_fit_looked_at_is_named(tmp_path):
+def test_a_scan_of_another_sensor_outside_the_sample_is_named(tmp_path):
     for number in range(40):
         write_bin(tmp_path / f"many/{number:02}.bin", (leaning if number == 1 else level)(number))
     outcome = project_scans(tmp_path / "many", tmp_path / "out", sensor=SMALL, fit=True)
@@ -140,7 +139,7 @@ def test_a_scan_that_no_fit_looked_at_is_named(tmp_path):
 
 def test_a_sensor_file_of_scans_of_several_sensors_is_refused_before_the_survey(mixed, monkeypatch):
     monkeypatch.setattr("salsanext_cli.stages.inspect.run_over_scans", None)
-    with pytest.raises(NoInputError, match="scans of 2 sensors") as refused:
+    with pytest.raises(NoInputError, match="2 sensors") as refused:
         inspect(mixed, sensor=SMALL, fit=True)
     assert refused.value.subject == str(mixed)
 
@@ -148,25 +147,25 @@ def test_a_sensor_file_of_scans_of_several_sensors_is_refused_before_the_survey(
 def test_a_fit_is_not_advised_where_it_is_refused(mixed, tmp_path):
     write_bin(tmp_path / "one/1.bin", leaning(1))
     for folder, advised in ((mixed, False), (tmp_path / "one", True)):
-        found = {each.code: each for each in inspect(folder, sensor=SMALL).warnings}
-        assert ("--fit" in found["tilted"].hint) == advised
+        warnings = {warning.code: warning for warning in inspect(folder, sensor=SMALL).warnings}
+        assert ("--fit" in warnings["tilted"].hint) == advised
 
 
-def test_images_of_several_sensors_are_not_labelled_through_one(mixed, network, tmp_path, caplog):
+def test_images_of_several_sensors_need_all_sensors(mixed, network, tmp_path, caplog):
     caplog.set_level("INFO")
     project_scans(mixed, tmp_path / "out", sensor=SMALL, fit=True)
     caplog.clear()
     predict_range_images(tmp_path / "out", tmp_path / "auto", settings=network)
     assert caplog.text.count("such as mixed/") == 2
     assert "such as none" not in caplog.text
-    for member in Provenance(tmp_path / "out").known_sensor().members:
-        told = replace(network, sensor=replace(member, others=(), traits=()))
-        with pytest.raises(UsageError, match="sensors was 2 and is 1"):
-            predict_range_images(tmp_path / "out", tmp_path / "told", settings=told)
+    for member in Manifest(tmp_path / "out").known_sensor().members:
+        single = replace(network, sensor=replace(member, others=(), traits=()))
+        with pytest.raises(UsageError, match="sensors"):
+            predict_range_images(tmp_path / "out", tmp_path / "single", settings=single)
 
 
 def test_inspect_writes_the_sensor_that_predict_fits(mixed, tmp_path, narrow_default):
-    """So that labels with it are those without, byte by byte."""
+    """Labels with and without it have the same bytes."""
     folder, file = tmp_path / "leaning", tmp_path / "s.toml"
     for stem in "13":
         write_bin(folder / f"{stem}.bin", read_scan(mixed / f"{stem}.bin"))
@@ -182,7 +181,7 @@ def test_inspect_writes_the_sensor_that_predict_fits(mixed, tmp_path, narrow_def
     assert one == other
 
 
-def test_images_unlike_those_of_training_are_named(tmp_path, narrow_default):
+def test_images_unlike_training_are_named(tmp_path, narrow_default):
     """As of a file that `inspect --fit --height 8` wrote for weights to be trained."""
     write_bin(tmp_path / "one/0.bin", level(0))
     for height, is_named in ((8, True), (SMALL.height, False)):
@@ -192,11 +191,3 @@ def test_images_unlike_those_of_training_are_named(tmp_path, narrow_default):
         result = CliRunner().invoke(app, [*line, "--sensor", str(file)])
         assert result.exit_code == 0, result.stderr
         assert ("(other-images)" in result.stderr) == is_named
-
-
-def test_images_of_a_mixed_folder_without_results_are_upright(mixed):
-    seen = fitted_view(find_scans(mixed), SMALL)
-    assert [each.name for each in seen.members] == ["small", "fitted"]
-    scan = read_scan(mixed / "1.bin")
-    heights = project(scan, seen.others[0]).channels[3]
-    assert heights.min() > -2.2

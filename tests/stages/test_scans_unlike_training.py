@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stages with scans unlike those of training: their intensity is matched, their gaps are filled."""
+"""Stages with scans unlike training: their intensity is matched and their gaps are filled."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from salsanext_cli.geometry.network_input import fill_rows, intensity_quantiles,
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import RunOptions
 from salsanext_cli.parallel.run_options import Shard
-from salsanext_cli.results.provenance import Provenance
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.sensors.sensor import INTENSITY_LEVELS
 from salsanext_cli.stages.knn_refine import knn_refine_scans
 from salsanext_cli.stages.predict import predict_range_images, predict_scans
@@ -26,7 +26,7 @@ TRAINED = tuple(np.linspace(0, 1, INTENSITY_LEVELS) ** 2)
 
 @pytest.fixture
 def knowing(world, tmp_path):
-    """Return the world with weights that know the intensity of their training."""
+    """Return the world with weights that state the intensity of their training."""
     sensor = replace(SMALL, intensity_quantiles=TRAINED)
     weights = write_weights(tmp_path / "knowing.safetensors", sensor=sensor)
     return replace(world, network=replace(world.network, weights=weights, intensity="auto"))
@@ -69,14 +69,14 @@ def test_step_by_step_in_shards_and_by_workers_the_bytes_are_the_same(knowing, t
 def test_scans_that_come_later_are_matched_as_the_first_ones(knowing):
     run(knowing)
     images = [project(read_scan(p), SMALL).channels for p in sorted(knowing.data.rglob("*.bin"))]
-    before = Provenance(knowing.out).settings("predict").sensor
+    before = Manifest(knowing.out).settings("predict").sensor
     assert before.intensity_quantiles == intensity_quantiles(images)
     write_sequence(knowing.data / "sequences/09", ["000000"], seed=99)
     assert run(knowing).done == 1
-    assert Provenance(knowing.out).settings("predict").sensor == before
+    assert Manifest(knowing.out).settings("predict").sensor == before
     few = UncertaintyMethod(samples=2, aleatoric="none")
     uncertainty(knowing.data, knowing.out, settings=knowing.network, method=few)
-    assert Provenance(knowing.out).settings("uncertainty").sensor == before
+    assert Manifest(knowing.out).settings("uncertainty").sensor == before
 
 
 def changed(world, folder, scans, change):
@@ -94,12 +94,11 @@ def lit(intensity):
     return lambda scan: Scan(scan.points, np.asarray(intensity(scan), np.float32))
 
 
-def test_what_is_selected_makes_no_difference(knowing, tmp_path):
+def test_the_fit_does_not_depend_on_the_selection(knowing, tmp_path):
     dark = changed(knowing, tmp_path / "data", ["00"], lit(lambda scan: 0.3 * scan.intensity**3))
     run(knowing, source=dark)
     expected = labels_below(knowing.out)
     assert len(expected) == 3
-    # The same whichever begins: neither finds results of the other.
     for number, first in enumerate((ScanSelection("valid"), ScanSelection(limit=1))):
         out = tmp_path / f"{number}"
         assert run(knowing, out, dark, selection=first).done
@@ -129,7 +128,7 @@ def test_odd_scans_leave_the_others_as_they_are(knowing, tmp_path, odd, is_label
     assert (len(expected), len(found)) == (4, 4 + is_labelled)
 
 
-def test_what_is_no_intensity_is_taken_for_none(knowing, tmp_path):
+def test_values_that_are_not_intensities_count_as_none(knowing, tmp_path):
     def none(scan):
         return np.round(40 * scan.points[:, 2] / np.linalg.norm(scan.points, axis=1))
 
@@ -141,30 +140,29 @@ def test_what_is_no_intensity_is_taken_for_none(knowing, tmp_path):
     (warning,) = (w for w in outcome.summary.warnings() if w.code == "no-intensity")
     assert len(warning.scans) == 3
     assert labels_below(tmp_path / "all") == expected
-    # And so is a single one among others.
     run(knowing, tmp_path / "one", changed(knowing, tmp_path / "b", ["00"], lit(none)))
     name = next(name for name in expected if "00/predictions" in name)
     assert labels_below(tmp_path / "one")[name] == expected[name]
 
 
-def test_scans_of_another_scale_than_those_before_are_warned_of(knowing, tmp_path):
+def test_scans_of_another_scale_than_earlier_ones_are_a_warning(knowing, tmp_path):
     run(knowing, source=knowing.data / "sequences/00")
     large = scaled(knowing, tmp_path / "large", 255)
     outcome = run(knowing, source=large / "sequences/08")
     (warning,) = (w for w in outcome.summary.warnings() if w.code == "intensity-scale")
     assert warning.scans == ["08/000000", "08/000001"]
-    assert "in the scans fitted to" in warning.message
     raw = replace(knowing.network, intensity="raw")
-    with pytest.raises(OutputError, match=r"intensity was matched and is raw \(--intensity\)"):
+    with pytest.raises(OutputError, match="--intensity"):
         predict_scans(knowing.data / "sequences/00", knowing.out, settings=raw)
 
 
-def test_weights_that_do_not_know_it(world):
+def test_weights_without_the_intensity_of_training(world):
     network = replace(world.network, intensity="match")
-    with pytest.raises(UsageError, match="--intensity: match, but these weights do not know"):
+    with pytest.raises(UsageError) as refused:
         predict_scans(world.data, world.out, settings=network)
+    assert refused.value.subject == "--intensity"
     predict_scans(world.data, world.out, settings=replace(network, intensity="auto"))
-    recorded = Provenance(world.out).settings("predict").sensor
+    recorded = Manifest(world.out).settings("predict").sensor
     assert recorded.intensity_quantiles == ()
 
 
@@ -178,7 +176,7 @@ def test_range_images_without_intensity_are_doubted_as_their_scans_are(knowing, 
 
 
 def test_the_network_sees_no_gaps(world, tmp_path):
-    """Of scans of fewer beams, with weights that know the gaps of their training."""
+    """Scans of fewer beams, with weights that state the gaps of their training."""
     weights = write_weights(tmp_path / "knowing.safetensors", sensor=replace(SMALL, row_gaps=0.1))
     for file in sorted(world.data.rglob("*.bin")):
         scan = read_scan(file)
@@ -190,7 +188,7 @@ def test_the_network_sees_no_gaps(world, tmp_path):
     assert run(knowing).done == 3
     scans = [read_scan(path) for path in sorted(knowing.data.rglob("*.bin"))]
     images = [project(scan, SMALL) for scan in scans]
-    recorded = Provenance(knowing.out).settings("predict").sensor
+    recorded = Manifest(knowing.out).settings("predict").sensor
     assert recorded.row_gaps == row_gaps(image.channels for image in images) > 0.3
     network = knowing.network.load()
     space = network.card.space

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Data set that `synthesise` writes: layout, labels, poses, splits, seeds, refusals."""
+"""Data sets of `synthesise`: layout, labels, poses, splits, seeds, refusals."""
 
 import json
 import sys
@@ -26,7 +26,7 @@ TINY = {"scans": 2, "spacing": 12.0, "seed": 3}
 
 @pytest.fixture(scope="module")
 def streets(tmp_path_factory):
-    """Make three small sequences; return the result of `synthesise` and its progress too."""
+    """Return a folder with three small sequences, the result and the progress."""
     out = tmp_path_factory.mktemp("synth") / "streets"
     calls = []
     made = synthesise(
@@ -54,7 +54,7 @@ def test_every_file_of_the_layout_is_there(streets):
     assert json.loads((out / "synth.json").read_text()) == expected
 
 
-def test_scans_and_labels_belong_together(streets):
+def test_scans_and_labels_fit_together(streets):
     out, made, _ = streets
     totals = {}
     for file in find_scans(out):
@@ -69,7 +69,7 @@ def test_scans_and_labels_belong_together(streets):
     assert totals == made["points"]
 
 
-def test_label_space_poses_times_and_calibration_are_semantickittis(streets):
+def test_label_space_poses_times_and_calibration_have_the_layout_of_semantickitti(streets):
     out, made, _ = streets
     space, real = label_space(out / "labels.yaml"), label_space()
     assert (space.name, space.names) == (real.name, real.names)
@@ -87,9 +87,7 @@ def test_label_space_poses_times_and_calibration_are_semantickittis(streets):
 
 
 @pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_the_seed_decides_every_byte_whatever_else_is_made_in_how_many_jobs(
-    streets, tmp_path, jobs
-):
+def test_the_seed_determines_every_byte_whatever_other_sequences_and_jobs(streets, tmp_path, jobs):
     out, _, _ = streets
     synthesise(tmp_path / "again", train=jobs, valid=0, **TINY, jobs=jobs)
     for sequence in ("00", "01")[:jobs]:
@@ -109,31 +107,32 @@ def quick(monkeypatch):
     monkeypatch.setattr(synth, "record", record)
 
 
-def test_a_full_folder_is_not_touched(tmp_path):
+def test_a_folder_with_other_files_is_refused(tmp_path):
     out = tmp_path / "full"
     scan = out / "sequences" / "00" / "velodyne" / "000000.bin"
     scan.parent.mkdir(parents=True)
     scan.write_bytes(b"precious")
     for overwrite in (False, True):
         for folder in (out, scan):
-            with pytest.raises(OutputError, match="something else"):
+            with pytest.raises(OutputError) as caught:
                 synthesise(folder, train=1, valid=0, scans=1, overwrite=overwrite)
+            assert caught.value.subject == str(folder)
     assert list(files_below(out).values()) == [b"precious"]
 
 
 @pytest.fixture
 def again(tmp_path, quick):
-    """Return a small data set, and a function that replaces it by one of a single scan."""
+    """Return a small data set, and a function that replaces it by a data set of one scan."""
     out = tmp_path / "streets"
     synthesise(out, train=1, valid=1, scans=2, spacing=1.0)
     return out, lambda: synthesise(out, train=1, valid=0, scans=1, seed=1, overwrite=True)
 
 
-def test_only_a_synthetic_data_set_is_replaced_and_only_when_told(again):
+def test_overwrite_replaces_generated_files_only(again):
     out, replace = again
     notes = out / "sequences" / "00" / "notes.txt"
     notes.write_text("mine")
-    with pytest.raises(OutputError, match="--overwrite"):
+    with pytest.raises(OutputError):
         synthesise(out, train=1, valid=0, scans=1)
     replace()
     assert [read_bin(file.path).points[0, 0] for file in find_scans(out, ["00"])] == [1]
@@ -151,15 +150,15 @@ def older_version(out, version="0.0"):
     manifest.write(replace(manifest.record("synth"), version=version))
 
 
-def test_an_interrupted_run_goes_on(quick, tmp_path, monkeypatch):
-    """And says in the end what an undisturbed one says, and makes nothing that is there."""
+def test_an_interrupted_run_continues(quick, tmp_path, monkeypatch):
+    """The result is that of an uninterrupted run, and existing files stay."""
     how = {"train": 1, "valid": 1, "scans": 2}
     made, expected = synthesise(tmp_path / "whole", **how), files_below(tmp_path / "whole")
 
     frames, record = [], synth.record
 
-    def stopped(*given):
-        for frame in record(*given):
+    def stopped(*args):
+        for frame in record(*args):
             frames.append(frame)
             if len(frames) == stop_at:
                 raise KeyboardInterrupt
@@ -178,7 +177,7 @@ def test_an_interrupted_run_goes_on(quick, tmp_path, monkeypatch):
         assert synthesise(out, **how) == made
         assert files_below(out) == expected | {f".{'0' * 32}.part": b"of a killed process"}
         assert before == {path: path.stat().st_mtime_ns for path in before}
-    # What is whole needs nothing any more, and is found by another version too.
+    # A complete data set needs no open3d, and may be of another version.
     monkeypatch.setitem(sys.modules, "open3d", None)
     older_version(tmp_path / "whole")
     expected = files_below(tmp_path / "whole")
@@ -186,25 +185,23 @@ def test_an_interrupted_run_goes_on(quick, tmp_path, monkeypatch):
     assert files_below(tmp_path / "whole") == expected
 
 
-def test_what_was_begun_otherwise_is_not_completed(quick, tmp_path, monkeypatch):
-    """By other settings, another version, beside another run, or where a file was edited since."""
+def test_a_partial_data_set_is_completed_by_the_same_settings_only(quick, tmp_path):
+    """Not with other settings or another version, nor during another run."""
     out, how = tmp_path / "out", {"train": 1, "valid": 0, "scans": 2}
     synthesise(out, **how)
     (out / "labels.yaml").unlink()
     before = files_below(out)
-    with pytest.raises(OutputError, match=r"synth\.json .* seed was 0 and is 1 .* --overwrite"):
+    with pytest.raises(OutputError) as caught:
         synthesise(out, **how, seed=1)
+    assert caught.value.subject == str(out / "synth.json")
     older_version(out)
-    with pytest.raises(OutputError, match=r'version was "0\.0" and is '):
+    with pytest.raises(OutputError) as caught:
         synthesise(out, **how)
+    assert caught.value.subject == str(out / "synth.json")
     older_version(out, __version__)
-    with locked(out / ".synth.lock"), pytest.raises(OutputError, match="another run of `synth`"):
+    with locked(out / ".synth.lock"), pytest.raises(OutputError):
         synthesise(out, **how)
     assert files_below(out) == before
-    (out / "sequences/00/labels/000000.label").write_bytes(b"corrected")
-    with pytest.raises(OutputError, match=r"000000\.label: .*was changed"):
-        synthesise(out, **how)
-    assert not (out / "labels.yaml").exists()
 
 
 @pytest.mark.parametrize(
@@ -227,27 +224,30 @@ def test_a_linked_sequence_keeps_its_scans(again, tmp_path):
     folder.rename(elsewhere)
     folder.symlink_to(elsewhere)
     before = files_below(elsewhere)
-    with pytest.raises(OutputError, match="sequences/00: is a link"):
+    with pytest.raises(OutputError) as caught:
         replace()
+    assert caught.value.subject == str(folder)
     assert files_below(elsewhere) == before
 
 
-def test_an_edited_file_is_kept_and_named(again, caplog):
+def test_an_edited_file_stays_and_is_named(again, caplog):
     out, replace = again
-    (out / "sequences/01/labels/000000.label").write_bytes(b"corrected")
+    label = out / "sequences/01/labels/000000.label"
+    label.write_bytes(b"corrected")
     replace()
-    assert str(out / "sequences/01/labels/000000.label") in caplog.text
-    assert (out / "sequences/01/labels/000000.label").read_bytes() == b"corrected"
+    assert str(label) in caplog.text
+    assert label.read_bytes() == b"corrected"
     (out / "labels.yaml").write_bytes(b"corrected")
     before = files_below(out)
-    with pytest.raises(OutputError, match=r"labels\.yaml: .*was changed"):
+    with pytest.raises(OutputError) as caught:
         replace()
+    assert caught.value.subject == str(out / "labels.yaml")
     assert files_below(out) == before
 
 
-def test_nothing_is_begun_without_open3d(tmp_path, monkeypatch):
+def test_without_open3d_nothing_is_written(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(MissingDependency, match="open3d: not installed"):
+    with pytest.raises(MissingDependency):
         synthesise(tmp_path / "out", train=1, valid=0, scans=1)
     assert not (tmp_path / "out").exists()
 
@@ -266,7 +266,8 @@ def test_nothing_is_begun_without_open3d(tmp_path, monkeypatch):
     ],
     ids=str,
 )
-def test_settings_that_make_no_sense_are_refused(tmp_path, wrong):
-    with pytest.raises(UsageError, match="--"):
+def test_invalid_settings_are_refused(tmp_path, wrong):
+    with pytest.raises(UsageError) as caught:
         synthesise(tmp_path / "out", **wrong)
+    assert caught.value.subject.startswith("--")
     assert not (tmp_path / "out").exists()

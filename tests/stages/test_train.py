@@ -4,7 +4,6 @@ import math
 import sys
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib.util import find_spec
 from types import SimpleNamespace
 
 import numpy as np
@@ -69,6 +68,14 @@ def no_step(report):
     raise AssertionError("a step was taken")
 
 
+def refused(error, subject, dataset, run, **changes):
+    """Return an error that a training ends with before its first step."""
+    with pytest.raises(error) as caught:
+        go(dataset, run, progress=no_step, **changes)
+    assert caught.value.subject == str(subject)
+    return caught.value
+
+
 def same(one, other):
     a, b = load_file(one), load_file(other)
     return a.keys() == b.keys() and all(torch.equal(a[name], b[name]) for name in a)
@@ -81,8 +88,7 @@ def test_a_run_folder_holds_weights_log_curve_and_recipe(dataset, tmp_path):
     shown = {path.name for path in run.iterdir() if not path.name.startswith(".")}
     weights = {"best.safetensors", "last.safetensors", "checkpoint.safetensors"}
     records = {"class_counts.json", "train.json", "recipe.toml", "log.csv"}
-    events = {"tensorboard"} if find_spec("tensorboard") else set()
-    assert shown == weights | records | {"curve.png", "samples"} | events
+    assert shown == weights | records | {"curve.png", "samples"}
     pictures = sorted(path.name for path in (run / "samples").iterdir())
     assert pictures == ["epoch-001.png", "epoch-002.png", "epoch-003.png"]
     assert recipe(run / "recipe.toml") == TINY
@@ -169,18 +175,19 @@ def test_another_network_by_its_name(dataset, tmp_path):
     assert network.card.architecture["name"] == "salsanet"
     assert network.card.space.fits(label_space())
     assert recipe(tmp_path / "first/recipe.toml").architecture == "salsanet"
-    with pytest.raises(WeightsError, match='set architecture = "salsanet" in the recipe'):
-        go(dataset, tmp_path / "second", weights=first.best)
-    with pytest.raises(UsageError, match=r"architecture resnet \(expected one of"):
-        go(dataset, tmp_path / "second", recipe=TINY.with_changes(architecture="resnet"))
+    refused(WeightsError, first.best, dataset, tmp_path / "second", weights=first.best)
+    unknown = TINY.with_changes(architecture="resnet")
+    with pytest.raises(UsageError):
+        go(dataset, tmp_path / "second", recipe=unknown)
     assert not (tmp_path / "second").exists()
 
 
-def test_another_recipe_is_refused_and_overwrite_starts_anew(dataset, tmp_path):
+def test_another_recipe_is_refused_and_overwrite_starts_again(dataset, tmp_path):
     run, fewer = tmp_path / "run", TINY.with_changes(epochs=1)
     go(dataset, run)
-    with pytest.raises(OutputError, match=r"train\.json .* recipe\.epochs was 3 and is 1"):
-        go(dataset, run, recipe=fewer)
+    assert "recipe.epochs was 3 and is 1" in str(
+        refused(OutputError, run / "train.json", dataset, run, recipe=fewer)
+    )
     assert (run / "samples/epoch-003.png").exists()
     again = go(dataset, run, recipe=fewer, overwrite=True)
     assert [path.name for path in (run / "samples").iterdir()] == ["epoch-001.png"]
@@ -195,29 +202,25 @@ def test_another_cpu_resumes_in_the_precision_of_the_first(dataset, tmp_path, mo
     assert recipe(tmp_path / "run/recipe.toml") == wanted.with_changes(precision="bfloat16")
     monkeypatch.setattr(learner, "bfloat16_instructions", list)
     assert go(dataset, tmp_path / "run", recipe=wanted) == first
-    with pytest.raises(OutputError, match='precision was "bfloat16" and is "float16"'):
-        go(dataset, tmp_path / "run", recipe=wanted.with_changes(precision="float16"))
+    other = wanted.with_changes(precision="float16")
+    refused(OutputError, tmp_path / "run/train.json", dataset, tmp_path / "run", recipe=other)
 
 
-def test_a_training_of_before_a_key_goes_on(dataset, tmp_path):
-    """A key that is not recorded was the default, and one that is gone was off if it was 0."""
-    go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
-    path = tmp_path / "run/train.json"
+def test_a_training_of_an_older_version_is_resumed(dataset, tmp_path):
+    """A key that is not recorded was the default; one that was removed must have been 0."""
+    run, once = tmp_path / "run", TINY.with_changes(epochs=1)
+    result = go(dataset, run, recipe=once)
+    path = run / "train.json"
     manifest = json.loads(path.read_text("utf-8"))
     recorded = manifest["settings"]["recipe"]
     del recorded["mix"], recorded["paste"]
     recorded["label_smoothing"] = 0.1
     path.write_text(json.dumps(manifest), "utf-8")
-    with pytest.raises(OutputError, match=r"older version with label_smoothing 0\.1"):
-        go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
-    again = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1), overwrite=True)
-    assert len(again.rows) == 1
-    path.write_text(json.dumps(manifest), "utf-8")
+    refused(OutputError, path, dataset, run, recipe=once)
     recorded["label_smoothing"] = 0.0
     path.write_text(json.dumps(manifest), "utf-8")
-    with pytest.raises(OutputError, match=r"recipe\.mix was 0\.0 and is 0\.5"):
-        go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1, mix=0.5))
-    assert go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1)) == again
+    refused(OutputError, path, dataset, run, recipe=once.with_changes(mix=0.5))
+    assert go(dataset, run, recipe=once) == result
 
 
 def test_the_recipe_of_a_run_resumes_it_unless_it_was_edited(dataset, tmp_path):
@@ -227,17 +230,15 @@ def test_the_recipe_of_a_run_resumes_it_unless_it_was_edited(dataset, tmp_path):
     go(dataset, run, recipe=halves, progress=lambda r: steps.append(r.step))
     assert steps[0] == 3
     assert recipe(run / "recipe.toml") == halves
-    before = (run / "recipe.toml").stat()
     go(dataset, run, recipe=recipe(run / "recipe.toml"), progress=no_step)
-    assert before.st_ino == (run / "recipe.toml").stat().st_ino
     text = "# shorter\n" + TINY.with_changes(epochs=1).to_toml()
     (run / "recipe.toml").write_text(text, "utf-8")
-    with pytest.raises(OutputError, match=r"recipe\.toml: was changed"):
-        go(dataset, run, recipe=recipe(run / "recipe.toml"), overwrite=True)
+    edited = {"recipe": recipe(run / "recipe.toml"), "overwrite": True}
+    refused(OutputError, run / "recipe.toml", dataset, run, **edited)
     assert (run / "recipe.toml").read_text("utf-8") == text
 
 
-def test_more_epochs_go_on_as_if_they_had_been_asked_for_at_first(dataset, tmp_path, caplog):
+def test_more_epochs_give_the_weights_of_an_uninterrupted_training(dataset, tmp_path, caplog):
     run, steps, steady = tmp_path / "run", [], TINY.with_changes(schedule="decay")
     caplog.set_level("DEBUG", "salsanext_cli")
     go(dataset, run, recipe=steady.with_changes(epochs=1))
@@ -245,18 +246,18 @@ def test_more_epochs_go_on_as_if_they_had_been_asked_for_at_first(dataset, tmp_p
     caplog.clear()
     parts = go(dataset, run, recipe=steady, progress=lambda report: steps.append(report.step))
     assert steps[0] == 3
-    assert "going on after 1 of 3 epochs, step 2, from" in caplog.text
+    assert "resuming after 1 of 3 epochs, step 2, from" in caplog.text
     assert "random" not in caplog.text
     require_same(go(dataset, tmp_path / "whole", recipe=steady), parts)
-    with pytest.raises(OutputError, match=r"recipe\.epochs was 3 and is 2"):
-        go(dataset, run, recipe=steady.with_changes(epochs=2), progress=no_step)
+    fewer = steady.with_changes(epochs=2)
+    refused(OutputError, run / "train.json", dataset, run, recipe=fewer)
 
 
-def test_more_epochs_are_refused_where_the_first_ones_would_be_others(dataset, tmp_path):
-    plan = TINY.with_changes(epochs=1)
-    go(dataset, tmp_path / "run", recipe=plan)
-    with pytest.raises(OutputError, match=r"1 epoch, and .* --weights .*last\.safetensors"):
-        go(dataset, tmp_path / "run", recipe=plan.with_changes(epochs=2), progress=no_step)
+def test_more_epochs_are_refused_if_they_change_the_schedule(dataset, tmp_path):
+    plan, run = TINY.with_changes(epochs=1), tmp_path / "run"
+    go(dataset, run, recipe=plan)
+    more = plan.with_changes(epochs=2)
+    refused(OutputError, run / "train.json", dataset, run, recipe=more)
 
 
 def test_files_that_no_training_wrote_are_not_replaced(dataset, tmp_path):
@@ -267,8 +268,7 @@ def test_files_that_no_training_wrote_are_not_replaced(dataset, tmp_path):
             before = theirs.read_bytes() if theirs.exists() else None
             theirs.write_text("mine")
             for overwrite in (False, True):
-                with pytest.raises(OutputError, match=f"{name}: .*and is kept"):
-                    go(dataset, theirs.parent, progress=no_step, overwrite=overwrite)
+                refused(OutputError, theirs, dataset, theirs.parent, overwrite=overwrite)
                 assert theirs.read_text() == "mine"
             if before is not None:
                 OwnedFolder(theirs.parent).write(theirs, before)
@@ -278,8 +278,8 @@ def test_rare_classes_and_weights_come_from_the_training_split(dataset, tmp_path
     labels = np.full(1800, 40, np.uint32)
     labels[:10] = 30  # person: 10 of 1800 points
     labels[10:100] = 10
-    for stem, own in zip("012", np.split(labels, 3), strict=True):
-        write_labels(dataset / "sequences" / "00" / "labels" / f"{stem}.label", own)
+    for stem, of_scan in zip("012", np.split(labels, 3), strict=True):
+        write_labels(dataset / "sequences" / "00" / "labels" / f"{stem}.label", of_scan)
     prepared = []
     fit = Training.fit
 
@@ -311,11 +311,10 @@ def test_labels_edited_since_they_were_counted_are_counted_again(dataset, tmp_pa
     )
     assert change > 300
     write_labels(path, np.full(600, 77, np.uint32))
-    with pytest.raises(LabelError, match=r"1\.label: unknown label ids 77"):
-        go(dataset, tmp_path / "run", recipe=recipe)
+    refused(LabelError, path, dataset, tmp_path / "run", recipe=recipe)
 
 
-def test_training_goes_on_from_given_weights(dataset, tmp_path, caplog):
+def test_training_starts_from_given_weights(dataset, tmp_path, caplog):
     space, weights = label_space(), tmp_path / "start.safetensors"
     card = WeightsCard({"name": "salsanext", "class_count": 20}, space, SMALL)
     save_weights(weights, TinyNetwork(), card)
@@ -330,16 +329,16 @@ def test_training_goes_on_from_given_weights(dataset, tmp_path, caplog):
     save_weights(weights, TinyNetwork(), other)
     caplog.set_level(NOTICE)
     renewed = go(dataset, tmp_path / "other", recipe=still, weights=weights, sensor=None)
-    assert caplog.messages[0] == "weights of 19 of 20 classes kept; at random: car"
-    old, new = (load_file(each)["logits.weight"] for each in (weights, renewed.last))
-    kept = [place for place, name in enumerate(space.names) if name != "car"]
-    torch.testing.assert_close(new[kept], old[kept])
+    assert caplog.messages[0] == "weights of 19 of 20 classes reused; at random: car"
+    old, new = (load_file(path)["logits.weight"] for path in (weights, renewed.last))
+    others = [index for index, name in enumerate(space.names) if name != "car"]
+    torch.testing.assert_close(new[others], old[others])
     assert not torch.allclose(new[1], old[1])
 
 
 def test_labels_are_learnt_in_merged_classes_by_the_splits_of_the_data_set(dataset, tmp_path):
-    own = label_space().to_dict() | {"split": {"train": [8], "valid": [0]}}
-    (dataset / "labels.yaml").write_text(json.dumps(own))
+    described = label_space().to_dict() | {"split": {"train": [8], "valid": [0]}}
+    (dataset / "labels.yaml").write_text(json.dumps(described))
     once = TINY.with_changes(epochs=1)
     result = go(dataset, tmp_path / "run", recipe=once, space=label_space("coarse"))
     card = read_card(result.best)
@@ -348,18 +347,12 @@ def test_labels_are_learnt_in_merged_classes_by_the_splits_of_the_data_set(datas
     assert load_file(result.best)["logits.weight"].shape[0] == 8
 
 
-def test_a_loss_that_is_not_finite_and_lack_of_memory(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(Learner, "step", lambda *_: torch.tensor(math.nan))
-    with pytest.raises(TrainingError, match=r"finite with .*00/velodyne/\d\.bin, .*bin ·"):
-        go(dataset, tmp_path / "run")
-
+def test_lack_of_memory_names_the_step(dataset, tmp_path, monkeypatch):
     def full(*_):
         raise torch.OutOfMemoryError
 
     monkeypatch.setattr(Learner, "step", full)
-    message = r"step 1: no memory is left on cpu for 2 images .* --set accumulate=2"
-    with pytest.raises(TrainingError, match=message):
-        go(dataset, tmp_path / "run")
+    assert "accumulate" in refused(TrainingError, "step 1", dataset, tmp_path / "run").hint
 
 
 @pytest.mark.parametrize(
@@ -420,7 +413,7 @@ def test_a_gpu_gets_several_processes_that_prepare_samples(
         go(dataset, tmp_path / "run", jobs=jobs)
 
 
-def test_what_fails_before_the_first_step_costs_no_earlier_training(dataset, tmp_path):
+def test_a_failure_before_the_first_step_leaves_an_earlier_training(dataset, tmp_path):
     first = go(dataset, tmp_path / "run", recipe=TINY.with_changes(epochs=1))
     (dataset / "sequences/00/labels/1.label").unlink()
     with pytest.raises(LabelError):
@@ -430,17 +423,17 @@ def test_what_fails_before_the_first_step_costs_no_earlier_training(dataset, tmp
 
 
 @pytest.mark.parametrize(
-    ("sequence", "stems", "count", "label", "error", "says"),
+    ("sequence", "stems", "count", "label", "error", "subject"),
     [
-        ("00", "1", None, 0, LabelError, r"00/labels/1\.label: no such file"),
-        ("08", "1", 9, 40, LabelError, r"1\.label: 9 labels \(expected 600"),
-        ("00", "012", 600, 0, TrainingError, "none of 1,800 points in 3 scans"),
+        ("00", "1", None, 0, LabelError, "sequences/00/labels/1.label"),
+        ("08", "1", 9, 40, LabelError, "sequences/08/labels/1.label"),
+        ("00", "012", 600, 0, TrainingError, "sequences/00/labels"),
         # Of the two, only the first is scored, and only the second is labelled.
-        ("08", "0", 600, 0, TrainingError, "none of 600 points in 1 scan "),
+        ("08", "0", 600, 0, TrainingError, "sequences/08/labels"),
     ],
 )
 def test_labels_that_cannot_be_trained_on_stop_it_before_the_first_step(
-    sequence, stems, count, label, error, says, dataset, tmp_path
+    sequence, stems, count, label, error, subject, dataset, tmp_path
 ):
     for stem in stems:
         path = dataset / "sequences" / sequence / "labels" / f"{stem}.label"
@@ -449,11 +442,9 @@ def test_labels_that_cannot_be_trained_on_stop_it_before_the_first_step(
         else:
             write_labels(path, np.full(count, label, np.uint32))
     one = TINY.with_changes(validation_scans=1)
-    with pytest.raises(error, match=says):
-        go(dataset, tmp_path / "run", recipe=one, progress=no_step)
+    refused(error, dataset / subject, dataset, tmp_path / "run", recipe=one)
 
 
-def test_folders_that_cannot_be_used(dataset, tmp_path):
+def test_a_data_set_without_validation_scans_is_refused(dataset, tmp_path):
     (dataset / "sequences" / "08").rename(dataset / "sequences" / "99")
-    with pytest.raises(NoInputError, match="no scans of split valid"):
-        go(dataset, tmp_path / "run")
+    refused(NoInputError, dataset, dataset, tmp_path / "run")

@@ -40,6 +40,7 @@ from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 SPACE = label_space()
+LABELS = "sequences/08/labels"
 FEW = {"samples": 3, "steps": 3, "lowest": 0.05, "highest": 0.3}
 
 
@@ -95,7 +96,7 @@ def test_scans_of_training_and_copies_are_skipped(drawn, target, tmp_path, caplo
     assert (tuned["scans"], tuned["skipped"]) == (1, 2)
     assert "2 scans skipped: the weights were trained on them, or they are copies" in caplog.text
     save_with_card(drawn.network.weights, known, replace(card, trained_on=frozenset(digests)))
-    with pytest.raises(TrainingError, match="every labelled scan is skipped"):
+    with pytest.raises(TrainingError):
         go(drawn, target, part, settings=network, selection=every, overwrite=True, **numbers)
 
 
@@ -104,28 +105,24 @@ def test_sequences_of_no_split_are_used_and_those_of_training_named(world, targe
         write_sequence(world.data / "sequences" / name, ["000000"], seed=ord(name[1]))
     shutil.rmtree(world.data / "sequences/x2/labels")
     assert go(world, target)["scans"] == 3
-    said = "3 of 5 scans used; not used: 00 (split train), x2 (no split); choose with"
-    assert said in caplog.text
+    assert "3 of 5 scans used; not used: 00 (split train), x2 (no split); " in caplog.text
     caplog.clear()
     valid = ScanSelection(split="valid")
     assert go(world, target, selection=valid, overwrite=True)["scans"] == 2
     assert "2 of 5 scans used; not used: 00 (split train), x1, x2 (no split)" in caplog.text
     for name in ("x1", "x2", "08"):
         shutil.rmtree(world.data / "sequences" / name)
-    with pytest.raises(NoInputError, match="none to tune on"):
+    with pytest.raises(NoInputError):
         go(world, target, overwrite=True)
 
 
 def test_a_file_that_was_written_meanwhile_stays(world, target):
-    def other(*_):
-        target.write_bytes(b"of another run")
-
-    with pytest.raises(OutputError, match="exists"):
-        go(world, target, progress=other)
+    with pytest.raises(OutputError):
+        go(world, target, progress=lambda *_: target.write_bytes(b"of another run"))
     assert target.read_bytes() == b"of another run"
 
 
-def test_what_cannot_be_written_is_noticed_before_the_work(world, target, tmp_path):
+def test_an_unusable_target_is_refused_before_the_work(world, target, tmp_path):
     target.write_bytes(b"precious")
     for place in (tmp_path / "w.pt", target, target / "w.safetensors"):
         with pytest.raises(OutputError):
@@ -134,21 +131,18 @@ def test_what_cannot_be_written_is_noticed_before_the_work(world, target, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("raw", "says"),
-    [
-        (0, "no point is of a class that counts"),
-        (1234, r"unknown label ids 1234"),
-        (None, r"00000\d\.label: no such file"),
-    ],
+    ("raw", "subject"),
+    [(0, ""), (1234, LABELS + "/000000.label"), (None, LABELS + "/000000.label")],
 )
-def test_labels_that_cannot_be_learnt_from(world, target, raw, says):
-    for path in (world.data / "sequences/08/labels").iterdir():
+def test_labels_that_cannot_be_learnt_from(world, target, raw, subject):
+    for path in (world.data / LABELS).iterdir():
         if raw is None:
             path.unlink()
         else:
             write_labels(path, np.full(1500, raw, np.uint32))
-    with pytest.raises(LabelError, match=says):
+    with pytest.raises(LabelError) as caught:
         go(world, target)
+    assert caught.value.subject == str(world.data / subject)
     assert not target.exists()
 
 
@@ -157,8 +151,9 @@ def test_labels_of_other_classes(world, target):
         "labels: {0: none, 10: car, 40: road}\nlearning_map: {0: 0, 10: 1, 40: 2}\n"
         "learning_map_inv: {0: 0, 1: 10, 2: 40}\nsplit: {valid: ['08']}\n"
     )
-    with pytest.raises(LabelError, match="labels in the classes of"):
+    with pytest.raises(LabelError) as caught:
         go(world, target)
+    assert caught.value.subject == str(world.data)
 
 
 @pytest.fixture
@@ -173,7 +168,7 @@ def drawn(world):
     return world
 
 
-def test_the_temperature_of_the_labels_is_found_and_stored(drawn, target):
+def test_the_temperature_of_the_labels_is_estimated_and_stored(drawn, target):
     before = {path.name for path in target.parent.iterdir()}
     tuned = go(drawn, target)
     assert {path.name for path in target.parent.iterdir()} == before | {target.name}
@@ -190,7 +185,7 @@ def test_the_temperature_of_the_labels_is_found_and_stored(drawn, target):
         of_pixels = drawn.network.load().logits(image)
         logits = np.array([of_pixels[:, row, column] for row, column, _ in points])
         scans.append((torch.from_numpy(logits), torch.tensor([label for *_, label in points])))
-    every = [torch.cat(each) for each in zip(*scans, strict=True)]
+    every = [torch.cat(parts) for parts in zip(*scans, strict=True)]
     assert (tuned["scans"], tuned["points"], tuned["folds"]) == (2, len(every[1]), 2)
     expected = negative_log_likelihood(*every, 1.0)
     assert tuned["before"]["nll"] == pytest.approx(expected, rel=1e-9)
@@ -205,7 +200,7 @@ def test_the_temperature_of_the_labels_is_found_and_stored(drawn, target):
     assert tuned["after"]["nll"] == pytest.approx(sum(losses) / len(every[1]), rel=1e-6)
 
 
-def test_the_temperature_stays_where_another_is_worse(drawn, target, tmp_path, monkeypatch):
+def test_the_temperature_stays_if_another_is_worse(drawn, target, tmp_path, monkeypatch):
     tempered = tmp_path / "tempered.safetensors"
     card = replace(read_card(drawn.network.weights), temperature=1.4)
     save_with_card(drawn.network.weights, tempered, card)
@@ -228,15 +223,12 @@ def test_a_sample_of_the_points_is_enough_and_always_the_same(drawn, target, mon
 
 
 @pytest.mark.parametrize(
-    ("weight", "bias", "error", "says"),
-    [
-        (0.0, [0.0, 1.0], TrainingError, r"for \d+ points is 0 "),
-        (3e38, [0.0, 0.0], WeightsError, "logits are not finite"),
-    ],
+    ("weight", "bias", "error"),
+    [(0.0, [0.0, 1.0], TrainingError), (3e38, [0.0, 0.0], WeightsError)],
 )
-def test_networks_without_a_best_temperature(world, target, tmp_path, weight, bias, error, says):
-    """They answer the same everywhere, or nothing that is finite."""
-    for path in (world.data / "sequences/08/labels").iterdir():
+def test_networks_without_a_best_temperature(world, target, tmp_path, weight, bias, error):
+    """Their logits are the same everywhere, or not finite."""
+    for path in (world.data / LABELS).iterdir():
         write_labels(path, np.full(1500, 10, np.uint32))
     module, card = read_weights(world.network.weights)
     with torch.no_grad():
@@ -244,7 +236,7 @@ def test_networks_without_a_best_temperature(world, target, tmp_path, weight, bi
         module.logits.bias.copy_(torch.tensor(bias + [0.0] * 18))
     save_weights(tmp_path / "odd.safetensors", module, card)
     odd = NetworkSettings(tmp_path / "odd.safetensors", "cpu", engine="torch")
-    with pytest.raises(error, match=says):
+    with pytest.raises(error):
         go(world, target, settings=odd)
     assert not target.exists()
 
@@ -267,7 +259,7 @@ def test_every_rate_against_a_slow_loop_and_the_least_is_stored(world, target, t
     tuned = go(world, target, "dropout")
     slow = [slow_mean(world, tmp_path / "w.safetensors", rate) for rate in tuned["rates"]]
     np.testing.assert_allclose(tuned["objectives"], slow, rtol=1e-5)
-    # That of the weights is among them.
+    # The rate of the weights is among them.
     np.testing.assert_allclose(tuned["rates"], [0.05, math.sqrt(0.05 * 0.3), 0.2, 0.3])
     assert tuned["best"] == tuned["rates"][int(np.argmin(slow))]
     assert tuned["changed"]
@@ -277,9 +269,7 @@ def test_every_rate_against_a_slow_loop_and_the_least_is_stored(world, target, t
     assert {layer.rate for layer in dropouts(read_weights(target)[0])} == {tuned["best"]}
 
 
-def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_it(
-    world, target, tmp_path
-):
+def test_weights_without_dropout_get_the_layers_of_the_paper(world, target, tmp_path):
     certain = write_weights(tmp_path / "certain.safetensors", dropout=0.0)
     settings = NetworkSettings(certain, "cpu", engine="torch")
     tuned = go(world, target, "dropout", settings=settings)
@@ -291,21 +281,21 @@ def test_a_network_that_was_trained_without_dropout_gets_it_where_the_paper_has_
 
 
 @pytest.mark.parametrize(
-    ("objectives", "best", "says"),
+    ("objectives", "best", "warning"),
     [
-        ([1.0, 2.0, 3.0, 4.0] * 2, 0.05, "rate, 0.05, is the last of the range: move --lowest"),
+        ([1.0, 2.0, 3.0, 4.0] * 2, 0.05, "--lowest"),
         ([3.0, 1.0, 2.0, 3.0] * 2, math.sqrt(0.05 * 0.3), ""),
-        # The existing rate, 0.2, wins ties, and where what one scan chooses is worse in the other.
+        # The existing rate, 0.2, wins ties, and if the choice of one scan is worse in the other.
         ([3.0, 1.0, 1.0, 3.0] * 2, 0.2, ""),
         ([0.0, 9.0, 1.0, 9.0] + [9.0, 0.0, 1.0, 9.0], 0.2, ""),
     ],
 )
-def test_the_end_of_the_range_is_named(world, target, caplog, monkeypatch, objectives, best, says):
+def test_the_end_of_the_range_warns(world, target, caplog, monkeypatch, objectives, best, warning):
     values = iter(objectives)
     module = "salsanext_cli.training.tuning.dropout_rate"
     monkeypatch.setattr(f"{module}.objective", lambda *_: next(values))
     with caplog.at_level(logging.WARNING):
         tuned = go(world, target, "dropout", selection=ScanSelection(split="valid"))
     assert tuned["best"] == pytest.approx(best)
-    assert says in caplog.text
-    assert bool(caplog.text) == bool(says)
+    assert warning in caplog.text
+    assert bool(caplog.text) == bool(warning)

@@ -37,18 +37,18 @@ def look(scenes, rays, seed=0, power=1.0, response=HDL64):
     return measure(np.random.default_rng(seed), scenes, rays, lasers, response)
 
 
-def test_a_wall_is_as_far_as_it_is():
+def test_a_wall_has_the_right_distance():
     rays, azimuth = fan()
     distance, intensity, labels = look([wall(10)], rays)
-    kept = np.isfinite(distance)
-    error = distance[kept] - 10 / np.cos(azimuth[kept])
-    assert kept.mean() > 0.98
+    returned = np.isfinite(distance)
+    error = distance[returned] - 10 / np.cos(azimuth[returned])
+    assert returned.mean() > 0.98
     assert abs(error.mean()) < 1e-3
     assert error.std() == pytest.approx(HDL64.noise, rel=0.05)
-    assert set(labels[kept]) == {BUILDING}
+    assert set(labels[returned]) == {BUILDING}
     np.testing.assert_allclose(intensity * 100, np.round(intensity * 100), atol=1e-9)
     usual = Material.PLASTER.optics[0]
-    assert intensity[kept].mean() == pytest.approx(usual, abs=0.05)
+    assert intensity[returned].mean() == pytest.approx(usual, abs=0.05)
 
 
 def test_roads_seen_at_a_grazing_angle_fade_out():
@@ -66,7 +66,7 @@ def test_roads_seen_at_a_grazing_angle_fade_out():
     assert brightness[0] > brightness[1] > brightness[2]
 
 
-def test_glass_and_dark_paint_swallow_pulses_in_runs():
+def test_glass_and_dark_paint_lose_pulses_in_runs():
     rays, _ = fan()
     shares = {}
     for name, material, shade in (
@@ -97,13 +97,13 @@ def test_the_nearer_of_two_scenes_counts():
     near, far = wall(6, label=CAR), wall(12)
     for scenes in ([near, far], [far, near]):
         distance, _, labels = look(scenes, rays)
-        kept = np.isfinite(distance)
-        assert set(labels[kept]) == {CAR}
-        assert distance[kept].max() < 7
+        returned = np.isfinite(distance)
+        assert set(labels[returned]) == {CAR}
+        assert distance[returned].max() < 7
 
 
 @pytest.mark.parametrize("echo", [USUAL_ECHO, 0.5 * USUAL_ECHO, 0.3 * USUAL_ECHO])
-def test_gamma_darkens_what_is_darker_than_usual_and_changes_no_range(echo):
+def test_gamma_darkens_dark_surfaces_and_changes_no_range(echo):
     rays, _ = fan(4000, spread=0.03)
     at_13_m = wall(13, shade=echo / Material.PLASTER.optics[0])
     usual = look([at_13_m], rays)

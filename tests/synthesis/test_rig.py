@@ -29,7 +29,7 @@ def beams(rig):
     return rig.beams
 
 
-def test_elevations_are_the_sensors_own_in_two_blocks(beams):
+def test_elevations_form_two_blocks(beams):
     degrees = np.degrees(beams.elevation)
     assert (np.diff(degrees) < 0).all()
     nominal = np.concatenate([np.linspace(*UPPER_BLOCK), np.linspace(*LOWER_BLOCK)])
@@ -142,7 +142,7 @@ def world(frame, labels):
     return frame.scan.points[chosen] @ frame.pose[:3, :3].T + frame.pose[:3, 3]
 
 
-def test_scans_look_like_an_hdl64s_above_the_road(frames):
+def test_scans_resemble_those_of_an_hdl64(frames):
     for frame in frames:
         scan = frame.scan
         assert len(scan) == len(frame.labels)
@@ -157,7 +157,7 @@ def test_scans_look_like_an_hdl64s_above_the_road(frames):
         assert near[:, 2].std() < 0.15
 
 
-def test_standing_things_stay_where_they_are(frames):
+def test_static_objects_stay(frames):
     still = (surfaces.BUILDING, surfaces.FENCE, surfaces.POLE, surfaces.CLUTTER, surfaces.CAR)
     first, second = (world(frame, still) for frame in frames[:2])
     here = first[np.linalg.norm(first - frames[1].pose[:3, 3], axis=1) < 12]
@@ -167,7 +167,7 @@ def test_standing_things_stay_where_they_are(frames):
     assert np.median(shifted) > 1.5 * np.median(distance)
 
 
-def test_poses_are_rigid_and_so_far_apart(frames):
+def test_poses_are_rigid_and_evenly_spaced(frames):
     for frame in frames:
         rotation = frame.pose[:3, :3]
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
@@ -178,7 +178,7 @@ def test_poses_are_rigid_and_so_far_apart(frames):
     assert ((steps * ahead).sum(1) > 0.95 * SPACING).all()
 
 
-def test_moving_things_are_not_where_they_were():
+def test_moving_objects_change_position():
     moving = tuple(surfaces.MOVING.values())
     before, after = (world(frame, moving) for frame in record(7, 1, 2, 3.0))
     assert len(before)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Plan of a street and its ground, and the street as built: what stands and moves where."""
+"""Plan of a street and its ground, and positions of static and moving objects."""
 
 from dataclasses import replace
 
@@ -134,7 +134,7 @@ def in_the_way(builder):
 
 
 @pytest.mark.parametrize("seed", [0, 2, 5])
-def test_islands_interrupt_parking_spaces_and_nobody_parks_there(seed):
+def test_no_car_parks_on_islands_between_parking_spaces(seed):
     busy = {"parking": 1.0, "parked": 1.0, "crossing_gap": (300, 900), "works": 0.0}
     rng = np.random.default_rng(seed)
     plan = draw_plan(rng, Numbers(**vars(STYLES[0]) | busy), 90.0)
@@ -190,7 +190,7 @@ def test_no_vehicle_at_the_roadside_stands_in_the_sensors_path(seed):
     assert in_the_way(builder) == 0
 
 
-def test_things_are_set_down_only_where_there_is_room():
+def test_objects_are_placed_only_where_there_is_room():
     crossing = Crossing(60.0, 3.0, 0.0, (LEFT,), False, 1.0)
     left, right = STREET.sides
     left = replace(left, crossings=(crossing,))
@@ -222,7 +222,7 @@ def test_lanes_divide_half_the_carriageway():
 
 
 @pytest.mark.parametrize(("speed", "turn"), [(5.0, 0.0), (-5.0, np.pi)])
-def test_movers_keep_their_lane_and_face_where_they_go(speed, turn):
+def test_movers_stay_in_their_lane_and_face_forward(speed, turn):
     mesh = furniture.bench(np.random.default_rng(0))
     mover = Mover(mesh, 40.0, -1.5, speed)
     for time in (0.0, 2.0):

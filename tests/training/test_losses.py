@@ -12,11 +12,7 @@ from hypothesis import strategies as st
 from torch.nn import functional as F
 
 from salsanext_cli.training.data.class_counts import class_weights
-from salsanext_cli.training.losses import (
-    SegmentationLoss,
-    jaccard_gradient,
-    lovasz_softmax,
-)
+from salsanext_cli.training.losses import SegmentationLoss, jaccard_gradient, lovasz_softmax
 
 Numbers = npt.NDArray[np.float64]
 SIXTHS = st.integers(0, 6).map(lambda k: k / 6)
@@ -24,9 +20,9 @@ SIXTHS = st.integers(0, 6).map(lambda k: k / 6)
 
 
 def jaccard_losses(members: npt.NDArray[np.bool_]) -> Numbers:
-    """Return 1 − |kept| / |class or wrong| for every set of wrong pixels, (2^P,) (Berman, eq. 6).
+    """Return 1 − |right| / |class or wrong| for each set of wrong pixels, (2^P,) (Berman, eq. 6).
 
-    Set i holds the pixels whose bits are set in i.
+    The bits of i are the pixels of set i.
     """
     wrong = (np.arange(2 ** len(members))[:, None] >> np.arange(len(members)) & 1).astype(bool)
     return 1 - (members & ~wrong).sum(1) / (members | wrong).sum(1)
@@ -75,9 +71,9 @@ def test_the_jaccard_gradient_of_many_pixels_keeps_its_digits() -> None:
     loss = 1 - (hits[-1] - hits) / (hits[-1] + np.arange(1, count + 1) - hits)
     expected = np.empty(count)
     expected[falling] = np.diff(loss, prepend=0)
-    found = jaccard_gradient(errors[None], foreground[None])[0].numpy()
-    # Differences of numbers next to 1 are themselves only good to their last bit.
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=2e-16)
+    gradient = jaccard_gradient(errors[None], foreground[None])[0].numpy()
+    # Differences of numbers next to 1 are exact to their last bit only.
+    np.testing.assert_allclose(gradient, expected, rtol=1e-6, atol=2e-16)
 
 
 def test_the_loss_passes_gradcheck() -> None:
@@ -89,7 +85,7 @@ def test_the_loss_passes_gradcheck() -> None:
 
 
 @pytest.mark.parametrize("images", [0, 2])
-def test_without_a_pixel_that_counts_loss_and_gradient_are_zero(images: int) -> None:
+def test_without_a_scored_pixel_loss_and_gradient_are_zero(images: int) -> None:
     logits = torch.randn(images, 4, 3, 5, requires_grad=True)
     loss = SegmentationLoss(torch.tensor([0.0, 1.0, 1.0, 0.0]))
     value = loss(logits, torch.tensor([0, 3]).repeat(15)[: 15 * images].reshape(images, 3, 5))
@@ -118,9 +114,6 @@ def test_logits_may_be_large() -> None:
     assert float(loss.detach()) == pytest.approx(401)
     assert logits.grad is not None
     assert logits.grad[0, 0, 0, 0] == pytest.approx(1)
-
-
-# Smoothing
 
 
 def test_class_weights_are_inverse_square_roots_of_shares() -> None:

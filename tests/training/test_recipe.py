@@ -32,17 +32,17 @@ def test_a_recipe_survives_its_toml_whose_lines_are_overrides(name: str, tmp_pat
     assert Recipe(seed=9).with_changes(**read_overrides(lines)) == recipe(name)
 
 
-def test_an_unknown_key_or_recipe_names_the_known_ones(tmp_path: Path) -> None:
+def test_an_unknown_key_or_recipe_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "typo.toml"
     path.write_text("epoch = 7\n", "utf-8")
-    with pytest.raises(
-        UsageError, match=r"typo\.toml: unknown key epoch\nhint: .*epochs.*weight_decay"
+    for subject, read in (
+        (str(path), lambda: recipe(path)),
+        ("recipe", lambda: Recipe().with_changes(learnig_rate=1.0)),
+        ("recipe papr", lambda: recipe("papr")),
     ):
-        recipe(path)
-    with pytest.raises(UsageError, match="unknown key learnig_rate"):
-        Recipe().with_changes(learnig_rate=1.0)
-    with pytest.raises(UsageError, match=r"recipe papr .* one of finetune, .* street"):
-        recipe("papr")
+        with pytest.raises(UsageError) as caught:
+            read()
+        assert caught.value.subject == subject
 
 
 def test_impossible_values_name_the_key() -> None:
@@ -52,8 +52,9 @@ def test_impossible_values_name_the_key() -> None:
         *(("warm_up", float("inf")), ("flip", -0.1), ("jitter", 1.5)),
         *(("folds", 1), ("seed", 2**63)),
     ):
-        with pytest.raises(UsageError, match=f"recipe key {key}"):
+        with pytest.raises(UsageError) as caught:
             Recipe().with_changes(**{key: value})
+        assert caught.value.subject == f"recipe key {key}"
 
 
 # Overrides
@@ -61,19 +62,23 @@ def test_impossible_values_name_the_key() -> None:
 
 def test_values_have_the_type_of_their_key_and_the_last_of_several_holds() -> None:
     texts = ["epochs=3", "learning_rate=1", " decay = 9.5e-1 ", "optimiser=adamw", "batch=08"]
-    found = read_overrides(["batch=7", *texts])
+    changes = read_overrides(["batch=7", *texts])
     wanted = {"batch": 8, "epochs": 3, "learning_rate": 1.0, "decay": 0.95, "optimiser": "adamw"}
-    assert found == wanted
-    assert [type(value) for value in found.values()] == [int, int, float, float, str]
+    assert changes == wanted
+    assert [type(value) for value in changes.values()] == [int, int, float, float, str]
 
 
-def test_what_cannot_be_read_is_named() -> None:
-    for text, words in (
-        ("epochs", r"--set epochs: no key and value \(expected key=value"),
-        ("=3", "no key and value"),
-        ("epoch=3", r"--set epoch=3: unknown key epoch \(expected keys .*epochs"),
-        ("epochs=3.5", r"--set epochs=3\.5: '3\.5' \(expected a whole number"),
-        ("flip=often", "'often' (expected a number"),
-    ):
-        with pytest.raises(UsageError, match=words):
-            read_overrides(["seed=3", text])
+@pytest.mark.parametrize(
+    ("text", "subject"),
+    [
+        ("epochs", "--set epochs"),
+        ("=3", "--set =3"),
+        ("epoch=3", "--set epoch=3"),
+        ("epochs=3.5", "--set epochs"),
+        ("flip=often", "--set flip"),
+    ],
+)
+def test_an_unreadable_override_is_the_subject_of_the_error(text: str, subject: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        read_overrides(["seed=3", text])
+    assert caught.value.subject == subject

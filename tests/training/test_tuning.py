@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is fitted to scans left out: epochs, dropout, temperature, errors."""
+"""Fits to held-out scans: epochs, dropout, temperature, errors."""
 
 import math
 from itertools import chain
@@ -10,7 +10,6 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from sklearn.metrics import log_loss
 
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.training.cross_validation import expectation, folds
@@ -33,7 +32,7 @@ def test_rates_are_equal_steps_of_the_logarithm_with_exact_ends():
 
 
 def points(wrong_if, count: int = 4000, seed: int = 0) -> JudgedPoints:
-    """Return random features, and wrong labels where a function of them says so."""
+    """Return random features, and wrong labels by a function of them."""
     features = np.random.default_rng(seed).random((count, len(FEATURES))).astype("f4")
     return JudgedPoints(features, wrong_if(features))
 
@@ -43,21 +42,21 @@ def test_low_confidence_is_wrong_at_any_height() -> None:
     model = fit_error([points(lambda x: (x[:, HEIGHT] > 0.7) | (x[:, CONFIDENCE] < 0.2))])
     sure, unsure, high = (np.full((1, len(FEATURES)), 0.5, "f4") for _ in range(3))
     unsure[0, CONFIDENCE], high[0, HEIGHT] = 0.05, 0.95
-    at = [float(model.probability(each)[0]) for each in (sure, unsure, high)]
+    at = [float(model.probability(features)[0]) for features in (sure, unsure, high)]
     assert at[1] > 0.8 > 0.5 > at[0]
     assert at[2] == at[0]
 
 
 @pytest.mark.parametrize("sequences", [1, 7, 63])
 def test_more_sequences_correct_an_existing_model_more(sequences: int) -> None:
-    """All is wrong in the new points, and a tenth by the existing model."""
+    """All new points are wrong, a tenth of them by the existing model."""
     start = fit_error([points(lambda x: x[:, CONFIDENCE] < 0.1)])
     new = points(lambda x: np.full(len(x), True))
-    found = fit_error([new], start, sequences).probability(new.features)
+    fitted = fit_error([new], start, sequences).probability(new.features)
     share = sequences / (sequences + 7)
     expected = share + (1 - share) * start.probability(new.features)
-    assert found.mean() == pytest.approx(expected.mean(), abs=0.02)
-    assert np.abs(found - expected).mean() < 0.1
+    assert fitted.mean() == pytest.approx(expected.mean(), abs=0.02)
+    assert np.abs(fitted - expected).mean() < 0.1
 
 
 def drawn(temperature: float, count: int = 3000, classes: int = 5, seed: int = 0):
@@ -78,14 +77,7 @@ def test_the_best_is_the_lowest_of_a_dense_grid(temperature):
     assert negative_log_likelihood(logits, truth, best) <= min(losses)
 
 
-def test_the_loss_against_scikit_learn():
-    logits, truth = drawn(1.3)
-    shares = torch.softmax(logits.double() / 0.8, dim=1).numpy()
-    expected = log_loss(truth.numpy(), shares, labels=range(5))
-    assert negative_log_likelihood(logits, truth, 0.8) == pytest.approx(expected, rel=1e-12)
-
-
-def test_where_there_is_no_best():
+def test_no_best_temperature_is_zero_or_infinite():
     logits, _ = drawn(1.0)
     assert best_temperature(logits, logits.argmax(dim=1)) == 0
     assert best_temperature(logits, logits.argmin(dim=1)) == math.inf
@@ -102,18 +94,18 @@ def scans(*lengths: int) -> list[ScanFile]:
 
 
 @given(st.lists(st.integers(1, 6), min_size=1, max_size=8), st.integers(2, 6))
-def test_every_scan_is_left_out_once_and_no_fold_is_empty(lengths: list[int], count: int) -> None:
+def test_every_scan_is_held_out_once_and_no_fold_is_empty(lengths: list[int], count: int) -> None:
     files = scans(*lengths)
-    found = folds(files, count)
-    assert sorted(chain(*found), key=files.index) == files
-    assert all(found)
-    assert len(found) == min(count, len(lengths) if len(lengths) > 1 else len(files))
+    parts = folds(files, count)
+    assert sorted(chain(*parts), key=files.index) == files
+    assert all(parts)
+    assert len(parts) == min(count, len(lengths) if len(lengths) > 1 else len(files))
     if len(lengths) > 1:
-        places = [{file.sequence for file in fold} for fold in found]
-        assert sum(map(len, places)) == len(lengths), "a sequence in two folds"
+        sequences = [{file.sequence for file in part} for part in parts]
+        assert sum(map(len, sequences)) == len(lengths), "a sequence in two folds"
 
 
-def test_folds_of_one_sequence_are_neighbours_and_those_of_two_are_these() -> None:
+def test_folds_of_one_sequence_are_neighbours_and_of_several_whole_sequences() -> None:
     files = scans(7)
     assert folds(files, 3) == [files[:3], files[3:5], files[5:]]
     files = scans(5, 2)
@@ -131,19 +123,20 @@ def test_the_epochs_of_the_highest_mean_are_chosen() -> None:
         [row(1, 0.2), row(2, 0.5, 0.8, 0.5), row(3, 0.4)],
         [row(1, 0.3), row(2, 0.3, 0.6, 2.0), row(3, 0.4)],
     ]
-    found = expectation(logs)
-    assert found is not None
+    expected = expectation(logs)
+    assert expected is not None
     # 0.4 twice: the fewer epochs win.
-    assert (found.epochs, found.folds) == (2, 2)
+    assert (expected.epochs, expected.folds) == (2, 2)
     # The first fold is scored after 3 epochs, the best number of the second; the second after 2.
-    assert (found.miou, found.accuracy) == pytest.approx((0.35, 0.55))
-    assert (found.miou_spread, found.accuracy_spread) == pytest.approx((math.sqrt(0.005),) * 2)
-    assert found.temperature == pytest.approx(1.0)
+    assert (expected.miou, expected.accuracy) == pytest.approx((0.35, 0.55))
+    spreads = (expected.miou_spread, expected.accuracy_spread)
+    assert spreads == pytest.approx((math.sqrt(0.005),) * 2)
+    assert expected.temperature == pytest.approx(1.0)
 
 
-def test_a_fold_without_classes_that_count_does_not_count() -> None:
+def test_a_fold_without_scored_classes_is_ignored() -> None:
     nothing = [row(1, math.nan), row(2, math.nan)]
-    found = expectation([nothing, [row(1, 0.2), row(2, 0.3)]])
-    assert found is not None
-    assert (found.epochs, found.folds, found.miou, found.miou_spread) == (2, 1, 0.3, None)
+    one = expectation([nothing, [row(1, 0.2), row(2, 0.3)]])
+    assert one is not None
+    assert (one.epochs, one.folds, one.miou, one.miou_spread) == (2, 1, 0.3, None)
     assert expectation([nothing]) is None

@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Gradients and more of workers that torchrun starts; the same file gives one worker's.
-
-::
-
-    torchrun --nproc-per-node 2 two_workers.py RESULT
-"""
+"""Gradients and more of workers; `test_distributed` starts them as torchrun does."""
 
 import logging
 import sys
@@ -77,27 +72,27 @@ def stepped(group: ProcessGroup, case: str) -> dict[str, Tensor]:
         truth[1:4, 2] = len(WEIGHTS)
     learning = learner(group, **changes)  # type: ignore[arg-type]
     images = images.to(FLOAT[learning.recipe.precision])
-    found = {"loss": learning.step(share(images, group), share(truth, group), 5, 1)}
+    results = {"loss": learning.step(share(images, group), share(truth, group), 5, 1)}
     for name, parameter in learning.module.named_parameters():
         assert parameter.grad is not None
-        found[f"gradient of {name}"] = parameter.grad
-        found[name] = parameter.detach()
-    return found
+        results[f"gradient of {name}"] = parameter.grad
+        results[name] = parameter.detach()
+    return results
 
 
 def normed(group: ProcessGroup) -> dict[str, Tensor]:
-    """Return every worker's running means after a step, and after those of the main one came."""
+    """Return the running means of all workers after a step, and after a broadcast."""
     learning = learner(group, norm=True, average=0.5)
-    learning.step(*(share(each, group) for each in batch()), 5, 1)
-    own = torch.stack(group.gather(learning.average.norm.running_mean))  # type: ignore[union-attr]
+    learning.step(*(share(whole, group) for whole in batch()), 5, 1)
+    before = torch.stack(group.gather(learning.average.norm.running_mean))  # type: ignore[union-attr]
     group.broadcast(learning.average.buffers())
     after = torch.stack(group.gather(learning.average.norm.running_mean))  # type: ignore[union-attr]
     weight = torch.stack(group.gather(learning.average.features[0].weight[0, 0, 0]))  # type: ignore
-    return {"own": own, "after": after, "weight": weight.detach()}
+    return {"own": before, "after": after, "weight": weight.detach()}
 
 
 def apart(group: ProcessGroup) -> dict[str, Tensor]:
-    """Return, of every worker, what dropout leaves, what it gathers, and what the main one says."""
+    """Return what dropout drops, what `on_main` returns and what is gathered, of all workers."""
     module = network(0.5)
     module.features[1].bias.data.fill_(100.0)  # so that only dropout leaves nothing
     masks = []
@@ -116,20 +111,30 @@ def apart(group: ProcessGroup) -> dict[str, Tensor]:
 
 
 def refused(group: ProcessGroup) -> bool:
-    """Say whether an error of the main worker reaches this one as it is."""
+    """Return whether an error of the main worker reaches this one unchanged."""
 
     def fail() -> None:
-        raise TrainingError("data", "found", "expected", f"hint of {group.rank}")
+        raise TrainingError("data", "problem", "expected", f"hint of {group.rank}")
 
     try:
         group.on_main(fail)
     except TrainingError as error:
-        return str(error) == "data: found (expected expected)\nhint: hint of 0"
+        return (error.subject, error.hint) == ("data", "hint of 0")
     return False
 
 
+def fail_alike() -> None:
+    """Raise the same error in all workers, and print it as the command line does."""
+    try:
+        with process_group("cpu"):
+            raise TrainingError("data", "is empty")
+    except TrainingError as error:
+        if not error.reported_elsewhere:
+            sys.stderr.write(f"{error}\n")
+
+
 def fail() -> None:
-    """Let the last worker fail while the others do what they never end."""
+    """Let the last worker fail while the others are busy endlessly."""
     logging.basicConfig(format="%(message)s")
     with process_group("cpu") as (group, _):
         group.sum(torch.ones(1))
@@ -141,15 +146,15 @@ def fail() -> None:
 
 
 def main() -> None:
-    """Write everything that two workers compute."""
+    """Write the results of two workers."""
     with process_group("cpu") as (group, _):
-        found: dict[str, object] = {case: stepped(group, case) for case in CASES}
-        found["normed"], found["apart"] = normed(group), apart(group)
-        found["refused"] = group.gather(torch.tensor([refused(group)]).byte())
-        found["size"] = group.size
+        results: dict[str, object] = {case: stepped(group, case) for case in CASES}
+        results["normed"], results["apart"] = normed(group), apart(group)
+        results["refused"] = torch.cat(group.gather(torch.tensor([refused(group)]).byte()))
+        results["size"] = group.size
         if group.is_main:
-            torch.save(found, Path(sys.argv[1]))
+            torch.save(results, Path(sys.argv[1]))
 
 
 if __name__ == "__main__":
-    fail() if sys.argv[1] == "fail" else main()
+    {"fail": fail, "fail alike": fail_alike}.get(sys.argv[1], main)()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Clouds of points in a page: positions of 16 bits per axis, one byte per value, as base64."""
+"""Point clouds of a page: 16 bits per axis and one byte per value, as base64."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from salsanext_cli.report.scan_pictures import UNITS
 from salsanext_cli.results.result_folder import ScanResults
 from salsanext_cli.sensors.sensor import Sensor
 
-MAX_POINTS = 200_000  # Points of a scan in a page; of a larger scan evenly spaced ones are shown
-FARTHEST_M = 1e4  # Farther points are left out: 16 bits would be too coarse for them
+MAX_POINTS = 200_000  # Most points of a scan in a page; larger scans are thinned evenly
+FARTHEST_M = 1e4  # Farther points are skipped: they would make 16 bits too coarse
 STEPS = 65535
 NO_VALUE = 255  # Byte of a point without a value; values are 0 to 254
-Scale = Mapping[str, Any]  # `marks`, at equal steps of the 255 told apart, and their `unit`
+Scale = Mapping[str, Any]  # `marks` at equal steps of the 255 values, and their `unit`
 
 
 def scales_of(scans: Sequence[ShownScan]) -> dict[str, Scale]:
-    """Return the scale of each value: a fixed one, or to what 99 % of its points do not exceed."""
+    """Return the scale of every value: fixed, or from 0 to the 99th percentile."""
     values: dict[str, list[npt.NDArray[Any]]] = {}
     for scan in scans:
         for name, of_points in scan.values().items():
             values.setdefault(name, []).append(of_points)
     scales: dict[str, Scale] = {}
-    for name, each in values.items():
-        highest = value_range(np.concatenate(each))[1]
+    for name, arrays in values.items():
+        highest = value_range(np.concatenate(arrays))[1]
         linear = (0.0, highest if highest > 0 and name != "least_confidence" else 1.0)
         marks = FIXED_SCALES.get(name, linear)
         scales[name] = {"marks": marks, "unit": UNITS.get(name, "")}
@@ -44,10 +44,10 @@ def scales_of(scans: Sequence[ShownScan]) -> dict[str, Scale]:
 def encode_cloud(
     shown: ShownScan, space: LabelSpace, sensor: Sensor, scales: Mapping[str, Scale]
 ) -> dict[str, object]:
-    """Return a scan as plain data, numbers of points as base64 of little-endian integers.
+    """Return a scan as plain data, arrays as base64 of little-endian integers.
 
-    Points are in the order of the pixels of the range image, the nearest of each first, those
-    without a pixel last, so that the number of points of every pixel says which are whose.
+    Points are sorted by pixel of the range image, then by range; points without a pixel come last.
+    So the number of points of every pixel assigns points to pixels.
     """
     points = shown.results.scan.points
     measured = np.flatnonzero((np.abs(points) <= FARTHEST_M).all(axis=1))
@@ -80,12 +80,12 @@ def encode_cloud(
         "of_pixel": base64_of(of_pixel, f"<u{width}"),
         "of_pixel_bytes": width,
         "boxes": shown.boxes,
-        "values": {name: base64_of(each, "u1") for name, each in values.items()},
+        "values": {name: base64_of(array, "u1") for name, array in values.items()},
     }
 
 
 def base64_of(values: npt.NDArray[Any], dtype: str) -> str:
-    """Return numbers as base64 of their bytes in a dtype."""
+    """Return an array as base64 of its bytes in a dtype."""
     return b64encode(np.ascontiguousarray(values, np.dtype(dtype)).tobytes()).decode("ascii")
 
 
@@ -100,7 +100,7 @@ def _positions(points: Float) -> tuple[npt.NDArray[np.uint16], list[float], list
 
 
 def _bytes_on_scale(values: npt.NDArray[Any], scale: Scale) -> npt.NDArray[np.uint8]:
-    """Return values as 0 to 254 on a scale; those beyond it are its ends."""
+    """Return values as 0 to 254 on a scale, clipped to its ends."""
     marks = scale["marks"]
     share = np.interp(values, marks, np.linspace(0, 1, len(marks)))
     steps = np.rint(np.nan_to_num(share) * (NO_VALUE - 1))
@@ -110,7 +110,7 @@ def _bytes_on_scale(values: npt.NDArray[Any], scale: Scale) -> npt.NDArray[np.ui
 def _classes(
     results: ScanResults, space: LabelSpace, index: npt.NDArray[np.intp]
 ) -> dict[str, npt.NDArray[np.uint8]]:
-    """Return train ids of label and truth, and wrong: 0 not judged, 1 right, 2 wrong."""
+    """Return train ids of label and truth, and the outcome: 0 not judged, 1 right, 2 wrong."""
     classes: dict[str, npt.NDArray[np.uint8]] = {}
     if results.label is not None:
         classes["label"] = space.to_train(results.label[index], strict=False)

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT
-// The drive, one column per scan: mean uncertainty and share of wrong points above, classes below.
+// The drive, one column per scan: curves of mean uncertainty and wrong points above shares of classes.
 
 const CURVE_PX = 100, GAP_PX = 22, UNCERTAIN_COLOUR = "#2f7fd0", WRONG_COLOUR = "#e0482e";
 
 class DriveView {
-  // scans: { count, names, shown: place in the page or -1, marked: worth a look or not, shares: (count × classes), uncertainty, wrong }
-  constructor(canvas, told, scans, classes, open) {
-    Object.assign(this, { canvas, told, scans, classes, open, at: Math.max(0, scans.shown.findIndex(i => i >= 0)) });
+  // scans: { count, names, shown: index in the page or -1, marked: whether worth a look, shares: (count × classes), uncertainty, wrong }
+  constructor(canvas, caption, scans, classes, open) {
+    Object.assign(this, { canvas, caption, scans, classes, open, at: Math.max(0, scans.shown.findIndex(i => i >= 0)) });
     new ResizeObserver(() => this.draw()).observe(canvas);
     const place = x => Math.min(scans.count - 1, Math.max(0, Math.floor(x / canvas.clientWidth * scans.count)));
     canvas.addEventListener("pointermove", event => this.point(place(event.offsetX)));
@@ -22,7 +22,7 @@ class DriveView {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
   }
 
-  nearest(place, x) {  // a mark is wider than a column among thousands
+  nearest(place, x) {  // the mark under the pointer, wider than a column among thousands
     const per = this.canvas.clientWidth / this.scans.count;
     const marked = this.scans.marked.flatMap((is, i) => !is ? [] : [[Math.abs((i + 0.5) * per - x), i]]);
     const [far, best] = marked.sort((a, b) => a[0] - b[0])[0] ?? [Infinity, place];
@@ -34,21 +34,21 @@ class DriveView {
     this.draw();
     const { names, uncertainty, wrong, kind } = this.scans;
     const value = (values, text) => values && !Number.isNaN(values[place]) ? text(values[place]) : "";
-    this.told.textContent = names[place] + value(uncertainty, v => ` · mean ${kind} ${v.toPrecision(3)}`)
+    this.caption.textContent = names[place] + value(uncertainty, v => ` · mean ${kind} ${v.toPrecision(3)}`)
       + value(wrong, v => ` · ${(100 * v).toFixed(1)} % wrong`) + ` · ${this.largest(place)}`;
   }
 
   largest(place) {
     const { shares } = this.scans, size = this.classes.length;
     if (!shares) return "";
-    const found = this.classes.map((each, i) => [shares[place * size + i], each.name]);
-    return found.sort((a, b) => b[0] - a[0]).slice(0, 3).map(([s, name]) => `${name} ${(100 * s).toFixed(0)} %`).join(", ");
+    const named = this.classes.map(({ name }, i) => [shares[place * size + i], name]);
+    return named.sort((a, b) => b[0] - a[0]).slice(0, 3).map(([s, name]) => `${name} ${(100 * s).toFixed(0)} %`).join(", ");
   }
 
   choose(place) {
     this.point(place);
     if (this.scans.shown[place] >= 0) this.open(this.scans.shown[place]);
-    else this.told.textContent += ` · not in this page: report with --scans ${this.scans.names[place]}`;
+    else this.caption.textContent += ` · not in this page: run report with --scans ${this.scans.names[place]}`;
   }
 
   draw() {
@@ -75,12 +75,12 @@ class DriveView {
       left += pen.measureText(text).width + 32;
     }
     const top = CURVE_PX + GAP_PX, size = this.classes.length;
-    const step = Math.ceil(scans.count / Math.max(1, width));  // of the scans of one pixel, the first
+    const step = Math.ceil(scans.count / Math.max(1, width));  // the first scan of every pixel
     for (let place = 0; place < scans.count && scans.shares; place += step) {
       let bottom = height;
-      for (const each of this.classes.keys()) {
-        const share = scans.shares[place * size + each] * (height - top);
-        pen.fillStyle = this.classes[each].css;
+      for (const id of this.classes.keys()) {
+        const share = scans.shares[place * size + id] * (height - top);
+        pen.fillStyle = this.classes[id].css;
         pen.fillRect(place * per, bottom - share, Math.max(1, per - (per > 6 ? 1 : 0)), share);
         bottom -= share;
       }
@@ -92,7 +92,7 @@ class DriveView {
   }
 
   most(values) {
-    return values ? values.reduce((most, each) => Math.max(most, each || 0), 0) : 0;
+    return values ? values.reduce((most, value) => Math.max(most, value || 0), 0) : 0;
   }
 
   curve(pen, values, colour, middle) {

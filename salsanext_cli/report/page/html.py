@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Page of a run as one HTML file: text, pictures and data between the parts of a template."""
+"""Page of a run as one HTML file: a template filled with text, pictures and data."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ from salsanext_cli.results.paths import find_outputs
 from salsanext_cli.version import __version__
 
 PARTS = ("page.css", "view.js", "drive.js", "scans.js", "page.js")
-"""Files beside this one that the template takes in, as $page_css and so on."""
+"""Files of this folder that the template includes, as $page_css and so on."""
 FILE_WORDS = {
-    "openable": "▾ marks those of this page: a click opens them.",
-    "note": "This page fetches nothing; it can be kept and sent as one file.",
+    "openable": "▾ marks the scans of this page: click to open one.",
+    "note": "This page is one file and needs no connection.",
     "connect": "",
 }
 LIVE_WORDS = {
-    "openable": "▾ marks those worth a look; a click opens any.",
-    "note": "The scans come from salsanext view while it runs.",
+    "openable": "▾ marks scans worth a look; click to open any scan.",
+    "note": "salsanext view sends the scans while it runs.",
     "connect": "connect-src 'self'",
 }
-"""Parts of a page that holds its scans, and of one that asks a server for them."""
+"""Texts of a page that contains its scans, and of a page that asks a server for them."""
 OUTCOME_COLOURS = {"not judged": (62, 76, 150), "right": (125, 133, 145), "wrong": WRONG}
-"""Farther apart than in other pictures, where what is not judged has the colour of nothing."""
-DARKEST_STEP = 48  # Of the 255 of the colour map: lower ones are lost on a dark view
+"""Colours of points by outcome, which differ more than those of pictures."""
+DARKEST_STEP = 48  # First step, of 255, of the colour map: lower ones are hard to see
 MAX_CONFUSIONS = 10
 
 
@@ -65,11 +65,11 @@ def html_of(
     served: Mapping[str, str] | None = None,
     token: str = "",
 ) -> str:
-    """Return the page of a run; every text that comes from files or names is escaped.
+    """Return the page of a run; texts from files and names are escaped.
 
-    `shown`: scans whose points the page holds; `failures`: reasons why scans are left out;
-    `maps`: PNGs of drives by title; `served`: reasons to look at the scans whose points it asks a
-    server for, by name; `token`: that of the server.
+    `shown`: scans whose points the page contains; `failures`: reasons why scans are missing;
+    `maps`: PNGs of drives by title; `served`: scans whose points the page asks a server for, and
+    why to look at them; `token`: of this server.
     """
     out, space, sensor = run.reader.out, run.reader.space, run.reader.sensor
     live = served is not None
@@ -89,15 +89,15 @@ def html_of(
         "occurring": _occurring(class_points, run.counts),
     }
     blocks = [script_data("data", {**escaped(data), "live": live, "token": token})]
-    for i, each in enumerate(shown):
-        blocks.append(script_data(f"cloud-{i}", escaped(encode_cloud(each, space, sensor, scales))))
+    for i, scan in enumerate(shown):
+        blocks.append(script_data(f"cloud-{i}", escaped(encode_cloud(scan, space, sensor, scales))))
     comparison = _comparison(compared, space) if compared else ""
     facts = [*facts_of_run(out, sensor)]
     if expected := expected_of_run(out, run.rows):
         facts.append(("Without labels", expected.text))
     warnings = [*run.warnings(), *failures]
     return Template(_part("page.html")).substitute(
-        title=_text("/".join(out.absolute().parts[-2:])),  # The folder above often says more.
+        title=_text("/".join(out.absolute().parts[-2:])),
         version=_text(__version__),
         tiles=_tiles(run.rows, compared),
         sentence=_sentence(compared),
@@ -114,7 +114,7 @@ def html_of(
 
 
 def script_data(identifier: str, data: object) -> str:
-    """Return plain data as an element that scripts read; nothing in it can end the element."""
+    """Return plain data as an element for scripts; no text in it can end the element."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     for mark in "<>&":
         text = text.replace(mark, f"\\u{ord(mark):04x}")
@@ -140,31 +140,30 @@ def _tiles(rows: Sequence[ScanRow], compared: Comparison | None) -> str:
     points = sum(row.points for row in rows)
     tiles = [("scans", f"{len(rows):,}"), ("points", f"{points:,}")]
     if compared:
-        found, scans = compared.scores, counted(compared.counts.scans, "scan")
+        result, scans = compared.scores, counted(compared.counts.scans, "scan")
         which = "trained on" if compared.counts.trained_on else "with labels"
-        if kept := compared.kept:
-            tiles += [
-                (f"coverage: accepted points of {scans} {which}", percent(kept.coverage, 1, " %")),
-                ("risk: wrong ones of the accepted points", percent(kept.risk, 1, " %")),
-            ]
+        if labels := compared.accepted:
+            coverage = percent(labels.coverage, 1, " %")
+            tiles.append((f"coverage: accepted points of {scans} {which}", coverage))
+            tiles.append(("risk: wrong points among them", percent(labels.risk, 1, " %")))
         else:
-            present = sum(each.points > 0 for each in found.classes)
-            iou = percent(found.iou_mean_present, 1, " %")
-            tiles.append((f"accuracy, {scans} {which}", percent(found.accuracy, 1, " %")))
+            present = sum(c.points > 0 for c in result.classes)
+            iou = percent(result.iou_mean_present, 1, " %")
+            tiles.append((f"accuracy, {scans} {which}", percent(result.accuracy, 1, " %")))
             tiles.append((f"mean IoU of {present} classes present", iou))
-            if present < len(found.classes):
-                official = percent(found.iou_mean_official, 1, " %")
-                tiles.append((f"mean IoU of all {len(found.classes)}, official", official))
+            if present < len(result.classes):
+                official = percent(result.iou_mean_official, 1, " %")
+                tiles.append((f"mean IoU of all {len(result.classes)}, official", official))
     return "".join(f"<div><b>{_text(value)}</b>{_text(name)}</div>" for name, value in tiles)
 
 
 def _sentence(compared: Comparison | None) -> str:
-    """Return the sentences on risk; none without labels and uncertainty."""
+    """Return the sentences on risk; empty without labels and uncertainty."""
     if compared is None:
         return ""
-    kept, words = compared.uncertainty.kept, [*compared.sentences]
-    words += [kept.sentence] if kept else []
-    return "".join(f'<p class="sentence">{_text(w[:1].upper() + w[1:])}.</p>' for w in words)
+    best = compared.uncertainty.accepted
+    sentences = [*compared.sentences, *([best.sentence] if best else [])]
+    return "".join(f'<p class="sentence">{_text(s[:1].upper() + s[1:])}.</p>' for s in sentences)
 
 
 def _class_points(rows: Sequence[ScanRow], space: LabelSpace) -> Counts:
@@ -176,14 +175,14 @@ def _class_points(rows: Sequence[ScanRow], space: LabelSpace) -> Counts:
 def _shares(
     points: Counts, compared: Comparison | None, space: LabelSpace, colours: Colours
 ) -> str:
-    """Return a table of the classes that are predicted or in the truth, the largest first."""
+    """Return a table of all predicted or true classes, the largest first."""
     if not points.any():
         return "<p>No stage has predicted labels.</p>"
     ious = {c.train_id: c.iou for c in compared.scores.classes if c.points} if compared else {}
     shares = points / points.sum()
     heading = "<th>class</th><th>share of the points</th>"
     if ious and compared:
-        heading += f"<th>IoU{' of accepted points' * bool(compared.kept)}</th>"
+        heading += f"<th>IoU{' of accepted points' * bool(compared.accepted)}</th>"
     rows = []
     for i in np.argsort(-shares, kind="stable").tolist():
         if not points[i] and i not in ious:
@@ -204,17 +203,17 @@ def _bar(share: float, rgb: str) -> str:
 
 
 def _comparison(compared: Comparison, space: LabelSpace) -> str:
-    """Return the section that only labelled scans have: bands, confusions and plots."""
+    """Return the section on labelled scans: distance bands, confusions and plots."""
     confusions = _confusions(compared.counts.confusion, space)
     parts = _bands(compared, space)
     parts += _listed("Largest confusions", '<ol class="confusions">', "</ol>", confusions)
-    pictures = uncertainty_pictures(compared.uncertainty, space)
+    pictures = uncertainty_pictures(compared.uncertainty)
     parts += _figures({PICTURES[name]: png for name, png in pictures.items()})
     return f'<section id="plots"><h2>Comparison with labels</h2>{parts}</section>' * bool(parts)
 
 
 def _figures(pictures: Mapping[str, bytes]) -> str:
-    """Return PNGs, by what they show."""
+    """Return elements with PNGs, by title."""
     figures = "".join(
         f'<figure tabindex="0"><img alt="{_text(text)}" '
         f'src="data:image/png;base64,{b64encode(png).decode("ascii")}"></figure>'
@@ -224,10 +223,9 @@ def _figures(pictures: Mapping[str, bytes]) -> str:
 
 
 def _bands(compared: Comparison, space: LabelSpace) -> str:
-    """Return a table of the scores of the distance bands; none if they were not counted."""
+    """Return a table of the scores of the distance bands; empty if they were not counted."""
     bands = (scores(band, space) for band in compared.counts.bands)
-    found = dict(zip(BAND_NAMES, bands, strict=bool(compared.counts.bands)))
-    with_points = {name: band for name, band in found.items() if band.points}
+    with_points = {name: band for name, band in zip(BAND_NAMES, bands, strict=False) if band.points}
     rows = [[f"<td>{_text(cell)}</td>" for cell in row] for row in band_cells(with_points)]
     heading = [f"<th>{name}</th>" for name in BAND_HEADINGS]
     table = "".join(f"<tr>{''.join(line)}</tr>" for line in (heading, *rows))
@@ -235,7 +233,7 @@ def _bands(compared: Comparison, space: LabelSpace) -> str:
 
 
 def _confusions(confusion: Counts, space: LabelSpace) -> list[str]:
-    """Say what is taken for what, most points first."""
+    """Return the most frequent confusions in words."""
     matrix, names = scored_rows(confusion, space), space.names
     truths = matrix.sum(axis=1).tolist()
     return [
@@ -246,31 +244,26 @@ def _confusions(confusion: Counts, space: LabelSpace) -> list[str]:
 
 
 def _occurring(class_points: Counts, counts: ScanCounts | None) -> dict[str, list[int]]:
-    """Return the classes of some scan, by colour: the legend is the same for all scans."""
+    """Return the classes in any scan, by colour: all scans have the same legend."""
     true = counts.confusion.sum(axis=1) if counts else ()
-    found = {"label": class_points.sum(axis=0), "truth": true, "wrong": np.ones(3)}
-    return {name: np.flatnonzero(points).tolist() for name, points in found.items()}
+    points = {"label": class_points.sum(axis=0), "truth": true, "wrong": np.ones(3)}
+    return {name: np.flatnonzero(counts).tolist() for name, counts in points.items()}
 
 
 def _drive(
     rows: Sequence[ScanRow], class_points: Counts, shown: Sequence[str]
 ) -> dict[str, object]:
-    """Return the numbers of all scans; base64 of float32, empty without any."""
+    """Return the numbers of all scans as base64 of float32, empty where unknown."""
     places = {name: place for place, name in enumerate(shown)}
     kind = leading_kind(rows) or ""
     means = np.array([row.uncertainty.get(kind, np.nan) for row in rows])
     wrong = np.array([row.wrong for row in rows])
-    numbers = {
-        "uncertainty": "" if np.isnan(means).all() else base64_of(means, "<f4"),
-        "wrong": "" if np.isnan(wrong).all() else base64_of(wrong, "<f4"),
-        "shares": "",
-    }
-    if class_points.any():
-        shares = class_points / np.maximum(class_points.sum(axis=1, keepdims=True), 1)
-        numbers["shares"] = base64_of(shares, "<f4")
+    shares = class_points / np.maximum(class_points.sum(axis=1, keepdims=True), 1)
     return {
         "names": [row.file.name for row in rows],
         "shown": [places.get(row.file.name, -1) for row in rows],
         "kind": kind.replace("_", " "),
-        **numbers,
+        "uncertainty": "" if np.isnan(means).all() else base64_of(means, "<f4"),
+        "wrong": "" if np.isnan(wrong).all() else base64_of(wrong, "<f4"),
+        "shares": base64_of(shares, "<f4") if class_points.any() else "",
     }

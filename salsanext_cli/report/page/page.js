@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
-// State of the page: the scan, its colours, and the points that are shown. The address keeps it,
-// #scan=08/000000&colour=error&by=error&above=0.3&size=2&hide=road,car&boxes=no, so that a link leads there.
+// State of the page: the scan, its colours, and the visible points. The address contains the state, for links:
+// #scan=08/000000&colour=error&by=error&above=0.3&size=2&hide=road,car&boxes=no.
 
 const byId = id => document.getElementById(id);
 const data = JSON.parse(byId("data").textContent);
@@ -11,9 +11,9 @@ const title = name => TITLES[name] ?? name.replaceAll("_", " ");
 const bytes = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
 const floats = text => text ? new Float32Array(bytes(text).buffer) : null;
 const state = { scan: 0, colour: "", by: "", above: TOP, size: 2, boxes: true, hidden: { label: new Set(), truth: new Set(), wrong: new Set() } };
-let cloud = null, palette = null, visible = null, view = null, drive = null, threshold = null, remembering = 0;
+let cloud = null, palette = null, visible = null, view = null, drive = null, threshold = null, saving = 0;
 
-function valueOf(name, byte) {  // on the scale, in its unit
+function valueOf(name, byte) {  // in the unit of the scale
   const { marks } = data.scales[name], place = byte / TOP * (marks.length - 1), i = Math.min(Math.floor(place), marks.length - 2);
   return marks[i] + (marks[i + 1] - marks[i]) * (place - i);
 }
@@ -26,26 +26,25 @@ function shownValue(name, byte) {
 
 function paletteOf(colour) {  // 256 colours of 4 bytes
   const rgba = new Uint8Array(1024).fill(70);
-  if (CATEGORIES[colour]) CATEGORIES[colour].forEach((each, i) => rgba.set([...each.rgb, 255], 4 * i));
+  if (CATEGORIES[colour]) CATEGORIES[colour].forEach(({ rgb }, i) => rgba.set([...rgb, 255], 4 * i));
   else for (let i = 0; i <= TOP; i++) rgba.set([...data.map.slice(3 * i, 3 * i + 3), 255], 4 * i);
   return rgba;
 }
 
-function options(select, names, text) {  // an open list is left alone
-  if ([...select.options].map(each => each.value).join() === names.join()) return;
+function options(select, names, text) {  // replacing equal options would close an open list
+  if ([...select.options].map(option => option.value).join() === names.join()) return;
   select.replaceChildren(...names.map(name => new Option(text(name), name)));
 }
 
-function show(index, found) {
+function show(index, next) {
   state.scan = index;
-  cloud = found;
+  cloud = next;
   const names = Object.keys(cloud.values), uncertain = names.filter(name => data.uncertain.includes(name));
-  const keep = (wanted, all, otherwise) => all.includes(wanted) ? wanted : otherwise;
-  state.colour = keep(state.colour, names, names[0]);
-  state.by = keep(state.by, uncertain, uncertain[0] ?? "");
+  if (!names.includes(state.colour)) state.colour = names[0];
+  if (!uncertain.includes(state.by)) state.by = uncertain[0] ?? "";
   options(byId("colour"), names, title);
   options(byId("by"), uncertain, title);
-  const any = data.uncertain.some(name => data.scales[name]);  // in some scan: the others keep its place
+  const any = data.uncertain.some(name => data.scales[name]);  // in some scan: in others the control is only invisible
   byId("by").closest("label").hidden = !any;
   byId("by").closest("label").style.visibility = uncertain.length ? "" : "hidden";
   const scale = data.scales[state.by];
@@ -79,7 +78,7 @@ function paint() {  // in the chosen colours
   }
   legend();
   strip();
-  remember();
+  save();
 }
 
 function filter() {  // by class and by uncertainty
@@ -93,51 +92,51 @@ function filter() {  // by class and by uncertainty
   if (above && state.above < TOP) for (let i = 0; i < shown; i++) if (above[i] > state.above) visible[i] = 0;
   view?.filter(visible);
   view?.outline(cloud.boxes.filter(([id]) => state.boxes && !state.hidden.label.has(id)));
-  const asked = +document.documentElement.dataset.point;
-  if (asked >= 0 && !visible[asked]) point(-1);
+  const marked = +document.documentElement.dataset.point;
+  if (marked >= 0 && !visible[marked]) point(-1);
   byId("above").value = state.above;
   byId("above-value").textContent = state.by && state.above < TOP ? shownValue(state.by, state.above) : "all shown";
-  tell();
+  summarise();
 }
 
-function tell() {
+function summarise() {  // in words
   if (!cloud) return;
   const { values, shown, points } = cloud;
-  let left = 0, judged = 0, wrong = 0, judgedLeft = 0, wrongLeft = 0;
+  let seen = 0, judged = 0, wrong = 0, judgedSeen = 0, wrongSeen = 0;
   for (let i = 0; i < shown; i++) {
     const outcome = values.wrong?.[i] ?? 0, is = visible[i];
-    left += is;
+    seen += is;
     if (!outcome) continue;
     judged++;
-    judgedLeft += is;
-    if (outcome === WRONG) { wrong++; wrongLeft += is; }
+    judgedSeen += is;
+    if (outcome === WRONG) { wrong++; wrongSeen += is; }
   }
   const percent = (part, whole) => whole ? `${(100 * part / whole).toFixed(1)} %` : "–";
-  const of = points > shown ? `${shown.toLocaleString("en")} of ${points.toLocaleString("en")} points in this page` : `${shown.toLocaleString("en")} points`;
-  let text = left === shown ? of : `${of}, ${percent(left, shown)} of them shown`;
-  if (judged) text += `: ${percent(wrongLeft, judgedLeft)} wrong` + (left === shown ? "" : ` instead of ${percent(wrong, judged)}`);
-  byId("told").textContent = text;
-  document.documentElement.dataset.shown = left;
+  const count = points > shown ? `${shown.toLocaleString("en")} of ${points.toLocaleString("en")} points in this page` : `${shown.toLocaleString("en")} points`;
+  let text = seen === shown ? count : `${count}, ${percent(seen, shown)} visible`;
+  if (judged) text += `: ${percent(wrongSeen, judgedSeen)} wrong` + (seen === shown ? "" : ` instead of ${percent(wrong, judged)}`);
+  byId("summary").textContent = text;
+  document.documentElement.dataset.shown = seen;
 }
 
-function legend() {  // buttons stay where they are while scans change, so that a click is not lost
+function legend() {  // buttons of equal classes stay, so that no click is lost while scans change
   const name = CATEGORIES[state.colour] ? state.colour : cloud.values.label ? "label" : "";
   const ids = cloud.values[name] ?? [], hidden = state.hidden[name], counts = new Uint32Array(256);
   for (const id of ids) counts[id]++;
-  const there = [...(CATEGORIES[name] ?? []).keys()].filter(id => counts[id] || data.occurring[name].includes(id));
+  const present = [...(CATEGORIES[name] ?? []).keys()].filter(id => counts[id] || data.occurring[name].includes(id));
   const box = byId("legend");
-  const key = [name, ...there].join();
-  if (box.dataset.key !== key) box.replaceChildren(...there.map(id => entry(name, id, there)));
-  box.style.setProperty("--entry", `${Math.max(0, ...there.map(id => CATEGORIES[name][id].name.length)) + 9}ch`);
+  const key = [name, ...present].join();
+  if (box.dataset.key !== key) box.replaceChildren(...present.map(id => entry(name, id, present)));
+  box.style.setProperty("--entry", `${Math.max(0, ...present.map(id => CATEGORIES[name][id].name.length)) + 9}ch`);
   box.dataset.key = key;
-  there.forEach((id, i) => {
+  present.forEach((id, i) => {
     box.children[i].lastChild.textContent = `${CATEGORIES[name][id].name} ${(100 * counts[id] / cloud.shown).toFixed(1)} %`;
     box.children[i].classList.toggle("absent", !counts[id]);
     box.children[i].setAttribute("aria-pressed", !hidden.has(id));
   });
 }
 
-function entry(name, id, there) {  // of the legend
+function entry(name, id, present) {  // of the legend
   const button = document.createElement("button"), swatch = document.createElement("i"), hidden = state.hidden[name];
   swatch.style.background = `rgb(${CATEGORIES[name][id].rgb})`;
   button.type = "button";
@@ -147,17 +146,17 @@ function entry(name, id, there) {  // of the legend
     filter();
     strip();
     legend();
-    remember();
+    save();
   };
   button.addEventListener("click", show(() => hidden.delete(id) || hidden.add(id)));
   button.addEventListener("dblclick", show(() => {
-    there.forEach(each => hidden.add(each));
+    present.forEach(other => hidden.add(other));
     hidden.delete(id);
   }));
   return button;
 }
 
-function strip() {  // the range image: of each pixel the nearest point
+function strip() {  // the range image: the nearest point of every pixel
   if (!cloud) return;
   const canvas = byId("strip"), { width, height, first, values } = cloud, ids = values[state.colour];
   const tall = Math.max(1, Math.round(width / height / 10));  // rows are drawn higher than wide
@@ -165,15 +164,15 @@ function strip() {  // the range image: of each pixel the nearest point
   canvas.style.aspectRatio = `${width} / ${height * tall}`;
   const pen = canvas.getContext("2d"), image = pen.createImageData(width, height);
   for (let pixel = 0; pixel < width * height; pixel++) {
-    const at = first[pixel], there = at < first[pixel + 1] && visible[at];
-    image.data.set(there ? palette.subarray(4 * ids[at], 4 * ids[at] + 3) : [24, 27, 33], 4 * pixel);
+    const at = first[pixel], seen = at < first[pixel + 1] && visible[at];
+    image.data.set(seen ? palette.subarray(4 * ids[at], 4 * ids[at] + 3) : [24, 27, 33], 4 * pixel);
     image.data[4 * pixel + 3] = 255;
   }
   pen.putImageData(image, 0, 0);
   cloud.image = image;
 }
 
-function pixelOf(index) {  // -1 for a point without one
+function pixelOf(index) {  // -1 for a point without a pixel
   const { first } = cloud;
   if (index < 0 || index >= first[first.length - 1]) return -1;
   let low = 0, high = first.length - 1;
@@ -185,7 +184,7 @@ function pixelOf(index) {  // -1 for a point without one
   return low;
 }
 
-function point(index) {  // at one point, in three dimensions and in the range image
+function point(index) {  // mark and describe a point in 3-D and in the range image
   if (!cloud) return;
   view?.mark(index);
   const box = byId("point"), { values, width } = cloud;
@@ -199,19 +198,20 @@ function point(index) {  // at one point, in three dimensions and in the range i
     if (pixel >= 0) pen.strokeRect(column - 3.5, row - 1.5, 8, 4);
   }
   if (index < 0) return;
-  const lines = Object.entries(values).map(([name, each]) => {
-    if (CATEGORIES[name]) return [TITLES[name] ?? name, CATEGORIES[name][each[index]].name];
-    if (name !== "least_confidence") return [title(name), shownValue(name, each[index])];
-    return ["confidence", each[index] === NO_VALUE ? "none" : (1 - valueOf(name, each[index])).toFixed(2)];
+  const lines = Object.entries(values).map(([name, ofPoints]) => {
+    const byte = ofPoints[index];
+    if (CATEGORIES[name]) return [TITLES[name] ?? name, CATEGORIES[name][byte].name];
+    if (name !== "least_confidence") return [title(name), shownValue(name, byte)];
+    return ["confidence", byte === NO_VALUE ? "none" : (1 - valueOf(name, byte)).toFixed(2)];
   });
-  const metres = view ? view.place(index).map(each => each.toFixed(2)).join(" ") : "";
+  const metres = view ? view.place(index).map(axis => axis.toFixed(2)).join(" ") : "";
   lines.push(["x y z", `${metres} m`]);
   box.textContent = lines.map(([name, text]) => `${name.padEnd(21)}${text}`).join("\n");
 }
 
-function remember() {  // soon, as browsers refuse many changes of the address at once
-  clearTimeout(remembering);
-  if (cloud && !playing) remembering = setTimeout(() => history.replaceState(null, "", `#${address()}`), 150);
+function save() {  // the state in the address, after a pause: browsers refuse many changes at once
+  clearTimeout(saving);
+  if (cloud && !playing) saving = setTimeout(() => history.replaceState(null, "", `#${address()}`), 150);
 }
 
 function address() {
@@ -223,16 +223,16 @@ function address() {
   return new URLSearchParams(parts);
 }
 
-function recall() {  // the state that the address holds
+function load() {  // the state from the address
   const linked = new URLSearchParams(location.hash.slice(1));
-  const scan = data.shown.findIndex(each => each.name === linked.get("scan"));
-  Object.values(state.hidden).forEach(each => each.clear());
+  const scan = data.shown.findIndex(({ name }) => name === linked.get("scan"));
+  Object.values(state.hidden).forEach(ids => ids.clear());
   state.above = TOP;
   state.colour = linked.get("colour") ?? state.colour;
   state.by = linked.get("by") ?? state.by;
   state.size = +linked.get("size") || 2;
   const names = (linked.get("hide") ?? "").split(",");
-  data.classes.forEach((each, id) => names.includes(each.name) && state.hidden.label.add(id));
+  data.classes.forEach(({ name }, id) => names.includes(name) && state.hidden.label.add(id));
   threshold = linked.has("above") ? +linked.get("above") : null;
   byId("boxes").checked = state.boxes = linked.get("boxes") !== "no";
   byId("size").value = state.size;
@@ -246,15 +246,15 @@ function listen() {
   on("place", "input", value => choose(+value));
   byId("play").addEventListener("click", () => playing ? stop() : play());
   on("colour", "change", value => { state.colour = value; paint(); });
-  on("by", "change", value => { state.by = value; filter(); strip(); remember(); });
+  on("by", "change", value => { state.by = value; filter(); strip(); save(); });
   on("above", "input", value => { state.above = +value; filter(); strip(); });
-  on("above", "change", remember);
+  on("above", "change", save);
   on("size", "input", value => { state.size = +value; if (view) { view.size = +value; view.redraw(); } });
-  on("size", "change", remember);
-  on("boxes", "change", () => { state.boxes = byId("boxes").checked; filter(); remember(); });
+  on("size", "change", save);
+  on("boxes", "change", () => { state.boxes = byId("boxes").checked; filter(); save(); });
   on("home", "click", () => view?.home());
   on("all", "click", () => {
-    Object.values(state.hidden).forEach(each => each.clear());
+    Object.values(state.hidden).forEach(ids => ids.clear());
     state.above = TOP;
     filter();
     paint();
@@ -272,7 +272,7 @@ function listen() {
     point(at < first[pixel + 1] && visible[at] ? at : -1);
   });
   byId("strip").addEventListener("pointerleave", () => point(-1));
-  addEventListener("hashchange", () => location.hash.includes("scan=") && recall());
+  addEventListener("hashchange", () => location.hash.includes("scan=") && load());
 }
 
 function start() {
@@ -280,7 +280,7 @@ function start() {
   byId("place").max = data.shown.length - 1;
   byId("boxes").closest("label").hidden = !data.boxes;
   byId("through").hidden = data.shown.length < 2;
-  for (const each of data.classes) each.css = `rgb(${each.rgb})`;
+  for (const entry of data.classes) entry.css = `rgb(${entry.rgb})`;
   const scans = { ...data.drive, count: data.drive.names.length, marked: data.drive.shown.map(i => i >= 0 && data.shown[i].reason) };
   for (const name of ["shares", "uncertainty", "wrong"]) scans[name] = floats(scans[name]);
   drive = new DriveView(byId("columns"), byId("column"), scans, data.classes, index => {
@@ -290,16 +290,16 @@ function start() {
   try {
     view = new PointView(byId("cloud"));
     let pointed = null;  // one search for a point per frame
-    steer(view, place => {
-      pointed ?? requestAnimationFrame(() => { point(pointed.place ? view.pick(pointed.place.x, pointed.place.y) : -1); pointed = null; });
-      pointed = { place };
+    steer(view, position => {
+      pointed ?? requestAnimationFrame(() => { point(pointed.position ? view.pick(pointed.position.x, pointed.position.y) : -1); pointed = null; });
+      pointed = { position };
     });
   } catch (error) {
     byId("hint").style.display = "block";
-    byId("hint").textContent = `No view of points: this browser gives ${error.message}.`;
+    byId("hint").textContent = `Cannot show points: ${error.message}.`;
   }
   listen();
-  recall().then(() => { document.documentElement.dataset.ready = "yes"; });
+  load().then(() => { document.documentElement.dataset.ready = "yes"; });
 }
 
 start();

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Results of a run: numbers of all scans, points of those to look at, and what was recorded."""
+"""Results of a run: numbers of all scans, points of some scans, and the recorded settings."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from salsanext_cli.measures.expected_accuracy import ExpectedAccuracy, expected_
 from salsanext_cli.measures.histograms import lack_of_confidence
 from salsanext_cli.measures.risk_control import (
     RISK_BOUND_EXCEEDED,
-    KeptLabels,
+    AcceptedLabels,
     RiskBoundCheck,
-    promise,
+    guarantee,
 )
 from salsanext_cli.measures.scan_counts import SOFTMAX, ScanComparison, ScanCounts, read_softmax
 from salsanext_cli.measures.scores import Counts, Scores, accepted, scored_rows, scores
@@ -39,9 +39,9 @@ from salsanext_cli.measures.uncertainty_evaluation import (
     evaluate_uncertainty,
 )
 from salsanext_cli.network.card import default_weights, read_card
+from salsanext_cli.results.manifest import Manifest
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.results.paths import ERROR, PREDICTION_STAGES, ScanFile, output_path
-from salsanext_cli.results.provenance import Provenance
 from salsanext_cli.results.result_folder import ResultFolder, ScanResults, read_kind
 from salsanext_cli.results.selection import MissingResults
 from salsanext_cli.results.settings import StageSettings
@@ -49,17 +49,12 @@ from salsanext_cli.results.uncertainty_kinds import MEANT_BY_UNCERTAINTY, UNCERT
 from salsanext_cli.sensors.sensor import Sensor
 
 LEADING_KINDS = ("error", "entropy", *UNCERTAINTY)
-"""Kinds of uncertainty by how well they tell which scan is uncertain."""
+"""Kinds of uncertainty, the best indicator of an uncertain scan first."""
 UNCERTAIN = (*dict.fromkeys(("error", *MEANT_BY_UNCERTAINTY, *UNCERTAINTY)),)
-"""Values by which points can be hidden, in the order in which they are offered."""
-SCALARS = (*UNCERTAIN, "range", "intensity")  # Values that are shown on a scale; labels are not
-DEFAULT_LIMITS = (
-    "On real scans they find fences where there are none, take trucks for fence, sidewalk, "
-    "building or car, hardly tell parking from road and sidewalk, and hardly ever find cyclists."
-)
-"""Failures of the default weights, as docs/model-card.md has them; it does not come with a page."""
-SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 that are shown
-CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # They keep reasons to doubt scans
+"""Values by which points can be hidden, in the order of the menu."""
+SCALARS = (*UNCERTAIN, "range", "intensity")  # Values with a scale
+SHOWN_DIGITS = 12  # Hexadecimal digits of a SHA-256 on the page
+CHECKED_STAGES = ("project", *PREDICTION_STAGES)  # Stages that record warnings about scans
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,22 +62,22 @@ class ScanRow:
     """One scan in numbers."""
 
     file: ScanFile
-    points: int  # Number of its points that have a label or an uncertainty
+    points: int  # Number of points with a label or an uncertainty
     class_points: Counts | None  # (C,) int64 or None: number of points by predicted train id
     uncertainty: dict[str, float]  # Mean over the points by kind; NaN without any
-    # (C, C) as `scored_rows`, of a run that rejected labels those accepted; None without labels
+    # (C, C) as `scored_rows`, of accepted points if the run rejected labels; None without labels
     confusion: Counts | None = None
 
     @property
     def wrong(self) -> float:
-        """Share of the points of `confusion` that is wrong, 0…1; NaN without any."""
+        """Share of wrong points in `confusion`, 0…1; NaN without points."""
         if self.confusion is None or not self.confusion.any():
             return math.nan
         return float(1 - self.confusion.trace() / self.confusion.sum())
 
 
 def read_row(file: ScanFile, reader: ScanComparison) -> tuple[ScanRow, ScanCounts | None]:
-    """Read the results of a scan, and count them against its labels if there are both."""
+    """Read the results of a scan and, if it has labels, count its points."""
     out, space = reader.out, reader.space
     path_of = partial(output_path, out, file.sequence, stem=file.stem)
     class_points, points = None, 0
@@ -110,12 +105,12 @@ class ShownScan:
     """Scan to show point by point."""
 
     name: str  # Sequence and stem
-    reason: str  # Why it is shown
-    results: ScanResults  # N points and what is known about them
+    reason: str  # Why the scan was chosen
+    results: ScanResults  # N points
     boxes: Sequence[Sequence[float]] = ()  # Train id and `BOX` of every object
 
     def values(self) -> dict[str, npt.NDArray[Any]]:
-        """Return all values of `SCALARS` that are known, (N,) each."""
+        """Return the known values of `SCALARS`, arrays (N,)."""
         results = self.results
         measured = {"range": results.range, "intensity": results.scan.intensity}
         known = results.uncertainty | measured
@@ -123,7 +118,7 @@ class ShownScan:
 
 
 def read_boxes(path: Path, space: LabelSpace) -> list[list[float]]:
-    """Read the table of objects that `predict` wrote; classes that were merged since are 0."""
+    """Read the table of objects that `predict` wrote; classes that are merged now become 0."""
     if not present(path):
         return []
     train_ids = {name: i for i, name in enumerate(space.names)}
@@ -139,13 +134,13 @@ def read_boxes(path: Path, space: LabelSpace) -> list[list[float]]:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Comparison of the scans that have labels with these."""
+    """Comparison of predicted labels with the labels of the data set."""
 
-    counts: ScanCounts  # Counts of their points; of a run that rejected labels, of accepted ones
-    scores: Scores  # Scores of the labels
-    uncertainty: UncertaintyEvaluation  # Results for the probabilities and uncertainties
-    kept: KeptLabels | None  # Coverage and risk of a run that rejected labels
-    sentences: list[str]  # The same in words, and the promise of the run
+    counts: ScanCounts  # Counts of the points, of accepted points if the run rejected labels
+    scores: Scores
+    uncertainty: UncertaintyEvaluation
+    accepted: AcceptedLabels | None  # Coverage and risk of a run that rejected labels
+    sentences: list[str]  # Coverage, risk and the guarantee of the run in words
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,17 +148,17 @@ class RunResults:
     """Results of a run in numbers per scan."""
 
     reader: ScanComparison
-    rows: Sequence[ScanRow]  # Scans that could be read, in their order; at least one
-    counts: ScanCounts | None  # Of the scans with labels; None without any
-    missing: MissingResults  # Scans without results, left out
+    rows: Sequence[ScanRow]  # Readable scans, sorted; at least one
+    counts: ScanCounts | None  # Of the scans with labels; None without labels
+    missing: MissingResults  # Scans without results
 
     def read(self, row: ScanRow, reason: str = "") -> ShownScan:
-        """Read a scan to be shown, its results, and the confidence of its points."""
+        """Read the points of a scan, their results and their confidence."""
         file, reader, space = row.file, self.reader, self.reader.space
         results = ResultFolder(reader.out).read(file, reader.sensor, space, (reader.labels, space))
         if present(path := output_path(reader.out, file.sequence, SOFTMAX, file.stem)):
-            every = np.ones(len(results.scan), bool)
-            softmax = read_softmax(path, every, space, reader.merging)
+            all_points = np.ones(len(results.scan), bool)
+            softmax = read_softmax(path, all_points, space, reader.merging)
             results.uncertainty["least_confidence"] = lack_of_confidence(softmax)
         boxes = read_boxes(output_path(reader.out, file.sequence, "objects", file.stem), space)
         return ShownScan(row.file.name, reason, results, boxes)
@@ -172,40 +167,40 @@ class RunResults:
         """Divide the counts; None without labels."""
         if self.counts is None:
             return None
-        counts, space, kept = self.counts, self.reader.space, None
+        counts, space, labels = self.counts, self.reader.space, None
         uncertainty = evaluate_uncertainty(counts, space)
-        if counts.kept:
-            kept = KeptLabels.of_confusion(counts.confusion, space, counts.kept)
+        if counts.accepted:
+            labels = AcceptedLabels.of_confusion(counts.confusion, space, counts.accepted)
             bands = tuple(map(accepted, counts.bands))
             counts = replace(counts, confusion=accepted(counts.confusion), bands=bands)
-        sentences = [*(kept.sentences if kept else ())]
-        sentences += [self.promise.sentence] if self.promise else []
-        return Comparison(counts, scores(counts.confusion, space), uncertainty, kept, sentences)
+        sentences = [*(labels.sentences if labels else ())]
+        sentences += [self.guarantee.sentence] if self.guarantee else []
+        return Comparison(counts, scores(counts.confusion, space), uncertainty, labels, sentences)
 
     @property
-    def promise(self) -> RiskBoundCheck | None:
-        """Promise of the labels that are kept, beside what is found."""
-        promised = Provenance(self.reader.out).promised(self.reader.space)
-        if self.counts is None or promised is None:
+    def guarantee(self) -> RiskBoundCheck | None:
+        """Guarantee of the accepted labels and their measured risk; None without either."""
+        bound = Manifest(self.reader.out).guarantee(self.reader.space)
+        if self.counts is None or bound is None:
             return None
-        return RiskBoundCheck.of_scans(promised, self.counts.kept)
+        return RiskBoundCheck.of_scans(bound, self.counts.accepted)
 
     def warnings(self) -> list[str]:
-        """Return every reason to doubt the page, a line each."""
+        """Return a line for every reason to doubt the results."""
         files = [row.file for row in self.rows]
         wanted = {name for file in files for name in (file.name, file.sequence)}
         lines = warnings_of_run(self.reader.out, wanted)
         if self.counts:
             lines = [*self.counts.label_warnings(self.reader.space), *lines]
-        if self.promise and self.promise.is_exceeded:
+        if self.guarantee and self.guarantee.is_exceeded:
             lines = [RISK_BOUND_EXCEEDED, *lines]
         if self.missing.scans:
-            lines.append(f"{counted(len(self.missing.scans), 'scan')} without results left out")
+            lines.append(f"{counted(len(self.missing.scans), 'scan')} without results skipped")
         return lines
 
 
 def leading_kind(rows: Sequence[ScanRow]) -> str | None:
-    """Return the first of `LEADING_KINDS` that is known of some scan, None without any."""
+    """Return the first of `LEADING_KINDS` that some scan has, None without any."""
     return next((kind for kind in LEADING_KINDS if any(kind in r.uncertainty for r in rows)), None)
 
 
@@ -214,9 +209,9 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
     reasons: dict[str, list[str]] = {}
 
     def add_largest(values: Sequence[float], reason: Callable[[float], str]) -> None:
-        place = int(np.nan_to_num(values).argmax())
-        if values[place] > 0:
-            reasons.setdefault(rows[place].file.name, []).append(reason(values[place]))
+        largest = int(np.nan_to_num(values).argmax())
+        if values[largest] > 0:
+            reasons.setdefault(rows[largest].file.name, []).append(reason(values[largest]))
 
     if kind := leading_kind(rows):
         means = [row.uncertainty.get(kind, math.nan) for row in rows]
@@ -224,71 +219,58 @@ def worth_looking_at(rows: Sequence[ScanRow], space: LabelSpace) -> dict[str, st
         add_largest(means, lambda value: f"{words} {value:.3g})")
     wrong = [row.wrong for row in rows]
     add_largest(wrong, lambda share: f"most wrong ({100 * share:.1f} % of the points with a label)")
-    worst = _worst_class(rows, space)
-    if worst is not None:
-        missed = [_missed(row.confusion, worst) for row in rows]
-        name = space.names[worst]
-        add_largest(missed, lambda n: f"worst class: {n:,.0f} points of {name} wrong")
-    if left := [row for row in rows if row.file.name not in reasons]:
-        # The same for the same scans.
-        reasons[random.Random(len(rows)).choice(left).file.name] = ["at random"]
-    return {name: ", ".join(given) for name, given in reasons.items()}
-
-
-def _worst_class(rows: Sequence[ScanRow], space: LabelSpace) -> int | None:
-    """Return the class of the lowest IoU of those that the truth holds."""
-    confusion = np.zeros((space.class_count, space.class_count), np.int64)
-    for row in rows:
-        confusion += 0 if row.confusion is None else row.confusion
-    held = [each for each in scores(confusion, space).classes if each.points]
-    return min(held, key=lambda each: each.iou).train_id if held else None
-
-
-def _missed(confusion: Counts | None, train_id: int) -> float:
-    """Return the number of points of a class, or called so, that are wrong."""
-    if confusion is None:
-        return math.nan
-    of_class = confusion[train_id].sum() + confusion[:, train_id].sum()
-    return float(of_class - 2 * confusion[train_id, train_id])
+    none = np.zeros((space.class_count, space.class_count), np.int64)
+    confusions = np.stack([none if row.confusion is None else row.confusion for row in rows])
+    classes = [c for c in scores(confusions.sum(axis=0), space).classes if c.points]
+    if classes:
+        worst = min(classes, key=lambda c: c.iou)
+        i = worst.train_id
+        # Points of the class, or predicted as it, that are wrong.
+        missed = confusions[:, i].sum(1) + confusions[:, :, i].sum(1) - 2 * confusions[:, i, i]
+        add_largest(missed.tolist(), lambda n: f"worst class: {n:,} points of {worst.name} wrong")
+    if others := [row for row in rows if row.file.name not in reasons]:
+        # The seed makes the choice reproducible.
+        reasons[random.Random(len(rows)).choice(others).file.name] = ["at random"]
+    return {name: ", ".join(texts) for name, texts in reasons.items()}
 
 
 def named(rows: Sequence[ScanRow], names: Sequence[str]) -> dict[str, str]:
     """Choose scans by name, ``08/000000``, or by stem where only one sequence has it."""
     chosen: dict[str, str] = {}
     for name in names:
-        found = [row.file.name for row in rows if name in (row.file.name, row.file.stem)]
-        if len(found) != 1:
-            what = f"{len(found)} scans" if found else "no results of a scan of that name"
-            there = first_few(found or [row.file.name for row in rows])
-            raise UsageError("--scans", f"{name}: {what}", f"names such as {there}")
-        chosen[found[0]] = "named"
+        matches = [row.file.name for row in rows if name in (row.file.name, row.file.stem)]
+        if len(matches) != 1:
+            problem = f"{len(matches)} scans have this name" if matches else "no scan has this name"
+            examples = first_few(matches or [row.file.name for row in rows])
+            raise UsageError("--scans", f"{name}: {problem}", f"names such as {examples}")
+        chosen[matches[0]] = "named"
     return chosen
 
 
 def facts_of_run(out: Path, sensor: Sensor) -> Iterator[tuple[str, str]]:
-    """Yield what was run and how, as pairs of a title and a text."""
-    records = Provenance(out)
+    """Yield titles and texts of the recorded settings of a run."""
+    records = Manifest(out)
     yield "Weights", _weights(records)
-    for each in sensor.members:
-        yield "Sensor", f"{each.name}, {each.height}×{each.width}, {view_text(each)}"
-    stage, of_labels = records.owner("predictions"), records.settings_of("predictions")
-    if stage and of_labels:
-        yield "Labels", _labels(stage, of_labels)
-        if of_labels.promised:
-            yield "Promise", promise(of_labels.promised)
-        if of_labels.inherited:
-            yield "Inherited", f"{shortened(of_labels.inherited, 200)}, not fitted to these weights"
+    for member in sensor.members:
+        yield "Sensor", f"{member.name}, {member.height}×{member.width}, {view_text(member)}"
+    stage, labels = records.owner("predictions"), records.settings_of("predictions")
+    if stage and labels:
+        yield "Labels", _labels(stage, labels)
+        if labels.guarantee:
+            yield "Guarantee", guarantee(labels.guarantee)
+        if labels.inherited:
+            yield "Inherited", f"{shortened(labels.inherited, 200)}, not fitted to these weights"
     if settings := records.settings("uncertainty"):
         numbers = {name: getattr(settings, name) for name in ("samples", "seed", "aleatoric")}
-        given = (f"{name} {value}" for name, value in numbers.items() if value is not None)
-        yield "Uncertainty", ", ".join([str(settings.method), *given])
+        texts = (f"{name} {value}" for name, value in numbers.items() if value is not None)
+        yield "Uncertainty", ", ".join([str(settings.method), *texts])
     if records.owner(ERROR) == "predict":
-        yield "Uncertainty", "probability of error, of predict --error"
+        yield "Uncertainty", "probability of error, from predict --error"
 
 
 def expected_of_run(out: Path, rows: Sequence[ScanRow]) -> ExpectedAccuracy | None:
-    """Estimate the accuracy of labels that `predict` wrote; None for those of other stages."""
-    records = Provenance(out)
+    """Estimate the accuracy of labels of `predict`; None for labels of other stages."""
+    records = Manifest(out)
     settings = records.settings("predict")
     if settings is None or records.owner("predictions") != "predict":
         return None
@@ -301,7 +283,7 @@ def expected_of_run(out: Path, rows: Sequence[ScanRow]) -> ExpectedAccuracy | No
     return expected_accuracy(settings.accuracy, confidences, warnings)
 
 
-def _weights(records: Provenance) -> str:
+def _weights(records: Manifest) -> str:
     """Describe the weights behind the labels, else those behind the uncertainty."""
     folders = ("predictions", "uncertainty/epistemic", "uncertainty/error", "pixel_labels")
     sha256 = next(filter(None, map(records.weights, folders)), None)
@@ -309,14 +291,14 @@ def _weights(records: Provenance) -> str:
         return "not recorded"
     name = f"SHA-256 {sha256[:SHOWN_DIGITS]}"
     path = default_weights()
-    # An installation without its weights still has results to show.
+    # An installation without its weights still shows results.
     with suppress(SalsanextError):
         if fingerprint(path) == sha256:
             card = read_card(path)
-            own = re.sub(r"See docs/\S+ (.)", lambda rest: rest[1].upper(), card.description)
-            name = card.named(path) if card.version else f"the default ones, {name}"
-            return f"{name}. {own.replace('`', '')} {DEFAULT_LIMITS}"
-    return f"{name}, not the default ones; salsanext models FILE describes a file of weights"
+            text = re.sub(r"See docs/\S+ (.)", lambda rest: rest[1].upper(), card.description)
+            name = card.named(path) if card.version else f"default weights, {name}"
+            return f"{name}. {text.replace('`', '')}"
+    return f"{name}, not the default weights; salsanext models FILE describes them"
 
 
 def _labels(stage: str, settings: StageSettings) -> str:
@@ -327,19 +309,19 @@ def _labels(stage: str, settings: StageSettings) -> str:
         words.append(f"temperature {settings.temperature:.3g}")
     if settings.reject is not None:
         kind = (settings.reject_by or "error").replace("_", " ")
-        words.append(f"points unlabelled whose {kind} is above {settings.reject:g}")
+        words.append(f"points rejected: {kind} above {settings.reject:g}")
     return ", ".join(words)
 
 
 def warnings_of_run(out: Path, wanted: Collection[str]) -> list[str]:
-    """Return what was found doubtful about wanted scans and sequences, a line for each kind."""
-    words: dict[str, dict[str, str]] = {}  # By code and name
+    """Return the recorded warnings about some scans and sequences, one line per code."""
+    texts: dict[str, dict[str, str]] = {}  # By code and name
     for stage in CHECKED_STAGES:
         for name, findings in OwnedFolder(out, stage).findings().items():
             for code, message, hint in findings if name in wanted else ():
-                words.setdefault(code, {}).setdefault(name, f"{message}; {hint}")
+                texts.setdefault(code, {}).setdefault(name, f"{message}; {hint}")
     return [
-        f"{code} in {counted(len(of), 'scan' if '/' in min(of) else 'sequence')} "
-        f"({first_few([*of])}): {next(iter(of.values()))}"
-        for code, of in sorted(words.items())
+        f"{code} in {counted(len(by_name), 'scan' if '/' in min(by_name) else 'sequence')} "
+        f"({first_few([*by_name])}): {next(iter(by_name.values()))}"
+        for code, by_name in sorted(texts.items())
     ]

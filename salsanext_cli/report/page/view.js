@@ -1,6 +1,6 @@
 "use strict";
 // SPDX-License-Identifier: MIT
-// Points in three dimensions: a camera that turns around a place, drawn with WebGL 2.
+// Points in three dimensions, drawn with WebGL 2 by a camera that turns around a target.
 
 const VERTEX = `#version 300 es
 in vec3 position;
@@ -33,7 +33,7 @@ void main() {
 const START = { azimuth: 180, elevation: 32, distance: 42 };  // degrees, metres: looking forward
 const NEAR_M = 0.3, FAR_M = 20000, FIELD_OF_VIEW = 50;
 const EDGES = [0, 1, 1, 3, 3, 2, 2, 0, 4, 5, 5, 7, 7, 6, 6, 4, 0, 4, 1, 5, 2, 6, 3, 7];  // pairs of corners of a box
-const REACH_PX = 7;  // farthest from the pointer that a point is found
+const REACH_PX = 7;  // farthest distance of a picked point from the pointer
 
 function multiply(a, b) {  // of 4 × 4 matrices, column by column
   return Float32Array.from({ length: 16 }, (_, i) =>
@@ -112,7 +112,7 @@ class PointView {
     this.upload("shown", visible);
   }
 
-  outline(boxes) {  // each its colour, centre x, y, z, length, width, height and yaw
+  outline(boxes) {  // colour, centre x, y, z, length, width, height and yaw of every box
     const corners = boxes.flatMap(([colour, x, y, z, length, width, height, yaw]) => EDGES.flatMap(corner => {
       const [a, b, c] = [length, width, height].map((size, axis) => (corner >> axis & 1 ? 0.5 : -0.5) * size);
       return [x + a * Math.cos(yaw) - b * Math.sin(yaw), y + a * Math.sin(yaw) + b * Math.cos(yaw), z + c, colour];
@@ -184,7 +184,7 @@ class PointView {
     return [0, 1, 2].map(axis => low[axis] + step[axis] * position[3 * index + axis]);
   }
 
-  pick(x, y) {  // the nearest visible point at a place of the canvas, in CSS pixels; -1 without one
+  pick(x, y) {  // the nearest visible point at a position on the canvas, CSS pixels; -1 without one
     if (!this.cloud) return -1;
     const m = this.matrix(), { low, step, position } = this.cloud, { clientWidth, clientHeight } = this.canvas;
     const [s, t] = [2 * x / clientWidth - 1, 1 - 2 * y / clientHeight];
@@ -199,7 +199,7 @@ class PointView {
       const dx = ((m[0] * px + m[4] * py + m[8] * pz + m[12]) / w - s) * across;
       const dy = ((m[1] * px + m[5] * py + m[9] * pz + m[13]) / w - t) * down;
       const far = dx * dx + dy * dy;
-      // Of points that are about as near to the pointer, the one in front.
+      // Prefer the point in front among points about as near to the pointer.
       if (far < REACH_PX * REACH_PX && far + w < least) [best, least] = [i, far + w];
     }
     return best;
@@ -228,7 +228,7 @@ class PointView {
   }
 }
 
-function steer(view, pointed) {  // by mouse, fingers and keys; `pointed` is told the place of the pointer
+function steer(view, pointed) {  // by mouse, fingers and keys; calls `pointed` with the position of the pointer
   const canvas = view.canvas, pointers = new Map();
   const spread = () => {
     const [a, b] = [...pointers.values()];

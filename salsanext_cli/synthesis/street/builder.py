@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Street under construction: objects on a ground plan, brighter or darker than others."""
+"""Street under construction: objects of varied brightness on a ground plan."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -12,22 +12,22 @@ from salsanext_cli.synthesis.presets import BRIGHTNESS
 from salsanext_cli.synthesis.street.plan import Plan, Side
 from salsanext_cli.synthesis.surfaces import Material
 
-PIECE_M = 5.0  # Largest length of the pieces in which long things follow a bend
+PIECE_M = 5.0  # Longest straight piece of objects along a bend
 
 
 def with_brightness(mesh: Mesh, of_material: Array) -> Mesh:
-    """Return a mesh, its shades multiplied by the brightness of each material, (materials,)."""
+    """Return a mesh with its shades multiplied by the brightness of its materials, (materials,)."""
     shades = np.clip(mesh.shades * of_material[mesh.materials], 0, BRIGHTNESS.most)
     return replace(mesh, shades=shades.astype(np.float32))
 
 
 def varied(mesh: Mesh, rng: Rng) -> Mesh:
-    """Return an object, its materials a little brighter or darker than others'."""
+    """Return an object with slightly brighter or darker materials."""
     return with_brightness(mesh, np.exp(rng.normal(0, BRIGHTNESS.object, len(Material))))
 
 
 class Builder:
-    """Street under construction; ``parts`` are the objects placed so far, world coordinates."""
+    """Street under construction; ``parts`` are its objects in world coordinates."""
 
     def __init__(self, rng: Rng, plan: Plan) -> None:
         self.rng, self.plan = rng, plan
@@ -39,13 +39,13 @@ class Builder:
         return bool(self.rng.random() < probability)
 
     def between(self, low: float, high: float) -> float:
-        """Draw a number; the middle where there is no room between the two."""
+        """Draw a number between two; their middle if `high` is below `low`."""
         if high < low:
             low = high = (low + high) / 2
         return float(self.rng.uniform(low, high))
 
     def count(self, mean: float) -> range:
-        """Draw a number of things, as a range to go through."""
+        """Draw a number of objects, as a range."""
         return range(int(self.rng.poisson(mean)))
 
     def along(self) -> float:
@@ -53,7 +53,7 @@ class Builder:
         return self.between(0, self.plan.length)
 
     def put(self, mesh: Mesh, side: Side, s: float, out: float, yaw: float = 0.0) -> None:
-        """Set a thing down ``out`` metres beyond the kerb; its y points off the road."""
+        """Place an object ``out`` metres beyond the kerb; its y points away from the road."""
         t = side.sign * (self.plan.half + out)
         turned = float(self.plan.yaw(s)) + (0.0 if side.sign > 0 else np.pi) + yaw
         self.parts.append(varied(mesh, self.rng).moved(self.plan.world(s, t), turned))
@@ -61,7 +61,7 @@ class Builder:
     def put_if_free(
         self, mesh: Mesh, side: Side, s: float, out: float, radius: float, yaw: float = 0.0
     ) -> bool:
-        """Set a thing down unless others, a side street or the street's end are within `radius`."""
+        """Place an object unless others, a side street or the street's end are within `radius`."""
         t = side.sign * (self.plan.half + out)
         if (
             not radius <= s <= self.plan.length - radius
@@ -76,7 +76,7 @@ class Builder:
     def put_line(
         self, make: Callable[[float], Mesh], side: Side, start: float, end: float, out: float
     ) -> None:
-        """Set down a long thing along the street; ``make(length)`` returns a piece along x."""
+        """Place a long object along the street; ``make(length)`` returns a piece along x."""
         t = side.sign * (self.plan.half + out)
         for low, high in _pieces(max(start, 0.0), min(end, self.plan.length)):
             ends = self.plan.world([low, high], t)
@@ -84,21 +84,21 @@ class Builder:
             step = last - first
             length = float(np.hypot(step[0], step[1]))
             mesh = make(length)
-            # Long things follow the slope: shear them so that both ends stand on the ground.
+            # Shear the piece so that both ends stand on the sloping ground.
             mesh.vertices[:, 2] += mesh.vertices[:, 0] * step[2] / max(length, 1e-6)
             self.parts.append(mesh.moved(first, float(np.arctan2(step[1], step[0]))))
 
     def put_outward(
         self, make: Callable[[float], Mesh], side: Side, s: float, start: float, end: float
     ) -> None:
-        """Set down a long thing across, from `start` to `end` metres beyond the kerb."""
+        """Place a long object across the street, `start` to `end` metres beyond the kerb."""
         if 0 < s < self.plan.length:
             for low, high in _pieces(start, end):
                 self.put(make(high - low), side, s, float(low), yaw=np.pi / 2)
 
 
 def _pieces(start: float, end: float) -> Iterator[tuple[float, float]]:
-    """Divide a stretch into pieces of equal length; one that is too short has none."""
+    """Divide a stretch into pieces of equal length, none if it is too short."""
     if end - start >= 0.3:
         count = max(1, int(np.ceil((end - start) / PIECE_M)))
         yield from pairwise(np.linspace(start, end, count + 1))

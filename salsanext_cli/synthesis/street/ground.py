@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Mesh of the ground of a street, its materials and its patches."""
+"""Mesh of the ground of a street with its materials and patches."""
 
 import numpy as np
 
@@ -10,16 +10,16 @@ from salsanext_cli.synthesis.street.plan import KERB_M, REACH_M, Plan
 from salsanext_cli.synthesis.surfaces import Material
 
 PAVED = (Material.PAVING, Material.PAVING, Material.PAVING, Material.ASPHALT)
-"""Materials of paved ground, each as likely as it is listed."""
+"""Materials of paved ground, as likely as they are frequent here."""
 SAME_SURFACE = (
     (surfaces.PARKING, surfaces.ROAD), (surfaces.SIDEWALK, surfaces.PARKING),
     (surfaces.OTHER_GROUND, surfaces.SIDEWALK),
 )  # fmt: skip
-"""Ground that may have the surface of another: nothing but its place tells it then."""
+"""Ground that may have the surface of another, so that only its location differs."""
 
 
 def ground(rng: Rng, plan: Plan) -> Mesh:
-    """Return the ground of a street; each cell has the label of its middle."""
+    """Return the ground of a street; a cell has the label of its middle."""
     s_edges, t_edges = plan.edges()
     s = _lines(np.arange(0.0, plan.length + 1, 1.0), s_edges, 0.0, plan.length)
     across = np.concatenate([np.arange(-10, 10.1, 0.5), np.linspace(10, REACH_M, 26)])
@@ -66,7 +66,7 @@ def _lines(regular: Array, edges: Array, low: float, high: float) -> Array:
 
 
 def _patches(rng: Rng, s: Array, t: Array, length: float) -> Array:
-    """Return the brightness of cells (s, t): mended asphalt, worn and wet places, tracks."""
+    """Return the brightness of cells (S, T): repaired, worn and wet patches, tracks."""
     shade = np.ones((len(s), len(t)))
     for _ in range(int(length / 6)):
         centre = rng.uniform([0, -12], [length, 12])

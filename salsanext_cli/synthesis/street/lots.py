@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Objects on the lots beside the street, and what closes these off: fences, walls, hedges."""
+"""Objects on the lots beside the street, and their fences, walls and hedges."""
 
 from collections.abc import Callable
 from functools import partial
@@ -22,11 +22,11 @@ from salsanext_cli.synthesis.things.vehicles import car, length_of, truck, vehic
 CAR_ROOM_M = 5.2  # Distance from the kerb to the house that a car in the driveway needs
 SOLID_M = 1.1  # Height of walls around a lot; higher ones are rarely labelled fence
 Span = tuple[float, float]
-Maker = Callable[[float], Mesh]  # Returns a piece of something long from its length in metres
+Maker = Callable[[float], Mesh]  # Returns a piece of a length in metres
 
 
 def furnish(builder: Builder, side: Side, lot: Lot) -> None:
-    """Build up one lot and what lies behind it."""
+    """Build a lot and its background."""
     KINDS[lot.kind](builder, side, lot)
     _background(builder, side, lot)
 
@@ -160,7 +160,7 @@ def _house_behind(builder: Builder, side: Side, lot: Lot, out: float) -> None:
 
 
 def _high_wall(builder: Builder, side: Side, lot: Lot) -> None:
-    """Set up a wall, high as a noise barrier beside a motorway, trees and houses behind it."""
+    """Set up a wall, as high as a noise barrier beside a motorway, and trees and houses."""
     out = side.depth + 0.3
     kind = "wall" if builder.chance(0.6) else "boards"
     heights = (1.5, 3.5) if builder.plan.style.barrier else (1.0, 1.9)
@@ -176,7 +176,7 @@ def _high_wall(builder: Builder, side: Side, lot: Lot) -> None:
 
 
 def _forecourt(builder: Builder, side: Side, lot: Lot) -> None:
-    """Build a low house behind open ground on which vehicles stand."""
+    """Build a low house behind open ground with vehicles."""
     for s in np.arange(lot.start + 3, lot.end - 3, builder.between(4, 9)):
         mesh = truck(builder.rng) if builder.chance(0.4) else vehicle(builder.rng)
         yaw = builder.between(0, 6.28)
@@ -200,7 +200,7 @@ def _carpark(builder: Builder, side: Side, lot: Lot) -> None:
 
 
 def _park(builder: Builder, side: Side, s: float, out: float, yaw: float, radius: float) -> None:
-    """Set down a parked car, sometimes the other way round."""
+    """Place a parked car in either direction."""
     turned = yaw + np.pi * builder.chance(0.5) + builder.rng.normal(0, 0.03)
     builder.put_if_free(car(builder.rng), side, s, out, radius, turned)
 
@@ -214,7 +214,7 @@ def _scatter(
     count: float,
     reach: float | None = None,
 ) -> None:
-    """Scatter things over the front of a lot, or `reach` metres deep."""
+    """Scatter objects over the front of a lot, or `reach` metres deep."""
     depth = lot.setback if reach is None else reach
     if depth < 0.8 or lot.end - lot.start < 1.5:
         return
@@ -228,7 +228,7 @@ def _scatter(
 def _plant(
     builder: Builder, side: Side, lot: Lot, count: float, reach: float | None = None
 ) -> None:
-    """Scatter plants: low and high bushes and what covers the ground."""
+    """Scatter low and high bushes and ground cover."""
     for make, size, share in PLANTS:
         _scatter(builder, side, lot, make, size, share * count, reach)
 
@@ -246,7 +246,7 @@ def _person(rng: Rng, _size: float) -> Mesh:
 
 
 def _background(builder: Builder, side: Side, lot: Lot) -> None:
-    """Close the view behind a lot: a second row of houses, or woods."""
+    """Build a second row of houses, or woods, behind a lot."""
     rng, width = builder.rng, lot.end - lot.start
     out = side.depth + lot.setback + builder.between(20, 30)
     if builder.plan.half + out > REACH_M - 14:
@@ -294,7 +294,7 @@ def _undergrowth(builder: Builder, heights: Span, depths: Span) -> Maker:
 def _close(
     builder: Builder, side: Side, start: float, end: float, out: float, open_chance: float = 0.1
 ) -> None:
-    """Close a lot off towards the street, perhaps with bushes behind, or leave it open."""
+    """Fence a lot off towards the street, perhaps with bushes, or leave it open."""
     if builder.chance(open_chance) or end - start < 0.5:
         return
     builder.put_line(_boundary(builder), side, start, end, out)
@@ -308,7 +308,7 @@ PLANTS = (
     (vegetation.bush, (0.4, 1.3), 0.5),
     (vegetation.ground_cover, (0.4, 1.8), 0.35),
 )
-"""Makers of plants of a lot, their sizes, and their number relative to that of all bushes."""
+"""Makers, sizes and relative numbers of the plants of a lot."""
 KINDS: dict[str, Callable[[Builder, Side, Lot], None]] = {
     "terrace": _terrace, "house": _house, "yard": _yard, "green": _green, "field": _field,
     "thicket": _thicket, "carpark": _carpark, "scrub": _scrub,

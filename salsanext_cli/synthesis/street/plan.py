@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Ground plan of a street: road, pavements, lots and side streets.
 
-Positions are given along the street and across it: ``s`` metres along the centre line, ``t``
-metres to its left. Everything here is vectorised over s and t.
+Positions are ``s``, metres along the centre line, and ``t``, metres to its left; methods take
+arrays of both.
 """
 
 from collections.abc import Iterator, Mapping
@@ -18,17 +18,17 @@ from salsanext_cli.synthesis.presets import Numbers, weighted_choice
 
 REACH_M = 62.0  # Extent of the world to either side of the centre line
 LEFT, RIGHT = 1, -1
-KERB_M = 0.02  # Half the depth of a kerb's face, which belongs to the pavement
-DROP_M = 0.6  # Length over which a kerb goes down beside a driveway
+KERB_M = 0.02  # Half the depth of the face of a kerb, which belongs to the pavement
+DROP_M = 0.6  # Length of the slope of a kerb at a driveway
 RUN_OUT_M = 70.0  # Length of the street behind the first scan and beyond the last one
 MULTILANE_HALF_WIDTH_M = 5.5
-"""Half the width of a carriageway from which on it has more than a lane per direction."""
+"""Half the width from which a carriageway has several lanes per direction."""
 GREEN = ("thicket", "scrub", "field", "green")  # Kinds of lot on an embankment
 ACROSS_M = 4.0
-"""Width of a strip of parking spaces from which on cars stand across it."""
+"""Width of a parking strip from which cars stand across it."""
 MAX_KERB_M = 0.14
 CORNER_LINES_M = np.arange(0.15, 4.1, 0.15)
-"""Distances from the kerb of the grid lines that rounded corners need."""
+"""Distances from the kerb of grid lines for rounded corners."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +41,14 @@ class Lot:
     setback: float  # From the street to the house
     front: int  # Raw ids of the ground before and behind the front of the house
     back: int
-    # Interval along s that is paved as a driveway, empty where both are equal
-    drive: tuple[float, float]
+    drive: tuple[float, float]  # Interval along s of a driveway, empty where both are equal
 
 
 @dataclass(frozen=True, slots=True)
 class Crossing:
     """A side street."""
 
-    s: float  # Its middle
+    s: float  # Of its middle
     half: float  # Half the width of its carriageway
     pavement: float  # Width of either pavement
     sides: tuple[int, ...]  # LEFT, RIGHT or both
@@ -96,7 +95,7 @@ class Side:
         return height
 
     def on_side_street(self, s: Array, beyond: Array) -> Mask:
-        """Say whether a place `beyond` the kerb is on a side street or its rounded corners."""
+        """Return which positions `beyond` the kerb are on a side street or its rounded corners."""
         on_street = np.zeros(np.broadcast_shapes(np.shape(s), np.shape(beyond)), bool)
         for crossing in self.crossings:
             away, radius = np.abs(s - crossing.s) - crossing.half, crossing.corner
@@ -137,7 +136,7 @@ class Side:
 class Plan:
     """A whole street."""
 
-    style: Numbers  # What it was drawn from
+    style: Numbers
     length: float  # Of the centre line, metres
     half: float  # Half the width of the carriageway
     knots: Array  # (K,): the centre line at every half metre of s
@@ -188,7 +187,7 @@ class Plan:
         return label
 
     def _painted(self, s: Array, t: Array) -> Mask:
-        """Say where the carriageway is painted: dashes, edge lines, zebra and stop lines."""
+        """Return where the carriageway is painted: dashes, edge lines, zebra and stop lines."""
         dashed = (np.abs(t) < 0.08) & (np.mod(s, 9.0) < 3.0)
         edge = (np.abs(np.abs(t) - (self.half - 0.3)) < 0.06) & (self.style.lane[1] > 4)
         painted: Mask = dashed | edge
@@ -200,7 +199,7 @@ class Plan:
         return painted
 
     def edges(self) -> tuple[Array, Array]:
-        """Return the s and the t at which the ground changes."""
+        """Return all s and all t at which the ground changes."""
         s: list[float] = []
         for crossing in self.crossings:
             corner = crossing.half + CORNER_LINES_M
@@ -221,7 +220,7 @@ class Plan:
 
 
 def draw_plan(rng: Rng, style: Numbers, length: float) -> Plan:
-    """Draw a street of that style and length."""
+    """Draw a street of a style and length."""
     knots = np.arange(-1.0, length + 1.5, 0.5)
     heading = _heading(rng, knots)
     half = rng.uniform(*style.lane) * (rng.uniform(1.3, 1.9) if rng.random() < style.wide else 1)
@@ -238,7 +237,7 @@ def draw_plan(rng: Rng, style: Numbers, length: float) -> Plan:
 
 
 def _heading(rng: Rng, knots: Array) -> Array:
-    """Draw straights and bends no tighter than 85 m, so that the sides do not fold over."""
+    """Draw straights and bends of at least 85 m radius: the sides must not fold over."""
     curvature = np.zeros(len(knots))
     position = 0
     while position < len(knots):

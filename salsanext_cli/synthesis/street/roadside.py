@@ -11,10 +11,10 @@ from salsanext_cli.synthesis.things import boundaries, cycles, furniture, people
 from salsanext_cli.synthesis.things.vehicles import car, length_of, vehicle
 
 TOWARDS_TRAFFIC_RAD = np.pi / 2
-"""Turns a sign, which faces its local -y, towards the traffic on its side of the street."""
+"""Yaw of a sign, which faces its local -y, towards the traffic on its side of the street."""
 SIDE_STREET_END_M = 50.0  # Distance beyond the kerb at which trees close a side street
-TOWARDS_ROAD_RAD = -np.pi / 2  # Turns what faces along the street towards the road
-IN_A_ROW_M = 1.95  # Distance between bicycles that stand one behind the other
+TOWARDS_ROAD_RAD = -np.pi / 2  # Yaw of objects that face the road
+IN_A_ROW_M = 1.95  # Distance between bicycles in a row
 
 
 def furnish(builder: Builder, side: Side) -> None:
@@ -47,7 +47,7 @@ def _road_works(builder: Builder, side: Side) -> None:
 
 
 def _islands(builder: Builder, side: Side) -> None:
-    """Plant what lies between groups of parking spaces, and let nobody park there."""
+    """Plant the islands between groups of parking spaces."""
     for low, high in side.islands:
         half, room = (high - low) / 2, side.parking / 2
         s = (low + high) / 2
@@ -116,7 +116,7 @@ def _lamps(builder: Builder, side: Side) -> None:
 
 
 def _signs(builder: Builder, side: Side) -> None:
-    """Set up signs, most of which face the traffic on their side, and traffic lights."""
+    """Set up signs, mostly facing the traffic on their side, and traffic lights."""
     for _ in builder.count(builder.plan.length / 40):
         s = builder.along()
         make = furniture.board if builder.chance(0.22) else furniture.sign

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""All that moves in a street: vehicles, pedestrians, riders."""
+"""Moving objects in a street: vehicles, pedestrians, riders."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,15 +16,15 @@ from salsanext_cli.synthesis.things.vehicles import vehicle
 
 @dataclass(frozen=True, slots=True)
 class Mover:
-    """A thing that keeps its speed and its distance from the centre line."""
+    """Object with a constant speed and distance from the centre line."""
 
-    mesh: Mesh  # In its own frame, x forward
+    mesh: Mesh  # In the frame of the object, x forward
     start: float  # Along the street at time 0, metres
     t: float  # To the left of the centre line, metres
     speed: float  # Metres per second; negative towards the start of the street
 
     def at(self, plan: Plan, time: float) -> Mesh | None:
-        """Return it in world coordinates at a time, None while it is off the street."""
+        """Return the mesh in world coordinates at a time, None while it is off the street."""
         s = self.start + self.speed * time
         if not 3 < s < plan.length - 3:
             return None
@@ -33,25 +33,25 @@ class Mover:
 
 
 def moving(builder: Builder, ego_speed: float, duration: float) -> tuple[Mover, ...]:
-    """Return what moves during a drive of `duration` seconds at `ego_speed` metres per second."""
+    """Return moving objects of a drive of `duration` seconds at `ego_speed` metres per second."""
     movers = [*_vehicles(builder, ego_speed, duration), *_walkers(builder, duration)]
     return (*movers, *_riders(builder, ego_speed, duration))
 
 
 def _vehicles(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
-    """Yield vehicles around the recording one, which keeps to the outer lane, and oncoming ones."""
+    """Yield vehicles in all lanes; the recording vehicle uses the outer lane."""
     plan = builder.plan
-    *others, own = lanes(plan.half)
+    *others, outer = lanes(plan.half)
     ahead, behind = builder.between(9, 40), builder.between(9, 50)
     drive = speed * duration
     for start, end in ((ahead, plan.length + drive), (-behind, -drive)):
         for s in _in_a_row(builder, RUN_OUT_M + start, end, 10):
-            yield Mover(_vehicle(builder), s, -own, speed)
+            yield Mover(_vehicle(builder), s, -outer, speed)
     for t in others:
         pace = speed * builder.between(0.9, 1.3)
         for s in _in_a_row(builder, -pace * duration, plan.length, 10):
             yield Mover(_vehicle(builder), s, -t, pace)
-    for t in (*others, own):
+    for t in (*others, outer):
         pace = speed * builder.between(0.5, 1.2)
         for s in _in_a_row(builder, builder.between(0, 40), plan.length + pace * duration, 11):
             yield Mover(_vehicle(builder), s, t, -pace)
@@ -64,7 +64,7 @@ def lanes(half: float) -> list[float]:
 
 
 def _in_a_row(builder: Builder, start: float, end: float, room: float) -> Iterator[float]:
-    """Yield places of vehicles from start to end, with gaps and the room that each takes."""
+    """Yield positions of vehicles from start to end, with gaps and room for every vehicle."""
     sign, gap = 1 if end > start else -1, 100 / builder.plan.style.traffic
     while (end - start) * sign > 0:
         yield start
@@ -76,7 +76,7 @@ def _vehicle(builder: Builder) -> Mesh:
 
 
 def _in_motion(mesh: Mesh) -> Mesh:
-    """Return a thing with the raw id that its class has while it moves."""
+    """Return an object with the raw id of its class in motion."""
     return replace(mesh, labels=np.full_like(mesh.labels, surfaces.MOVING[int(mesh.labels[0])]))
 
 
@@ -94,7 +94,7 @@ def _walkers(builder: Builder, duration: float) -> Iterator[Mover]:
 
 
 def _riders(builder: Builder, speed: float, duration: float) -> Iterator[Mover]:
-    """Yield riders, each of whom meets the recording vehicle some time during the drive."""
+    """Yield riders that meet the recording vehicle during the drive."""
     plan = builder.plan
     for _ in builder.count(0.5 + 0.06 * plan.style.crowd * plan.length / 100):
         sign = builder.rng.choice([-1, 1])

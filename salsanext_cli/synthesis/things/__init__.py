@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """Objects of a street as meshes, each in a local frame: metres, the ground at z = 0.
 
-Vehicles, cycles and people: x forward, y left, the middle of the footprint at the origin. All
-else: x along the street, y away from it; long things begin at x = 0, front walls are at y = 0.
+Vehicles, cycles and people: x forward, y left, the middle of the footprint at the origin. Other
+objects: x along the street, y away from it; long objects begin at x = 0, front walls are at y = 0.
 """

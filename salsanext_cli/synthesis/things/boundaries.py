@@ -78,7 +78,7 @@ def _strips(*edges: Array | float, skin: Skin) -> Mesh:
 
 
 def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -> Mesh:
-    """Return a hedge, its surface with a standard deviation of `ragged` metres, under leaves."""
+    """Return a hedge under leaves, its surface with a standard deviation of `ragged` metres."""
     leaf = leaf_skin(rng)
     stations = np.linspace(0, length, max(3, int(length / 0.4)))
     section = HEDGE_OUTLINE * [depth * 0.9, height * 0.96]
@@ -96,7 +96,7 @@ def hedge(rng: Rng, length: float, height: float, depth: float, ragged: float) -
 
 
 def ivy(rng: Rng, length: float, height: float) -> Mesh:
-    """Return ivy on a wall at y = 0, its upper edge uneven."""
+    """Return ivy with an uneven upper edge on a wall at y = 0."""
     x = rng.uniform(0, length, int(60 * length * height))
     phase, wave = rng.uniform(0, 2 * np.pi, 3), rng.uniform(0.3, 3, 3)
     edge = height * (0.7 + 0.1 * np.sin(x[:, None] * wave + phase).sum(-1))

@@ -9,10 +9,8 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, box, merge, quads
 from salsanext_cli.synthesis.surfaces import BUILDING, Material
 
-FOOT_M = -1.5  # Height of the foot of a wall: below the ground, which is not level
-BLANK_SHARE = 0.2
-"""Largest share of openings in the ground floor of a blank front; real ones near a sensor are often
-flat over more than 3 m."""
+FOOT_M = -1.5  # Height of the foot of a wall: below the uneven ground
+BLANK_SHARE = 0.2  # Largest share of openings in the ground floor of a blank front
 Corners = list[list[float]]  # Four points of a quadrangle
 Opening = tuple[float, float, float, float]  # Left, right, bottom and top
 
@@ -28,7 +26,7 @@ class House(NamedTuple):
     bay: float  # Between the middles of neighbouring windows
     wall: Skin
     base: Skin  # Of the ground floor
-    open_share: float  # Share of the bays of the front's ground floor that have an opening
+    open_share: float  # Share of openings in the bays of the ground floor of the front
 
 
 def house(rng: Rng, width: float, depth: float, floors: int) -> Mesh:
@@ -51,7 +49,7 @@ def house(rng: Rng, width: float, depth: float, floors: int) -> Mesh:
 
 
 def _facade(rng: Rng, house: House, ends: Array, *, front: bool) -> Mesh:
-    """Return the wall between two points: a grid of bays and storeys, most with a window."""
+    """Return the wall between two points: a grid of bays and storeys, mostly with windows."""
     along = ends[1] - ends[0]
     length = float(np.hypot(*along))
     columns = max(1, round(length / house.bay))
@@ -87,7 +85,7 @@ def _facade(rng: Rng, house: House, ends: Array, *, front: bool) -> Mesh:
 def _hole(
     rng: Rng, x0: float, x1: float, row: int, storey: float, size: Array, kind: str
 ) -> Opening | None:
-    """Return the opening in a bay, None where it is too narrow."""
+    """Return the opening in a bay, None if the bay is too narrow."""
     middle, width = (x0 + x1) / 2, (x1 - x0) * size[0]
     if kind == "door":
         return middle - 0.55, middle + 0.55, 0.15, 2.2
@@ -107,7 +105,7 @@ def _panel(x0: float, x1: float, z0: float, z1: float, y: float) -> Corners:
 def _pierced(
     x0: float, x1: float, z0: float, z1: float, hole: Opening, depth: float
 ) -> tuple[list[Corners], Corners]:
-    """Return the wall around an opening with its reveals, and the pane at the back of it."""
+    """Return the wall around an opening with reveals, and the pane behind it."""
     a, b, c, d = hole
     walls = [
         _panel(x0, a, z0, z1, 0),

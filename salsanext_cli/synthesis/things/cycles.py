@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Bicycles and motorcycles, alone or with riders; then the whole is labelled as rider."""
+"""Bicycles and motorcycles; with a rider, all of it has the label of the rider."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from salsanext_cli.synthesis.surfaces import BICYCLE, BICYCLIST, MOTORCYCLE, MOT
 from salsanext_cli.synthesis.things.people import limb
 from salsanext_cli.synthesis.things.vehicles import dark_paint
 
-TYRE_SHADE = 3.0  # Brighter than car tyres; in a street no shade exceeds 2.2
+TYRE_SHADE = 3.0  # Brighter than car tyres; streets clip shades at 2.2
 WHEEL_M = 0.34  # Radius of a bicycle's wheel
 COVERED_SHARE = 0.2  # Of the parked motorcycles
 AXLE_M = 0.52  # Half the distance between the axles of a bicycle
@@ -55,7 +55,7 @@ def bicycle(rng: Rng, label: int = BICYCLE) -> Mesh:
 
 
 def motorcycle(rng: Rng, label: int = MOTORCYCLE) -> Mesh:
-    """Return a motorcycle or a scooter; some that nobody rides are under a cover."""
+    """Return a motorcycle or a scooter; some parked ones are under a cover."""
     paint, iron = dark_paint(rng, label), Skin(label, Material.METAL, 0.6)
     tyre = Skin.random(rng, label, Material.RUBBER, 0.5, TYRE_SHADE)
     scooter = rng.random() < 0.4

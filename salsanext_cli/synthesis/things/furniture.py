@@ -6,7 +6,7 @@ import numpy as np
 from salsanext_cli.synthesis.mesh import Mesh, Rng, Skin, box, disc, ellipsoid, merge, quads, tube
 from salsanext_cli.synthesis.surfaces import CLUTTER, POLE, SIGN, STRUCTURE, Material
 
-FOOT_M = -0.3  # Height of the foot of poles and boxes: below the ground, which is not level
+FOOT_M = -0.3  # Height of the foot of poles and boxes: below the uneven ground
 
 
 def _steel(rng: Rng) -> Skin:
@@ -76,7 +76,7 @@ def board(rng: Rng) -> Mesh:
 
 
 def traffic_light(rng: Rng) -> Mesh:
-    """Return a traffic light; its heads count as clutter, the pole as pole."""
+    """Return a traffic light with the label pole, and clutter for its heads."""
     height = float(rng.uniform(3.0, 3.6))
     head = Skin(CLUTTER, Material.METAL, 0.4)
     parts = [tube([[0, 0, FOOT_M], [0, 0, height]], 0.07, _steel(rng))]

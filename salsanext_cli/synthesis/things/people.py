@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""People on foot: standing, walking, sitting, carrying things."""
+"""People on foot: standing, walking, sitting, with luggage."""
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def _sitting_legs(cloth: Skin) -> list[Mesh]:
 
 
 def _luggage(rng: Rng) -> list[Mesh]:
-    """Return up to two of: a rucksack, a bag on either side, a box in the arms."""
+    """Return up to two of a rucksack, a bag on either side and a box in the arms."""
     bag = Skin.random(rng, PERSON, Material.CLOTH, 0.3, 1.2)
     corners = (
         ((-0.17, -0.09, 0.58), (-0.07, 0.09, 0.8)),

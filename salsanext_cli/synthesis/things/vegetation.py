@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: MIT
-"""Trees, bushes and thickets: many small facets, which let some rays through."""
+"""Trees, bushes and thickets: many small facets that let some rays through."""
 
 import numpy as np
 
 from salsanext_cli.synthesis.mesh import Array, Mesh, Rng, Skin, ellipsoid, facets, merge, tube
 from salsanext_cli.synthesis.surfaces import TRUNK, VEGETATION, Material
 
-THIN_M = 0.06  # Largest radius of a stem that is a branch, not a trunk
+THIN_M = 0.06  # Largest radius of a stem with the label of vegetation
 FOOT_M = -0.4  # Height of the foot of trunks and stems, below the uneven ground
 
 
 def leaf_skin(rng: Rng, material: Material = Material.LEAF) -> Skin:
-    """Draw the brightness of leaves, dense as a hedge's or loose `Material.FOLIAGE`."""
+    """Draw the brightness of dense leaves, or of loose `Material.FOLIAGE`."""
     return Skin.random(rng, VEGETATION, material, 0.7, 1.25)
 
 
 def _leaves(
     rng: Rng, centre: Array, radii: Array, count: int, sizes: tuple[float, float], leaf: Skin
 ) -> Mesh:
-    """Return leaves that thicken towards the rim of an ellipsoid."""
+    """Return leaves that are denser towards the rim of an ellipsoid."""
     direction = rng.standard_normal((count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     reach = rng.uniform(0.3, 1.0, (count, 1)) ** 0.5 + rng.normal(0, 0.08, (count, 1))
@@ -111,7 +111,7 @@ def thicket(rng: Rng, length: float, depth: float, height: float) -> Mesh:
 
 
 def ground_cover(rng: Rng, radius: float) -> Mesh:
-    """Return plants that cover the ground 0.05 to 0.5 m high, thinner towards their rim."""
+    """Return ground cover 0.05 to 0.5 m high, lower towards its rim."""
     leaf, height = leaf_skin(rng), rng.uniform(0.05, 0.5) * min(1.0, radius)
     count = int(140 * radius**2)
     places = rng.uniform(-1, 1, (count, 2))

@@ -15,7 +15,7 @@ IRON = Skin(OTHER_VEHICLE, Material.METAL, 0.6)
 
 
 def vehicle(rng: Rng) -> Mesh:
-    """Return a car, truck, bus or other vehicle, as usual as the presets say."""
+    """Return a car, truck, bus or other vehicle with the frequencies of the presets."""
     makers = {"car": car, "truck": truck, "bus": bus, "other": other_vehicle}
     return makers[weighted_choice(rng, presets.TRAFFIC)](rng)
 
@@ -26,13 +26,13 @@ def length_of(mesh: Mesh) -> float:
 
 
 def dark_paint(rng: Rng, label: int) -> Skin:
-    """Draw the paint of a vehicle: most are dark in the infrared."""
+    """Draw the paint of a vehicle, mostly dark in the infrared."""
     bounds = ((0.0, 0.09), (0.1, 0.5), (0.5, 1.0), (1.0, 1.6))
     return Skin.random(rng, label, Material.PAINT, *bounds[rng.choice(4, p=(0.6, 0.14, 0.16, 0.1))])
 
 
 def _body(body: Numbers, paint: Skin, stretch: Array) -> Mesh:
-    """Return the body without wheels: cross-sections joined from front to rear, and windows."""
+    """Return a body without wheels: cross-sections from front to rear, and windows."""
     profile = body.profile
     x = (0.5 - profile[:, 0]) * body.length
     half = body.width / 2 * np.where(profile[:, 0] % 1.0 == 0, 0.86, 1.0)
@@ -53,7 +53,7 @@ def _body(body: Numbers, paint: Skin, stretch: Array) -> Mesh:
 
 
 def _wheels(label: int, axles: list[float], track: float, radius: float, wide: float) -> list[Mesh]:
-    """Return wheels at both ends of axles: a tyre and, on its outside, a rim."""
+    """Return wheels at both ends of axles: a tyre with a rim on its outside."""
     tyre, rim = Skin(label, Material.RUBBER), Skin(label, Material.METAL, 0.9)
     parts = []
     for x in axles:
@@ -172,7 +172,7 @@ def _box(rng: Rng, bed: Bed) -> list[Mesh]:
 
 
 def _flat(rng: Rng, bed: Bed) -> list[Mesh]:
-    """Return a flatbed with low sides and things on it."""
+    """Return a flatbed with low sides and a load."""
     half_length, half_width, floor, skin = bed
     top = floor + rng.uniform(0.3, 1.0)
     parts = [
@@ -193,7 +193,7 @@ def _flat(rng: Rng, bed: Bed) -> list[Mesh]:
 
 
 def _tub(rng: Rng, bed: Bed) -> list[Mesh]:
-    """Return a tipper's tub, its sides sloping, perhaps full."""
+    """Return the tub of a tipper with sloping sides."""
     half_length, half_width, floor, skin = bed
     top, foot = floor + rng.uniform(0.8, 1.6), 0.8
     low = [[-half_length, -half_width * foot, floor], [half_length, -half_width * foot, floor]]

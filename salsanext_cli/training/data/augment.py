@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Augmentations of labelled scans: those of the paper, mixing of scans, and windows of images.
 
-All but the windows move points before they are projected, so that the range image stays consistent
-and the nearest point wins each pixel. Of the mixing, LaserMix (Kong et al. 2023) alternates two
-scans band by band of inclination, PolarMix (Xiao et al. 2022) sector by sector of azimuth,
-RangeFormer (Kong et al. 2023) box by box of the range image; the last two add points of rare
-classes of another scan.
+Except for windows, they change points before the projection, so that the nearest point wins each
+pixel. LaserMix (Kong et al. 2023) alternates two scans by bands of inclination, PolarMix (Xiao et
+al. 2022) by sectors of azimuth, RangeFormer (Kong et al. 2023) by boxes of the range image; the
+last two also paste points of rare classes of another scan.
 """
 
 import math
@@ -24,13 +23,13 @@ LabelledScan = tuple[Scan, TrainIds]  # A scan and the train ids of its points, 
 SHIFT_LOW_M = (-5.0, -3.0, -1.0)
 SHIFT_HIGH_M = (5.0, 3.0, 0.0)
 MAX_DROPPED_SHARE = 0.5
-"""Bounds of the shift along x, y and z, and of the share of points that are dropped."""
+"""Bounds of the shift along x, y and z, and of the share of dropped points."""
 KINDS = ((True, False), (False, True), (True, True))
 """Kinds of checkerboards, of several bands or sectors or both: LaserMix, PolarMix, boxes."""
 MIN_BANDS, MAX_BANDS = 2, 6
 MAX_SECTOR_PAIRS = 3
 PASTED_COPIES = 2  # Copies of pasted rare points, each at another angle
-CLEAR_RADIUS_M = 3.0  # Nothing is pasted within it: the vehicle is there
+CLEAR_RADIUS_M = 3.0  # Radius without pasted points, for the vehicle
 
 
 def augment(labelled: LabelledScan, recipe: Recipe, random: np.random.Generator) -> LabelledScan:
@@ -61,17 +60,17 @@ def rotate(points: Float, angle: float) -> Float:
 
 
 def shift(points: Float, offset: Double) -> Float:
-    """Move points (N, 3) by (3,) metres; those at the origin measure nothing and stay."""
+    """Move points (N, 3) by (3,) metres, except points at the origin, which are no measurements."""
     x, y, z = points.T != 0
     return points + (x | y | z)[:, None] * offset.astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
 class Checkerboard:
-    """Checkerboard over the directions in which a sensor looks.
+    """Checkerboard over the directions of the rays of a sensor.
 
     Cell (i, j), band i of inclination from below and sector j of azimuth counter-clockwise, is odd
-    if i + j is. The outer bands hold the points beyond the field of view.
+    if i + j is. The outer bands include the points beyond the field of view.
     """
 
     bands: int
@@ -82,7 +81,7 @@ class Checkerboard:
 
     @classmethod
     def random(cls, sensor: Sensor, random: np.random.Generator) -> Self:
-        """Draw bands, sectors or boxes, all three as often, their number and azimuth."""
+        """Draw bands, sectors or boxes with equal chance, their number and azimuth."""
         in_bands, in_sectors = KINDS[random.integers(len(KINDS))]
         bands = int(random.integers(MIN_BANDS, MAX_BANDS + 1)) if in_bands else 1
         sectors = 2 * int(random.integers(1, MAX_SECTOR_PAIRS + 1)) if in_sectors else 1
@@ -90,13 +89,12 @@ class Checkerboard:
 
     def odd(self, points: Float) -> Mask:
         """Return whether points (N, 3) lie in odd cells, (N,) bool."""
-        # It changes with every border between a point and the lowest band of the first sector: a
-        # cone between bands, a plane through the origin for two borders between sectors.
+        # It changes at every border: of bands, a cone, or of two sectors, a plane.
         x, y, z = np.ascontiguousarray(points.T)
         odd = np.zeros(len(points), np.bool_)
         edges = np.radians(np.linspace(self.fov_down, self.fov_up, self.bands + 1)[1:-1])
         width = 2 * math.pi / self.sectors
-        # Points without a measurement may end up anywhere, since no pixel shows them.
+        # The cell of points without a measurement does not matter, since no pixel shows them.
         with np.errstate(invalid="ignore", over="ignore"):
             flat = np.sqrt(x * x + y * y)
             for inclination in edges:
@@ -108,13 +106,13 @@ class Checkerboard:
 
 
 def mix(even: LabelledScan, odd: LabelledScan, board: Checkerboard) -> LabelledScan:
-    """Return the points of one scan in the even cells of a board, of another in the odd ones."""
+    """Return the points of one scan in even cells of a board and of another in odd cells."""
     of_even = select(even, ~board.odd(even[0].points))
     return concatenate(of_even, select(odd, board.odd(odd[0].points)))
 
 
 def paste(onto: LabelledScan, pasted: LabelledScan, angles: Double) -> LabelledScan:
-    """Return a scan with points of another beside it, turned about z by each angle (radians)."""
+    """Return a scan with copies of the points of another, turned about z by angles in radians."""
     points = pasted[0].points
     with np.errstate(invalid="ignore", over="ignore"):
         clear = np.hypot(points[:, 0], points[:, 1]) > CLEAR_RADIUS_M
@@ -125,7 +123,7 @@ def paste(onto: LabelledScan, pasted: LabelledScan, angles: Double) -> LabelledS
 
 def select(labelled: LabelledScan, chosen: Mask) -> LabelledScan:
     """Return the chosen points of a labelled scan, (N,) bool."""
-    # By index it takes a fifth of the time that NumPy needs by mask.
+    # Indices take a fifth of the time of a mask.
     return _taken(labelled, np.flatnonzero(chosen))
 
 
@@ -144,10 +142,11 @@ def concatenate(*scans: LabelledScan) -> LabelledScan:
 def choose_columns(
     truth: TrainIds, scored: Mask, width: int, on_class: float, random: np.random.Generator
 ) -> Indices:
-    """Choose the columns, (width,), of a window that may go round the circle."""
-    # With probability `on_class` it holds a pixel of a class drawn evenly from those present in
-    # truth (H, W) that are scored, (C,) bool; else it is anywhere. A width of 0, or more than W,
-    # takes all.
+    """Choose the columns, (width,), of a window that may cross the edge of the image.
+
+    With probability `on_class` it contains a pixel of a class drawn evenly from the `scored` ones,
+    (C,) bool, in truth (H, W). A width of 0, or above W, takes all columns.
+    """
     whole = truth.shape[1]
     if width == 0 or width >= whole:
         return np.arange(whole)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Samples of labelled scans, and their order, the same whatever the number of worker processes.
+"""Samples of labelled scans and their order, independent of the number of worker processes.
 
-Each sample has a generator of its own, seeded by the recipe and its position in the training.
+Recipe and position in the training seed the generator of each sample.
 """
 
 from collections.abc import Iterator, Sequence
@@ -36,7 +36,7 @@ from salsanext_cli.training.distributed import SINGLE_PROCESS, ProcessGroup
 from salsanext_cli.training.recipe import Recipe
 
 ORDER, SAMPLE = 0, 1
-"""Purposes of generators, of orders and of samples: parts of their seeds beside `DROPOUT`."""
+"""Parts of the seeds of orders and of samples; `learner.DROPOUT` is another."""
 
 SampleKey = tuple[int, int]  # Position of a sample in the whole training, index of its scan
 Sample = tuple[Float, TrainIds]  # Normalised image (5, H, W), targets (H, W)
@@ -47,9 +47,9 @@ Batch = tuple[Tensor, Tensor]  # Normalised images (B, 5, H, W) float32, targets
 class SamplingPlan:
     """Batches of the whole training, each a list of sample keys.
 
-    Every scan of a data set is drawn once before any is drawn again. Every batch is whole, for the
-    sake of batch norm: the last of an epoch goes on with the next round. Data sets behind the first
-    share `recipe.also` of the samples evenly.
+    Every scan of a data set is drawn once before any is drawn again. For batch norm every batch is
+    whole: the last one of an epoch begins the next round. Further data sets share `recipe.also` of
+    the samples evenly.
     """
 
     scan_counts: Sequence[int]
@@ -57,7 +57,7 @@ class SamplingPlan:
 
     @property
     def steps_per_epoch(self) -> int:
-        """Number of batches of an epoch, which hold all its samples."""
+        """Number of batches of an epoch."""
         return -(-(self.recipe.samples_per_epoch or sum(self.scan_counts)) // self.recipe.batch)
 
     @property
@@ -74,7 +74,7 @@ class SamplingPlan:
             yield list(islice(keys, self.recipe.batch))[group.rank :: group.size]
 
     def _keys(self, position: int) -> Iterator[SampleKey]:
-        """Yield keys without end, from a position of the whole training."""
+        """Yield keys endlessly from a position of the whole training."""
         orders: dict[int, tuple[int, list[int]]] = {}
         while True:
             source, draw = self._draw(position)
@@ -85,7 +85,7 @@ class SamplingPlan:
             position += 1
 
     def _draw(self, position: int) -> tuple[int, int]:
-        """Return the data set of a position, and how often it was drawn from before."""
+        """Return the data set of a position, and the number of draws from it before."""
         further_count = len(self.scan_counts) - 1
         share = self.recipe.also if further_count else 0.0
         further = int(position * share)
@@ -94,7 +94,7 @@ class SamplingPlan:
         return 1 + further % further_count, further // further_count
 
     def _order(self, source: int, number: int) -> list[int]:
-        """Return the indices of a data set's scans in the order of a round, counted from 0."""
+        """Return the shuffled indices of a data set's scans in a round, counted from 0."""
         seed = (self.recipe.seed, ORDER, number, *((source,) if source else ()))
         order = np.random.default_rng(seed).permutation(self.scan_counts[source])
         return [sum(self.scan_counts[:source]) + int(i) for i in order]
@@ -102,12 +102,16 @@ class SamplingPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples(Dataset[Sample]):
-    """Augmented, mixed, projected, normalised and cropped scans, by sample key."""
+    """Augmented, mixed, projected, normalised and cropped scans, by sample key.
+
+    `sensor` has the normalisation, intensity and gaps of training; `rare` (C,) marks the classes
+    whose points are pasted.
+    """
 
     sources: Sequence[Source]
-    sensor: Sensor  # That images are normalised for; its intensity and gaps are those of training
+    sensor: Sensor
     recipe: Recipe
-    rare: Mask  # (C,): classes whose points are pasted
+    rare: Mask
     sets: ClassSets = ()
 
     @property
@@ -116,7 +120,7 @@ class Samples(Dataset[Sample]):
         return SamplingPlan([len(source.files) for source in self.sources], self.recipe)
 
     def scan_at(self, index: int) -> tuple[Source, ScanFile]:
-        """Return a scan and its data set; indices go on from one data set to the next."""
+        """Return the data set and file of a scan; indices continue over all data sets."""
         for source in self.sources:
             if index < len(source.files):
                 return source, source.files[index]
@@ -124,7 +128,7 @@ class Samples(Dataset[Sample]):
         raise IndexError(index)
 
     def __getitems__(self, keys: Sequence[SampleKey]) -> list[Sample] | SalsanextError:
-        """Return samples, or the error of one, since a loader would not raise it as it is."""
+        """Return samples, or the error of one, since a loader would raise it in another form."""
         try:
             return [self[key] for key in keys]
         except SalsanextError as error:
@@ -136,10 +140,13 @@ class Samples(Dataset[Sample]):
         recipe = self.recipe
         random = np.random.default_rng((recipe.seed, SAMPLE, position))
         scan, labels = self._mixed(index, random)
-        view = self._view(index, random)
+        source, file = self.scan_at(index)
+        view = replace(source.sensor_of(file), up=UP, origin=ORIGIN)
+        if _drawn(recipe.view, random):
+            view = other_sensors.other_view(view, random)
         image = project(scan, view)
         truth = pixels_from_points(labels, image.point_of_pixel)
-        # Pixels and rows are left out, and gaps filled, of both alike.
+        # Pixels and rows are removed, and gaps filled, in both alike.
         both = np.concatenate([image.channels, truth[None].astype(np.float32)])
         if _drawn(recipe.holes, random):
             both = other_sensors.make_holes(both, random)
@@ -156,14 +163,8 @@ class Samples(Dataset[Sample]):
         )
         return normalise(channels[:, :, columns], self.sensor), truth[:, columns]
 
-    def _view(self, index: int, random: np.random.Generator) -> Sensor:
-        """Return the sensor that a sample of a scan is projected with, in the sensor's frame."""
-        source, file = self.scan_at(index)
-        view = replace(source.sensor_of(file), up=UP, origin=ORIGIN)
-        return other_sensors.other_view(view, random) if _drawn(self.recipe.view, random) else view
-
     def _mixed(self, index: int, random: np.random.Generator) -> LabelledScan:
-        """Return an augmented scan, mixed with others as often as the recipe says."""
+        """Return an augmented scan, mixed with others by chance."""
         recipe = self.recipe
         labelled = self._augmented(self._read(index, random), random)
         if _drawn(recipe.mix, random):
@@ -187,7 +188,7 @@ class Samples(Dataset[Sample]):
         return scan, labels
 
     def _partner(self, index: int, random: np.random.Generator) -> LabelledScan:
-        """Return another scan than that of an index, of a further data set as often as samples."""
+        """Return another scan than one, from further data sets as often as samples are."""
         counts = self.plan.scan_counts
         source = 0
         if len(counts) > 1 and random.random() < self.recipe.also:
@@ -207,7 +208,7 @@ class Samples(Dataset[Sample]):
 
 
 def _drawn(chance: float, random: np.random.Generator) -> bool:
-    """Decide by chance; nothing is drawn for none, so that samples stay those of older versions."""
+    """Decide by chance; a chance of 0 draws nothing, as in older versions."""
     return chance > 0 and random.random() < chance
 
 
@@ -225,7 +226,7 @@ def batches(
         collate_fn=_collate,
         batch_sampler=samples.plan.batches(first_step, group),
         num_workers=workers,
-        # A fork would inherit locks that the threads of torch and numba may hold.
+        # A fork would inherit locks held by threads of torch and numba.
         multiprocessing_context="spawn" if workers else None,
         worker_init_fn=_use_one_thread,
         pin_memory=pinned,

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Changes of a scan or its range image as if another sensor, or one mounted otherwise, had made it.
+"""Changes of a scan or its range image that imitate another sensor or another mounting.
 
-Their sizes cover the 16 to 128 beams, the views and the places on a roof of sensors on the market,
-and the intensities that are left after `match_intensity`, which knows neither a sensor's response
-to distance nor which surfaces a street has. The frequencies of holes are those of real scans in
-64 x 512 pixels, the mean over Pandar64 (second drive of PandaSet), VLP-32C (front sectors of RWTH
-Aachen), OS0-128, OS1-128 and OS2-32 (captures of Ouster): `benchmarks/hole_shares.py` learns them.
-Dark surfaces have more holes in some of these sensors and fewer in others: intensity has no part.
+Their sizes cover the beams, fields of view and mountings of sensors on the market, and what remains
+after `match_intensity`. `benchmarks/hole_shares.py` computes the frequencies of holes: means over
+real scans of Pandar64 (second drive of PandaSet), VLP-32C (front sectors of RWTH Aachen), OS0-128,
+OS1-128 and OS2-32 (captures of Ouster) in 64 x 512 pixels. They do not depend on the intensity:
+dark surfaces have more holes in some of these sensors and fewer in others.
 """
 
 from dataclasses import replace
@@ -22,19 +21,19 @@ Rng = np.random.Generator
 
 LOG_GAIN, LOG_GAMMA, RANGE_POWER, OFFSET = 0.3, 0.3, 0.15, 0.05
 """Standard deviations of log gain, log exponent, power of the range, and offset of intensities."""
-RESPONSE_RANGE_M = 10.0  # Range at which a power of the range changes nothing
-LOWERED_M, RAISED_M = 0.55, 0.9  # Largest distances that a sensor is moved down and up
-TILT_DEG = 1.0  # Standard deviation of the angle that a sensor is tilted by
+RESPONSE_RANGE_M = 10.0  # Range at which a power of the range has no effect
+LOWERED_M, RAISED_M = 0.55, 0.9  # Largest shifts of a sensor down and up
+TILT_DEG = 1.0  # Standard deviation of the tilt of a sensor
 EDGE_SHIFT_DEG, EDGE_SHIFT = 6.0, 0.25
-"""Largest shift of an edge, in degrees and as a share of the view: the edges never meet."""
-MIN_ROWS, MAX_ROWS = 0.25, 0.75  # Bounds of the share of rows that are kept
-MAX_RUN = 4  # Most pixels of a hole between two measured ones of a row
-EDGE_RATIO = 1.1  # Ratio of the ranges on both sides above which there is an edge between them
+"""Largest shift of an edge, in degrees and as a share of the field of view."""
+MIN_ROWS, MAX_ROWS = 0.25, 0.75  # Bounds of the share of remaining rows
+MAX_RUN = 4  # Largest width of a hole between two measured pixels of a row
+EDGE_RATIO = 1.1  # Ratio of the ranges on both sides above which an edge is between them
 RANGE_EDGES_M = (5.0, 10.0, 20.0, 40.0)  # Bounds of the bins of the range on the nearer side
 HOLE_SHARES = np.array([[0.064, 0.026, 0.026, 0.051, 0.067], [0.119, 0.114, 0.115, 0.149, 0.176]])
 """Share of holes on surfaces and at edges, by range."""
-CONTINUED = 0.42  # Share of holes whose neighbour to the right is a hole, too
-MAX_HOLES = 2.0  # Largest factor of the shares: that of the sensor with the most holes, OS2-32
+CONTINUED = 0.42  # Share of holes whose right neighbour is a hole, too
+MAX_HOLES = 2.0  # Largest factor of the shares, as of the sensor with the most holes, OS2-32
 MAX_JITTER_M = 0.03  # Largest standard deviation of positions, typical for ranges
 
 
@@ -50,10 +49,10 @@ def change_intensity(scan: Scan, bright: float, random: Rng) -> Scan:
 
 
 def mount_otherwise(points: Float, random: Rng) -> Float:
-    """Return points (N, 3) as from a sensor at another height and tilted in any direction."""
+    """Return points (N, 3) as measured from another height, tilted in any direction."""
     angle, azimuth = np.radians(random.normal(0, TILT_DEG)), random.uniform(0, 2 * np.pi)
     axis = np.array([np.cos(azimuth), np.sin(azimuth), 0])
-    # Rodrigues' rotation about a level axis; a degree or two, yet exact.
+    # Rodrigues' rotation about a level axis
     cross = np.cross(np.eye(3), axis)
     turn = np.eye(3) - np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
     with np.errstate(invalid="ignore", over="ignore"):
@@ -62,14 +61,14 @@ def mount_otherwise(points: Float, random: Rng) -> Float:
 
 
 def other_view(sensor: Sensor, random: Rng) -> Sensor:
-    """Return a sensor both of whose edges of the view are moved."""
+    """Return a sensor with both edges of the field of view moved."""
     most = min(EDGE_SHIFT_DEG, EDGE_SHIFT * (sensor.fov_up - sensor.fov_down))
     up, down = map(float, random.uniform(-most, most, 2))
     return replace(sensor, fov_up=sensor.fov_up + up, fov_down=sensor.fov_down + down)
 
 
 def fewer_beams(channels: Float, random: Rng) -> Float:
-    """Return channels (C, H, W) of which some rows are kept, evenly spaced or any."""
+    """Return channels (C, H, W) with some rows, evenly spaced or random; the others are empty."""
     height = channels.shape[1]
     count = max(1, round(height * random.uniform(MIN_ROWS, MAX_ROWS)))
     if random.random() < 0.5:
@@ -82,8 +81,10 @@ def fewer_beams(channels: Float, random: Rng) -> Float:
 
 
 def hole_cells(ranges: Float) -> Indices:
-    """Return the cell of `HOLE_SHARES` of each pixel of ranges (H, W), -1 beyond `MAX_RUN`."""
-    # By the next measured pixels to the left and right, whether or not itself is measured.
+    """Return the cell of `HOLE_SHARES` of each pixel of ranges (H, W), -1 beyond `MAX_RUN`.
+
+    It depends on the next measured pixels to the left and right, not on the pixel itself.
+    """
     sides, steps = np.zeros((2, *ranges.shape), np.float32), np.full((2, *ranges.shape), MAX_RUN)
     for step in range(MAX_RUN, 0, -1):
         for side, signed in enumerate((step, -step)):
@@ -97,11 +98,13 @@ def hole_cells(ranges: Float) -> Indices:
 
 
 def make_holes(channels: Float, random: Rng) -> Float:
-    """Return channels (C, H, W), the range first, of which pixels are lost as in real sensors."""
-    # By the share of their cell times a factor; by `CONTINUED` with their left neighbours.
+    """Return channels (C, H, W), the range first, without pixels that real sensors would lose.
+
+    A pixel is lost with the share of its cell times a factor, or with its left neighbour.
+    """
     shares = np.append(HOLE_SHARES, 0.0)[hole_cells(channels[0])] * random.uniform(0, MAX_HOLES)
-    chance, own = random.random(shares.shape), random.random(shares.shape) >= CONTINUED
-    source = np.maximum.accumulate(np.where(own, np.arange(own.shape[1]), 0), axis=1)
+    chance, is_first = random.random(shares.shape), random.random(shares.shape) >= CONTINUED
+    source = np.maximum.accumulate(np.where(is_first, np.arange(shares.shape[1]), 0), axis=1)
     lost = np.take_along_axis(chance, source, axis=1) < shares
     return np.where(lost, np.float32(0), channels)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The paper's grid search of the dropout rate to sample with."""
+"""The paper's grid search of the dropout rate for sampling."""
 
 import logging
 import math
@@ -22,7 +22,7 @@ from salsanext_cli.uncertainty.aleatoric import aleatoric
 from salsanext_cli.uncertainty.monte_carlo import require_sampling, sample, scan_seed
 
 MIN_VARIANCE = 1e-4
-"""(1 % of probability)²: a few sure and wrong points must not weigh more than all others."""
+"""(1 % of probability)²: a few certain and wrong points must not outweigh all others."""
 SAMPLES = 30  # Passes per scan and rate
 LOWEST, HIGHEST, STEPS = 0.02, 0.5, 10  # Ends of the range of rates, and their number
 
@@ -32,18 +32,20 @@ log = logging.getLogger(__name__)
 def rates_between(lowest: float, highest: float, steps: int) -> list[float]:
     """Return rates at equal steps of their logarithm, both ends included."""
     if not 0 < lowest < highest < 1:
-        found = f"{lowest:g} and {highest:g}"
-        raise UsageError("--lowest and --highest", found, "rising rates above 0 and below 1")
+        problem = f"are {lowest:g} and {highest:g}"
+        raise UsageError("--lowest and --highest", problem, "rising rates above 0 and below 1")
     if steps < 2:
-        raise UsageError("--steps", str(steps), "at least 2")
+        raise UsageError("--steps", f"is {steps}", "at least 2")
     inner = np.geomspace(lowest, highest, steps)[1:-1].tolist()
     return [lowest, *inner, highest]
 
 
 def objective(probabilities: Float, variance: Float, truth: npt.NDArray[Any]) -> float:
-    """Return Σ ½ log s + (y − p)² / 2s over points and classes; lower is better."""
-    # It is the negative log-likelihood, but for a constant, of the one-hot truth y (M,) under
-    # Gaussians of mean p (M, C), the mean softmax of the passes, and total variance s (M, C).
+    """Return Σ ½ log s + (y − p)² / 2s over points and classes; lower is better.
+
+    The negative log-likelihood, except for a constant, of the one-hot truth y (M,) under Gaussians
+    with the mean softmax p (M, C) and the total variance s (M, C).
+    """
     s = np.maximum(variance.astype(np.float64), MIN_VARIANCE)
     error = probabilities.astype(np.float64)
     error[np.arange(len(truth)), truth] -= 1
@@ -58,7 +60,7 @@ def fit_dropout(
     highest: float = HIGHEST,
     steps: int = STEPS,
 ) -> Tuned:
-    """Find the dropout rate of the least mean `objective`, of `samples` passes with a `seed`.
+    """Find the dropout rate with the least mean `objective` of so many seeded passes.
 
     The existing rate stays unless the rate that other scans choose is better on held-out scans.
     """
@@ -72,32 +74,33 @@ def fit_dropout(
 
     def objectives_of(scan: LabelledImage) -> list[float]:
         noise = scan.of_points(aleatoric(scan.network, scan.image))
-        masks, found = scan_seed(seed, scan.file.sequence, scan.file.stem), list[float]()
+        masks, values = scan_seed(seed, scan.file.sequence, scan.file.stem), list[float]()
         for candidate in candidates:
             fitted = candidate.for_sensor(scan.network.sensor)
             sampled = sample(fitted, scan.image, samples=samples, seed=masks)
             variance = scan.of_points(sampled.variance) + noise
             probabilities = scan.of_points(sampled.probabilities)
-            found.append(objective(probabilities, variance, scan.truth))
-        return found
+            values.append(objective(probabilities, variance, scan.truth))
+        log.info("%s: %d points", scan.file.name, len(scan.truth))
+        return values
 
-    def numbers(image: LabelledImage, of_scan: list[float]) -> tuple[list[float], int]:
-        log.info("%s: %d points", image.file.name, len(image.truth))
-        return of_scan, len(image.truth)
-
-    job = Steps(scans.read, lambda images: [*map(objectives_of, images)], numbers)
-    sums, counts = map(np.array, zip(*scans.run(job), strict=True))
+    job = Steps(
+        scans.read,
+        lambda images: [*map(objectives_of, images)],
+        lambda image, values: (values, len(image.truth)),
+    )
+    sums, counts = map(np.array, zip(*scans.run(job).values(), strict=True))
     points = int(counts.sum())
     scans.require_points(points)
     objectives: list[float] = (sums.sum(axis=0) / points).tolist()
     if not np.isfinite(objectives).all():
-        wrong = "the network's uncertainties are not finite"
-        raise TrainingError(scans.source, wrong, "finite ones", "use other weights")
+        problem = "uncertainties of the network are not finite"
+        raise TrainingError(scans.source, problem, hint="use other weights")
     best = int(np.argmin(objectives))
     changed = not before or _gains(scans.files, sums, rates.index(before))
     if changed and rates[best] in (lowest, highest):
         edge = ("--lowest", "--highest")[rates[best] == highest]
-        log.warning("the best rate, %g, is the last of the range: move %s", rates[best], edge)
+        log.warning("the best rate, %g, is at the end of the range: change %s", rates[best], edge)
     report = {
         "before": before,
         "best": rates[best] if changed else before,
@@ -111,13 +114,14 @@ def fit_dropout(
 
 
 def _gains(files: Sequence[ScanFile], sums: Double, before: int) -> bool:
-    """Return whether the rate that other scans choose is better on held-out scans.
+    """Return whether the rates that other scans choose are better on held-out scans.
 
-    `sums`: of the objective over the points of each scan at each rate, (scans, rates); `before`:
-    index of the existing rate.
+    `sums` (scans, rates): objectives summed over the points of a scan; `before`: index of the
+    existing rate.
     """
-    of_scan, parts, chosen = dict(zip(files, sums, strict=True)), held_out(files), 0.0
-    for of_parts in parts:
-        rest, part = (np.sum([of_scan[file] for file in some], axis=0) for some in of_parts)
-        chosen += float(part[rest.argmin()])
+    of_scan, parts = dict(zip(files, sums, strict=True)), held_out(files)
+    chosen = 0.0
+    for rest, part in parts:
+        best = np.sum([of_scan[file] for file in rest], axis=0).argmin()
+        chosen += float(np.sum([of_scan[file] for file in part], axis=0)[best])
     return bool(parts) and chosen < float(sums[:, before].sum())

@@ -18,30 +18,29 @@ from salsanext_cli.errors import TrainingError, counted, first_few
 from salsanext_cli.geometry.knn import knn_refine
 from salsanext_cli.measures.calibration import reliability
 from salsanext_cli.measures.histograms import error_histogram, uncertainty_histogram
-from salsanext_cli.measures.risk_coverage import kept_points, ranking_scores
+from salsanext_cli.measures.risk_coverage import accepted_points, ranking_scores
 from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.records import Float, Mask
 from salsanext_cli.results.paths import ScanFile
-from salsanext_cli.training.cross_validation import folds
+from salsanext_cli.training.cross_validation import held_out
 from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import FEATURES, features_of, knows_error
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
-MAX_POINTS = 1_000_000  # Bound of the number of points of all scans, 37 MB
-MAX_POINTS_OF_SCAN = 20_000  # Points of one scan are much alike: more of them tell little
+MAX_POINTS = 1_000_000  # Largest number of points of all scans, 37 MB
+MAX_POINTS_OF_SCAN = 20_000  # More points of one scan add little, since they are much alike
 FOLDS = 5
-SEED = 0  # Seed of the choice of points, of the first weights and of the order of the points
+SEED = 0  # Seed of the choice of points, of the initial weights and of the order of the points
 HIDDEN = 16  # Values of each of the two hidden layers
 EPOCHS, BATCH = 8, 2048  # Passes over the points, and points per step
 MIN_STEPS = 400  # Few points are passed over more often
 LEARNING_RATE, WEIGHT_DECAY = 3e-3, 1e-4
-ECE_TOLERANCE = 0.005  # Larger calibration error that a better ranking is worth
-SEQUENCES_OF_START = 7
-"""Sequences that an existing model counts as much as; see docs/tune.md for what was tried."""
+ECE_TOLERANCE = 0.005  # Increase of the calibration error that a better ranking may cost
+SEQUENCES_OF_START = 7  # Weight of an existing model, in sequences; docs/tune.md compares others
 LEAST = 1e-6  # Least probability in a logarithm
 HEIGHT = FEATURES.index("height above the sensor")
-MIN_SPREAD = 1e-3  # Features that hardly differ are not blown up
+MIN_SPREAD = 1e-3  # Least divisor of features, which may hardly differ
 
 log = logging.getLogger(__name__)
 
@@ -52,19 +51,15 @@ class JudgedPoints:
 
     features: Float  # (M, F), in the order of `FEATURES`
     wrong: Mask  # (M,)
-    several: float = 0.0  # Share of the scan's points left out: their label is of several classes
+    several: float = 0.0  # Share of skipped points, whose label is of several classes
 
 
 JudgeJob = Steps[LabelledImage, PixelPrediction, JudgedPoints]
 
 
-def points_of_scan(scans: int) -> int:
-    """Return how many points to keep of each of so many scans."""
-    return max(1, min(MAX_POINTS_OF_SCAN, MAX_POINTS // scans))
-
-
-def judging(network: Network, read: Callable[[ScanFile], LabelledImage], most: int) -> JudgeJob:
-    """Return the job that labels scans as `predict` does, and judges points of each."""
+def judging(network: Network, read: Callable[[ScanFile], LabelledImage], scans: int) -> JudgeJob:
+    """Return the job that labels so many scans as `predict` does, and judges points of each."""
+    most = max(1, min(MAX_POINTS_OF_SCAN, MAX_POINTS // scans))
 
     def predict(scans: Sequence[LabelledImage]) -> list[PixelPrediction]:
         return network.predict([scan.input for scan in scans], softmax=True)
@@ -86,29 +81,28 @@ def judged_points(scan: LabelledImage, pixels: PixelPrediction, most: int) -> Ju
 
 
 def fit_error_model(scans: TuningScans) -> Tuned:
-    """Fit a model of the probability that a label is wrong; keep the existing one if it is better.
+    """Fit the probability that a label is wrong, unless the existing model is better.
 
-    The fit starts from the existing model. Reports the scores of both, and of the confidence, on
-    the same held-out scans, and whether the weights were `changed`.
+    The fit starts from the existing model. The report has the scores of both and of the confidence
+    on the same held-out scans, and whether the weights were `changed`.
     """
     files, network = scans.files, scans.network
-    most = points_of_scan(len(files))
-    job = judging(network, scans.read, most)
-    judged = dict(zip(files, scans.run(job), strict=True))
+    judged = scans.run(judging(network, scans.read, len(files)))
     wrong = np.concatenate([points.wrong for points in judged.values()])
     scans.require_points(len(wrong))
     if not of_both_kinds(judged.values()):
-        count = f"{'every' if wrong.all() else 'no'} label of {len(wrong)} points is wrong"
+        problem = f"{'every' if wrong.all() else 'no'} label of {len(wrong)} points is wrong"
         hint = "use more scans, or other weights"
-        raise TrainingError(scans.source, count, "right and wrong ones", hint)
+        raise TrainingError(scans.source, problem, "right and wrong labels", hint)
     start = network.card.error if knows_error(network) else None
     sequences = {file.sequence for file in files}
     if start and (same := sequences & {*start.scores.get("sequences", ())}):
         names = first_few(sorted(same))
         log.warning("the existing error model was fitted to %s: its scores are not held-out", names)
     if len(sequences) == 1 < len(files):
-        log.warning("all scans are of one sequence: the held-out scans are much like the others")
-    model = cross_validated(judged, folds(files, FOLDS) if len(files) > 1 else [], start=start)
+        log.warning("all scans are of one sequence: held-out scans are similar to the others")
+    parts = [part for _, part in held_out(files, FOLDS)]
+    model = cross_validated(judged, parts, start=start)
     changed = gains(model) or not (model.scores["folds"] or start)
     report = {**model.scores, "changed": changed}
     if not changed:
@@ -122,12 +116,12 @@ def cross_validated(
     parts: Sequence[Sequence[ScanFile]],
     start: ErrorModel | None = None,
 ) -> ErrorModel:
-    """Fit a model to all scans; its scores are those of models that lack a fold of the scans.
+    """Fit a model to all scans; its scores are of models that lack a fold of the scans.
 
-    `start`: as `fit_error` takes it. Among the scores are the sequences, also of the `start`, the
-    share of wrong points `wrong`, that of skipped points, whose label is of `several` classes, and
-    `error_scores` of the model, `error`, of the one that it starts from, `existing`, and of 1 − the
-    probability of the label, `confidence`; they are None without folds.
+    `start`: as `fit_error` takes it. The scores hold the sequences, also of the `start`; the share
+    of `wrong` points; the share of skipped points, of `several` classes; and `error_scores` of the
+    model, `error`, of the `existing` one and of 1 − the probability of the label, `confidence`.
+    These are None without folds.
     """
     every = list(judged.values())
     wrong = np.concatenate([points.wrong for points in every])
@@ -152,21 +146,17 @@ def _scores_held_out(
     start: ErrorModel | None,
 ) -> dict[str, object]:
     """Fit without each fold of the scans, and score all points by the models that lack them."""
-    errors, held_out = list[Float](), list[JudgedPoints]()
-    for part in parts:
-        rest = {file: points for file, points in judged.items() if file not in part}
-        if not of_both_kinds(rest.values()):
-            log.warning("without %s no label is right, or none wrong", part[0].sequence)
-            parts = []
-            break
-        model = fit_error(list(rest.values()), start, len({file.sequence for file in rest}))
-        held_out += [judged[file] for file in part]
-        errors += [model.probability(judged[file].features) for file in part]
     if not parts:
         log.warning("%s: not cross-validated", counted(len(judged), "scan"))
         return {"folds": 0, "error": None, "existing": None, "confidence": None}
-    wrong = np.concatenate([points.wrong for points in held_out])
-    features = np.concatenate([points.features for points in held_out])
+    errors = list[Float]()
+    for part in parts:
+        rest = {file: points for file, points in judged.items() if file not in part}
+        model = fit_error(list(rest.values()), start, len({file.sequence for file in rest}))
+        errors += [model.probability(judged[file].features) for file in part]
+    files = [file for part in parts for file in part]
+    wrong = np.concatenate([judged[file].wrong for file in files])
+    features = np.concatenate([judged[file].features for file in files])
     least_confidence = 1 - features[:, FEATURES.index("probability of the label")]
     return {
         "folds": len(parts),
@@ -177,7 +167,7 @@ def _scores_held_out(
 
 
 def of_both_kinds(scans: Iterable[JudgedPoints]) -> bool:
-    """Say whether some points are right and some wrong."""
+    """Return whether some points are right and some wrong."""
     return len({kind for points in scans for kind in np.unique(points.wrong).tolist()}) > 1
 
 
@@ -196,10 +186,10 @@ def is_better(scores: Mapping[str, float], others: Mapping[str, float]) -> bool:
 def fit_error(
     scans: Sequence[JudgedPoints], start: ErrorModel | None = None, sequences: int = 1
 ) -> ErrorModel:
-    """Fit a model of least cross-entropy to points of so many sequences.
+    """Fit a model with the least cross-entropy to points of so many sequences.
 
-    A model to `start` from counts as much as `SEQUENCES_OF_START` sequences: its probability is
-    mixed into the truth to that share. The height weighs 0, since it depends on the mounting.
+    A model to `start` from counts as `SEQUENCES_OF_START` sequences: the truth is mixed with its
+    probability. The height has no weight, since it depends on the mounting.
     """
     features = np.concatenate([scan.features for scan in scans])
     wrong = torch.from_numpy(np.concatenate([scan.wrong for scan in scans])).float()
@@ -233,9 +223,7 @@ def fit_error(
                 torch.autograd.backward(loss)
                 optimiser.step()
                 schedule.step()
-    layers = [
-        (each.weight.detach().numpy().T.copy(), each.bias.detach().numpy()) for each in linear
-    ]
+    layers = [(m.weight.detach().numpy().T.copy(), m.bias.detach().numpy()) for m in linear]
     weight, bias = layers[0]
     weight = weight / spread[:, None]
     layers[0] = weight.astype(np.float32), (bias - mean @ weight).astype(np.float32)
@@ -243,7 +231,7 @@ def fit_error(
 
 
 def _begin(linear: Sequence[nn.Linear], start: ErrorModel, mean: Float, spread: Float) -> None:
-    """Put the numbers of a model into layers that take standardised features."""
+    """Copy the numbers of a model into layers for standardised features."""
     (weight, bias), *others = start.layers
     first = (weight * spread[:, None], bias + mean @ weight)
     with torch.no_grad():
@@ -262,5 +250,5 @@ def error_scores(error: Float, wrong: Mask) -> dict[str, float]:
         "aurc": ranking.aurc,
         "ece": reliability(counts).error,
         "nll": float(-np.log(np.clip(np.where(wrong, error, 1 - error), LEAST, 1)).mean()),
-        "risk_80": kept_points("error", histogram).risk,
+        "risk_80": accepted_points("error", histogram).risk,
     }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Threshold above which labels are rejected, chosen so that a new scan has few wrong ones."""
+"""Threshold above which labels are rejected, chosen so that a new scan has few wrong labels."""
 
 import logging
 import math
@@ -21,13 +21,13 @@ from salsanext_cli.formats.kitti import read_labels
 from salsanext_cli.geometry.projection import points_from_pixels
 from salsanext_cli.measures.histograms import UNCERTAINTY_BINS, bin_of, highest_of_bins
 from salsanext_cli.measures.risk_control import (
-    KEEPS_NONE,
-    KeptLabels,
+    ACCEPTS_NONE,
+    AcceptedLabels,
     enough_drives,
+    guarantee,
     held_thresholds,
     means_of_units,
     needed_scans,
-    promise,
 )
 from salsanext_cli.measures.scores import Counts, Ratios
 from salsanext_cli.network.card import RiskThreshold, scan_digest
@@ -35,11 +35,11 @@ from salsanext_cli.option_fields import KnnParameters
 from salsanext_cli.parallel.job import Steps
 from salsanext_cli.results.paths import ScanFile
 from salsanext_cli.sensors.sensor import FittedView
-from salsanext_cli.training.tuning.scans import Tuned, TuningScans
+from salsanext_cli.training.tuning.scans import NOT_SCORED, Tuned, TuningScans
 from salsanext_cli.uncertainty.error_features import error_probability, knows_error
 
 CURVE_POINTS = 101
-MAX_LISTED = 5  # Held-out sequences that are listed, those with most wrong labels
+MAX_LISTED = 5  # Held-out sequences that are listed, the worst ones
 
 log = logging.getLogger(__name__)
 
@@ -51,60 +51,52 @@ class JudgedScan:
     file: ScanFile
     digest: str
     points: int
-    # (2, C, B): points kept, and kept and wrong, up to each bin, by label; (2, 1, B): of all labels
+    # Accepted points, and accepted wrong ones, up to each bin: (2, C, B) by label, else (2, 1, B)
     below: npt.NDArray[np.int32]
 
 
 class RiskLevel(NamedTuple):
-    """Level of risk that a threshold is to hold."""
+    """Level of risk that a threshold must hold."""
 
-    at_most: float  # Largest share of the points that may be kept and wrong, 0…1
-    confidence: float | None  # Share of scans or drives that hold it; None: it holds for their mean
+    at_most: float  # Largest share of the points that may be accepted and wrong, 0…1
+    confidence: float | None  # Share of scans or drives that hold it; None: their mean holds it
 
 
 @dataclass(frozen=True, slots=True)
-class LeftOut:
-    """Points of a sequence that the threshold of the other sequences keeps, shares 0…1."""
+class HeldOutSequence:
+    """Points of a sequence below the threshold of the other sequences, shares 0…1.
+
+    `accepted` and `loss` are mean shares of the points of a scan: accepted, and accepted and wrong;
+    `worst` is the largest loss of a scan, `above` the share of scans above the level.
+    """
 
     sequence: str
     scans: int
-    kept: float  # Mean share of the points of a scan that is kept
-    loss: float  # Mean share that is kept and wrong, and the largest of a scan
+    accepted: float
+    loss: float
     worst: float
-    above: float  # Share of the scans with a larger share than the level
+    above: float
 
     def exceeds(self, level: RiskLevel) -> bool:
-        """Return whether more is wrong than the level allows."""
+        """Return whether more labels are wrong than the level allows."""
         if level.confidence is None:
             return self.loss > level.at_most
         return self.above > 1 - level.confidence
 
-    @property
-    def sentence(self) -> str:
-        """Sentence about the sequence."""
-        shares = f"{self.kept:.1%} kept, {self.loss:.1%} of all points kept and wrong"
-        by = "by the threshold of the others for all classes"
-        return f"{self.sequence} {by}: {shares}, {self.worst:.1%} at worst"
-
 
 def judged_scan(
-    scan: PreparedScan,
-    pixels: PixelPrediction,
-    space: LabelSpace,
-    counts: Counts,
-    per_class: bool = False,
+    scan: PreparedScan, pixels: PixelPrediction, space: LabelSpace, counts: Counts, per_class: bool
 ) -> JudgedScan:
-    """Label a scan as `predict` does, and judge it: by the error if the softmax is there.
+    """Label a scan as `predict` does, and judge it: by the error if there is a softmax.
 
-    `counts` (C, C, B + 1): its points are added by truth, label and bin, the last without a label.
+    Add its points to `counts` (C, C, B + 1) by truth, label and bin, the last one for no label.
     """
     file, image, network = scan.projected.file, scan.projected.image, scan.network
     labels = labelled(scan, pixels, KnnParameters()).labels
     truth = space.to_train(read_labels(file.label_path, len(labels)), source=file.label_path)
     scored = space.scored[truth]
     if not scored.any():
-        expected = f"labels of {space.name}"
-        raise LabelError(file.label_path, "no point is of a class that counts", expected)
+        raise LabelError(file.label_path, NOT_SCORED, f"labels of {space.name}")
     values = points_from_pixels(1 - pixels.confidence, image.pixel_of_point, np.nan)
     if pixels.softmax is not None:
         values = error_probability(network, image, pixels.softmax, labels)
@@ -112,27 +104,26 @@ def judged_scan(
     truth, labels, bins = truth[scored], labels[scored], bins[scored]
     np.add.at(counts, (truth, labels, bins), 1)
     shape = space.class_count if per_class else 1, UNCERTAINTY_BINS + 1
-    place = (labels.astype(np.intp) if per_class else 0) * shape[1] + bins
-    both = (place, place[labels != truth])
-    of_bins = [np.bincount(each, minlength=math.prod(shape)) for each in both]
-    below = np.reshape(of_bins, (2, *shape))[..., :-1].cumsum(axis=2, dtype=np.int32)
+    cell = (labels.astype(np.intp) if per_class else 0) * shape[1] + bins
+    of_cells = [np.bincount(c, minlength=math.prod(shape)) for c in (cell, cell[labels != truth])]
+    below = np.reshape(of_cells, (2, *shape))[..., :-1].cumsum(axis=2, dtype=np.int32)
     return JudgedScan(file, scan_digest(scan.projected.scan), len(truth), below)
 
 
-def kept_labels(
+def accepted_labels(
     scans: Sequence[JudgedScan], counts: Counts, space: LabelSpace, held: Counts
-) -> tuple[KeptLabels, dict[str, tuple[int, ...]]]:
-    """Return what is kept at the highest of so many thresholds that hold, of each label or of all.
+) -> tuple[AcceptedLabels, dict[str, tuple[int, ...]]]:
+    """Return the labels that are accepted at the highest of the thresholds held by each label.
 
-    Then points, kept and wrong ones of each scan.
+    The second value holds points, accepted and wrong ones of each scan.
     """
-    is_kept = np.arange(counts.shape[2]) < held[:, None]
-    confusion = (counts * is_kept).sum(axis=2)
-    confusion[:, 0] += (counts * ~is_kept).sum(axis=(1, 2))
+    is_accepted = np.arange(counts.shape[2]) < held[:, None]
+    confusion = (counts * is_accepted).sum(axis=2)
+    confusion[:, 0] += (counts * ~is_accepted).sum(axis=(1, 2))
     labels = np.flatnonzero(held)
-    kept = [each.below[:, labels, held[labels] - 1].sum(axis=1).tolist() for each in scans]
-    of_scans = {s.file.name: (s.points, *of_scan) for s, of_scan in zip(scans, kept, strict=True)}
-    return KeptLabels.of_confusion(confusion, space, of_scans), of_scans
+    shares = [scan.below[:, labels, held[labels] - 1].sum(axis=1).tolist() for scan in scans]
+    of_scans = {s.file.name: (s.points, *share) for s, share in zip(scans, shares, strict=True)}
+    return AcceptedLabels.of_confusion(confusion, space, of_scans), of_scans
 
 
 def fit_risk(
@@ -140,10 +131,9 @@ def fit_risk(
 ) -> Tuned:
     """Choose the highest threshold of error, else of least confidence, that holds a level.
 
-    The drive is the unit if there are enough of them, else the scan.
-    `per_class`: hold the level of the points of each label, too, by a threshold of its own, if so
-    many scans or drives have that label. Reports beside it `KeptLabels`, and what the threshold of
-    the other sequences keeps of each.
+    The unit is the drive if there are enough, else the scan. `per_class`: each label with enough
+    scans or drives gets its own threshold, which holds the level for its points. The report also
+    has the accepted labels, and each sequence at the threshold of the others.
     """
     level = RiskLevel(at_most, confidence)
     _require_scans(scans, level)
@@ -158,12 +148,13 @@ def fit_risk(
         unit, units = "drive", sequences
     held = held_thresholds(means_of_units(shares[:, 1], units), at_most, confidence)
     if not held or not shares[:, 0, held - 1].any():
-        found = f"no threshold of {kind} keeps points and at most {at_most:.3g} of them wrong"
-        raise TrainingError(scans.source, found, "a higher --at-most, or better weights")
-    of_labels, own = _of_labels(judged, units, held, level)
-    # Of none, the last.
-    highest = np.append(np.minimum(highest_of_bins(), 1.0), KEEPS_NONE)
-    of_class = zip(space.names, highest[of_labels - 1].tolist(), strict=True)
+        problem = f"no threshold of {kind} accepts points with at most {at_most:.3g} of them wrong"
+        hint = "use a higher --at-most, or better weights"
+        raise TrainingError(scans.source, problem, hint=hint)
+    of_labels, has_threshold = _of_labels(judged, units, held, level)
+    # A label for which none holds has the last.
+    highest = np.append(np.minimum(highest_of_bins(), 1.0), ACCEPTS_NONE)
+    thresholds = highest[of_labels - 1].tolist()
     risk = RiskThreshold(
         kind=kind,
         threshold=float(highest[held - 1]),
@@ -176,126 +167,127 @@ def fit_risk(
         settings=labels_depend_on(scans.settings, scans.loaded),
         view=FittedView.of(network.sensor),
         other_views=tuple(map(FittedView.of, network.sensor.others)),
-        classes={n: value for i, (n, value) in enumerate(of_class) if own[i]} if per_class else {},
+        classes={space.names[i]: thresholds[i] for i in np.flatnonzero(has_threshold)},
     )
-    left_out = _left_out(shares, sequences, units, level)
-    labels, of_scans = kept_labels(judged, counts, space, of_labels)
-    few = [space.names[i] for i in np.flatnonzero(counts.any(axis=(0, 2)) & ~own) if i]
+    others = _held_out(shares, sequences, units, level)
+    labels, of_scans = accepted_labels(judged, counts, space, of_labels)
+    few = [space.names[i] for i in np.flatnonzero(counts.any(axis=(0, 2)) & ~has_threshold) if i]
     report = {
-        "promise": promise(risk),
+        "promise": guarantee(risk),
         **{name: value for name, value in plain(risk).items() if name != "classes" or per_class},
         "kept": plain(labels),
-        "left_out": plain(left_out),
+        "left_out": plain(others),
         "risk_coverage": _curve(shares).tolist(),
-        "of_scans": [[kept / points, wrong / points] for points, kept, wrong in of_scans.values()],
-        "sentences": [*labels.sentences, *_sentences(left_out, few if per_class else (), unit)],
+        "of_scans": [[accepted / n, wrong / n] for n, accepted, wrong in of_scans.values()],
+        "sentences": [*labels.sentences, *_sentences(others, few if per_class else (), unit)],
     }
-    if (above := [each.sequence for each in left_out if each.exceeds(level)]) and unit == "scan":
-        log.warning("%s: more wrong than that, by the threshold of the others", first_few(above))
-    elif not left_out:
-        log.warning("scans of one sequence do not tell how the threshold holds on another")
+    if (above := [part.sequence for part in others if part.exceeds(level)]) and unit == "scan":
+        log.warning("%s: above the level with the threshold of the others", first_few(above))
+    elif not others:
+        log.warning("scans of one sequence do not show how the threshold holds on another")
     return replace(network.card, risk=risk), report
 
 
 def _judged(scans: TuningScans, kind: str, counts: Counts, per_class: bool) -> list[JudgedScan]:
-    """Label and judge all scans, as `judged_scan` does."""
     network = scans.network
     judge = partial(judged_scan, space=scans.space, counts=counts, per_class=per_class)
 
     def predict(some: Sequence[PreparedScan]) -> list[PixelPrediction]:
         return network.predict([scan.input for scan in some], softmax=kind == "error")
 
-    return [*scans.run(Steps(partial(prepared_for, network), predict, judge))]
+    return [*scans.run(Steps(partial(prepared_for, network), predict, judge)).values()]
 
 
 def _kind_of_threshold(scans: TuningScans) -> str:
-    """Return the kind of uncertainty that the threshold is of; warn of a fit to these scans."""
-    network = scans.network
-    kind = "error" if knows_error(network) else "least_confidence"
-    # The error may have been fitted to sequences of the same names.
-    fitted = set(network.card.error.scores.get("sequences", ())) if network.card.error else set()
-    if kind == "error" and (same := sorted(fitted & {file.sequence for file in scans.files})):
-        message = "the error was fitted to %s too: a threshold holds for scans that no fit has seen"
+    """Return the kind of uncertainty of the threshold; warn if it was fitted to these sequences."""
+    card, files = scans.network.card, scans.files
+    if not knows_error(scans.network):
+        return "least_confidence"
+    fitted = {*card.error.scores.get("sequences", ())} if card.error else set()
+    if same := sorted(fitted & {file.sequence for file in files}):
+        message = "the error was fitted to %s too: the guarantee needs scans that no fit has seen"
         log.warning(message, first_few(same))
-    return kind
+    return "error"
 
 
 def _curve(shares: Ratios) -> Ratios:
     """Return `CURVE_POINTS` of mean coverage and risk (2, P) of shares (n, 2, B)."""
     means = shares.mean(axis=0)
-    wanted = np.linspace(0, means[0, -1], CURVE_POINTS)
-    steps = np.unique(np.searchsorted(means[0], wanted).clip(max=UNCERTAINTY_BINS - 1))
+    coverage = np.linspace(0, means[0, -1], CURVE_POINTS)
+    steps = np.unique(np.searchsorted(means[0], coverage).clip(max=UNCERTAINTY_BINS - 1))
     return means[:, steps]
 
 
-def _sentences(left_out: Sequence[LeftOut], few: Sequence[str], unit: str) -> Iterator[str]:
+def _sentences(others: Sequence[HeldOutSequence], few: Sequence[str], unit: str) -> Iterator[str]:
     """Yield sentences about held-out sequences, and about classes of too few scans or drives."""
-    worst = sorted(left_out, key=lambda each: -each.loss)[:MAX_LISTED]
-    yield from (each.sentence for each in worst)
-    if more := len(left_out) - len(worst):
-        yield f"{counted(more, 'sequence')} more with less of them wrong"
+    worst = sorted(others, key=lambda part: -part.loss)[:MAX_LISTED]
+    for part in worst:
+        shares = f"{part.accepted:.1%} accepted, {part.loss:.1%} of all points accepted and wrong"
+        threshold = "with one threshold chosen on the others"
+        yield f"{part.sequence} {threshold}: {shares}, {part.worst:.1%} in the worst scan"
+    if more := len(others) - len(worst):
+        yield f"{counted(more, 'sequence')} more with a smaller share of wrong points"
     if few:
-        yield f"{first_few(few)}: too few {unit}s for a promise, so by the common threshold"
+        yield f"{first_few(few)}: common threshold, since there are too few {unit}s for a guarantee"
 
 
 def _of_labels(
     scans: Sequence[JudgedScan], units: npt.NDArray[Any], held: int, level: RiskLevel
 ) -> tuple[Counts, npt.NDArray[np.bool_]]:
-    """Return how many thresholds hold for the points of each label, up to those held by all.
+    """Return how many of the `held` thresholds hold for the points of each label, (C,).
 
-    Then which labels enough scans or drives have to hold a level, (C,); the others have all.
+    The second value tells which labels have enough scans or drives, (C,); the others have `held`.
     """
     count = scans[0].below.shape[1]
-    of_labels, own = np.full(count, held), np.zeros(count, np.bool_)
+    of_labels, is_enough = np.full(count, held), np.zeros(count, np.bool_)
     for label in range(1, count):
         below = np.array([scan.below[:, label] for scan in scans])
         has = below[:, 0, -1] > 0
-        own[label] = len(np.unique(units[has])) >= needed_scans(*level)
-        if own[label]:
+        is_enough[label] = len(np.unique(units[has])) >= needed_scans(*level)
+        if is_enough[label]:
             losses = means_of_units(below[has, 1] / below[has, :1, -1], units[has])
             of_labels[label] = min(held, held_thresholds(losses, *level))
-    return of_labels, own
+    return of_labels, is_enough
 
 
 def _require_scans(scans: TuningScans, level: RiskLevel) -> None:
-    """Refuse what so many scans cannot promise; say what they can, and how many are missing."""
+    """Refuse a level that so many scans cannot guarantee; name the best one for them."""
     at_most, confidence = level
     if not 0 < at_most < 1:
-        raise UsageError("--at-most", f"{at_most:.4g}", "above 0 and below 100%, such as 5%")
+        raise UsageError("--at-most", f"is {at_most:.4g}", "above 0 and below 100%, such as 5%")
     if confidence is not None and not 0.5 <= confidence < 1:
-        raise UsageError("--confidence", f"{confidence:.4g}", "from 50% to below 100%")
+        raise UsageError("--confidence", f"is {confidence:.4g}", "from 50% to below 100%")
     count = len(scans.files)
     missing = needed_scans(at_most, confidence) - count
     if missing <= 0:
         return
     if confidence is None:
         least = math.ceil(1000 / (count + 1)) / 10
-        found, can = f"no less than {least:g} %", f"--at-most {least:g}%"
+        best, option = f"{least:g} %", f"--at-most {least:g}%"
     else:
         exceed = 1 - (1 - confidence) ** (1 / max(count, 1))  # Clopper and Pearson's bound
-        found = f"with {100 * confidence:.4g} % confidence no less than {exceed:.0%} of scans above"
-        can = "a lower --confidence"
-    promised = f"{counted(count, 'scan')} can promise {found}"
-    raise TrainingError(
-        scans.source, promised, f"{missing} more", f"add scans of other drives, or {can}"
-    )
+        best = f"{exceed:.0%} of scans above the level, with {100 * confidence:.4g} % confidence"
+        option = "a lower --confidence"
+    problem = f"{counted(count, 'scan')} can guarantee at best {best}"
+    hint = f"add scans of other drives, or use {option}"
+    raise TrainingError(scans.source, problem, f"{missing} more", hint)
 
 
-def _left_out(
-    kept: Ratios, sequences: npt.NDArray[np.str_], units: npt.NDArray[Any], level: RiskLevel
-) -> list[LeftOut]:
-    """Return what is kept of each sequence by the threshold of the others; none of a single one.
+def _held_out(
+    shares: Ratios, sequences: npt.NDArray[np.str_], units: npt.NDArray[Any], level: RiskLevel
+) -> list[HeldOutSequence]:
+    """Return each sequence at the threshold of the others; nothing for a single sequence.
 
-    `kept` (n, 2, B): shares of the points that are kept, and kept and wrong; `units`: as
+    `shares` (n, 2, B): points that are accepted, and accepted and wrong; `units`: as
     `means_of_units` takes them.
     """
     reports, names, count = [], np.unique(sequences), len(np.unique(units))
     for sequence in names if len(names) > 1 else ():
-        own = sequences == sequence
-        others = means_of_units(kept[~own, 1], units[~own])
-        held = held_thresholds(others, *level, scans=count)
-        shares, losses = kept[own, :, held - 1].T if held else np.zeros((2, own.sum()))
-        above = (losses > level.at_most).mean()
-        means = map(float, (shares.mean(), losses.mean(), losses.max(), above))
-        reports.append(LeftOut(str(sequence), int(own.sum()), *means))
+        part = sequences == sequence
+        losses = means_of_units(shares[~part, 1], units[~part])
+        held = held_thresholds(losses, *level, scans=count)
+        accepted, wrong = shares[part, :, held - 1].T if held else np.zeros((2, part.sum()))
+        above = (wrong > level.at_most).mean()
+        means = map(float, (accepted.mean(), wrong.mean(), wrong.max(), above))
+        reports.append(HeldOutSequence(str(sequence), int(part.sum()), *means))
     return reports

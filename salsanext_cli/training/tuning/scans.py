@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Scans that one part of the weights is fitted to, their labels point by point, and that part."""
+"""Scans that one part of the weights is fitted to, and their labels point by point."""
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -39,6 +39,7 @@ from salsanext_cli.training.data.sources import read_labelled
 from salsanext_cli.training.data.targets import class_sets
 
 Tuned = tuple[WeightsCard, dict[str, Any]]  # Card of the new weights, and a report, plain data
+NOT_SCORED = "no point is of a scored class"
 
 Result = TypeVar("Result")
 
@@ -47,18 +48,18 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class TuningScans:
-    """Scans that a part of the weights is fitted to."""
+    """Scans that a part of the weights is fitted to; `space` holds the classes of their labels."""
 
     source: Path
     files: list[ScanFile]
-    space: LabelSpace  # Of the labels
+    space: LabelSpace
     settings: NetworkSettings
     loaded: Network  # As it is in its file
-    progress: Callable[[int, int], object] | None = None  # Called after each step
+    progress: Callable[[int, int], object] | None = None  # Called after each scan
 
     @cached_property
     def network(self) -> Network:
-        """Network fitted to the sensor of the scans, which are read when it is first asked for."""
+        """Network fitted to the sensor of the scans, which are read at the first use."""
         sample = ScanSample(find_scans(self.source), self.loaded.sensor)
         fitted = fit_scans(self.settings, self.loaded, sample)
         self.settings.announce(fitted)
@@ -68,24 +69,25 @@ class TuningScans:
         """Read and project a scan with its labels."""
         return read_labelled_image(file, self.network, self.space)
 
-    def run(self, job: ScanJob[Prepared, Computed, Result]) -> Iterator[Result]:
-        """Run a job on the scans; yield the results in order, and report progress after each."""
-        results = network_pipeline(job, self.network).results(self.files)
-        for number, result in enumerate(results, start=1):
-            yield result
+    def run(self, job: ScanJob[Prepared, Computed, Result]) -> dict[ScanFile, Result]:
+        """Run a job on the scans and return its results; report progress after each scan."""
+        results: dict[ScanFile, Result] = {}
+        computed = network_pipeline(job, self.network).results(self.files)
+        for file, result in zip(self.files, computed, strict=True):
+            results[file] = result
             if self.progress:
-                self.progress(number, len(self.files))
+                self.progress(len(results), len(self.files))
+        return results
 
     def require_points(self, points: int) -> None:
         """Raise `LabelError` if there is no point to learn from."""
         if not points:
-            expected = f"labels of {self.space.name}"
-            raise LabelError(self.source, "no point is of a class that counts", expected)
+            raise LabelError(self.source, NOT_SCORED, f"labels of {self.space.name}")
 
 
 @dataclass(frozen=True, slots=True)
 class LabelledImage:
-    """Range image of a whole scan, and its M points that have a pixel and one class that counts."""
+    """Range image of a whole scan, and its M points with a pixel and a single scored class."""
 
     file: ScanFile
     network: Network  # For the sensor of the scan
@@ -100,7 +102,7 @@ class LabelledImage:
         return self.network.input(self.image.channels)
 
     def of_points(self, of_pixels: Float) -> Float:
-        """Give every point that counts its pixel's values: (C, H, W) to (M, C)."""
+        """Return the pixel values (C, H, W) of the points, (M, C)."""
         pixels = self.image.pixel_of_point[self.points]
         return of_pixels.reshape(len(of_pixels), -1)[:, pixels].T
 
@@ -108,27 +110,27 @@ class LabelledImage:
 def labelled_scans(
     dataset: Path, selection: ScanSelection, card: WeightsCard
 ) -> tuple[list[ScanFile], LabelSpace]:
-    """Find labelled scans, evenly spaced if limited, and their classes: those of a network.
+    """Find labelled scans in the classes of a network, evenly spaced if limited.
 
-    Without split or sequences they are those of the split ``valid`` and of no split.
+    By default they are the scans of the split ``valid`` and of no split.
     """
-    found = scans_of(dataset)
-    space = space_of(found, card.space)
+    files = scans_of(dataset)
+    space = space_of(files, card.space)
     if not space.fits(card.space):
-        others = f"labels in the classes of {space.name}"
-        others += f" ({first_few(space.differences(card.space))})"
-        expected = f"those of {card.space.name}, as the weights"
-        raise LabelError(dataset, others, expected, "use weights for these classes")
-    scans = choose(found, replace(selection, limit=None), space, dataset)
+        problem = f"has labels of {space.name} ({first_few(space.differences(card.space))})"
+        expected = f"labels of {card.space.name}, as the weights"
+        raise LabelError(dataset, problem, expected, "use weights for these classes")
+    scans = choose(files, replace(selection, limit=None), space, dataset)
     if not (selection.split or selection.sequences):
         splits = with_splits(space, data_set_of(scans[0]))
-        of_split = {scan.sequence: splits.split_of(scan.sequence) for scan in scans}
-        unsplit = [s for s in scans if not of_split[s.sequence] and present(s.label_path)]
-        scans = sorted([s for s in scans if of_split[s.sequence] == "valid"] + unsplit)
+        of_split = {scan: splits.split_of(scan.sequence) for scan in scans}
+        unsplit = [scan for scan in scans if not of_split[scan] and present(scan.label_path)]
+        scans = sorted([scan for scan in scans if of_split[scan] == "valid"] + unsplit)
+        hint = "choose scans with --sequences"
         if not scans:
             expected = "labelled scans of split valid, or of no split"
-            raise NoInputError(dataset, "none to tune on", expected, "choose with --sequences")
-        log_unused(found, scans, splits, "choose with --sequences")
+            raise NoInputError(dataset, "has no scans to tune on", expected, hint)
+        log_unused(files, scans, splits, hint)
     scans = evenly_spaced(scans, selection.limit or 0)
     require_labels(scans)
     return scans, space
@@ -141,12 +143,12 @@ def unseen(scans: Sequence[ScanFile], network: Network, source: Path) -> list[Sc
         if (digest := scan_digest(read_scan(scan.path, network.sensor))) not in known:
             known.add(digest)
             others.append(scan)
-    which = "the weights were trained on them, or they are copies"
+    reason = "the weights were trained on them, or they are copies"
     if not others:
         hint = "label other scans, or choose others with --sequences"
-        raise TrainingError(source, f"every labelled scan is skipped: {which}", "others", hint)
+        raise TrainingError(source, f"every labelled scan is skipped: {reason}", hint=hint)
     if skipped := len(scans) - len(others):
-        log.warning("%s skipped: %s", counted(skipped, "scan"), which)
+        log.warning("%s skipped: %s", counted(skipped, "scan"), reason)
     return others
 
 

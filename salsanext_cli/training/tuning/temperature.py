@@ -25,7 +25,7 @@ from salsanext_cli.training.tuning.scans import LabelledImage, Tuned, TuningScan
 from salsanext_cli.uncertainty.monte_carlo import scan_seed
 
 MAX_LOGITS = 4_000_000  # 32 MB in float64: 200 000 points with 20 classes
-SEED = 0  # Seed of the choice of points that are kept
+SEED = 0  # Seed of the choice of points
 
 Points = tuple[Tensor, Tensor]  # Their logits (M, C) float32, and train ids (M,) int64
 
@@ -33,12 +33,12 @@ log = logging.getLogger(__name__)
 
 
 def fit_temperature(scans: TuningScans) -> Tuned:
-    """Fit the temperature of the least negative log-likelihood; keep the existing if it is better.
+    """Fit the temperature with the least negative log-likelihood, unless the existing is better.
 
-    Of a scan with more points than its share of `MAX_LOGITS`, a random sample is taken, the same
-    one every time. Reports `before` and `after` the fit: `temperature`, mean negative
-    log-likelihood in nats, `nll`, and expected calibration error over 15 bins, `ece`, 0…1. With
-    several scans, those `after` are of held-out scans, at the temperature of the others.
+    `MAX_LOGITS` limits the points of each scan to a seeded random sample. The report has the
+    `temperature`, the mean negative log-likelihood in nats, `nll`, and the expected calibration
+    error over 15 bins, `ece`, 0…1, `before` and `after` the fit. With several scans, the latter are
+    of held-out scans, at the temperature of the others.
     """
     card = scans.network.card
     most = max(1, MAX_LOGITS // card.space.class_count // len(scans.files))
@@ -46,8 +46,7 @@ def fit_temperature(scans: TuningScans) -> Tuned:
     def logits_of(images: Sequence[LabelledImage]) -> list[Float]:
         return scans.network.backend.logits([image.input for image in images])
 
-    job = Steps(scans.read, logits_of, partial(_sample, most=most))
-    of_scan = dict(zip(scans.files, scans.run(job), strict=True))
+    of_scan = scans.run(Steps(scans.read, logits_of, partial(_sample, most=most)))
 
     def of(files: Sequence[ScanFile]) -> Points:
         logits, truth = zip(*(of_scan[file] for file in files), strict=True)
@@ -59,19 +58,19 @@ def fit_temperature(scans: TuningScans) -> Tuned:
     lowest, highest = TEMPERATURES
     if not lowest <= temperature <= highest:
         # It is 0 where every point is right, infinite where no class of the truth is known.
-        found = f"the best temperature for {len(truth)} points is {temperature:g}"
-        expected = f"one between {lowest:g} and {highest:g}"
-        raise TrainingError(scans.source, found, expected, "use more scans, or other weights")
+        problem = f"the best temperature for {len(truth)} points is {temperature:g}"
+        expected = f"between {lowest:g} and {highest:g}"
+        raise TrainingError(scans.source, problem, expected, "use more scans, or other weights")
     tempered = [
         (of(part), min(max(best_temperature(*of(rest)), lowest), highest))
         for rest, part in held_out([file for file in scans.files if len(of_scan[file][1])])
     ]
-    before = _scores([(every, card.temperature)])
-    after = _scores(tempered or [(every, temperature)])
-    # A single scan tells nothing about others.
-    changed = after["nll"] < before["nll"] if tempered else card.temperature == 1
     if not tempered:
         log.warning("1 scan: not cross-validated")
+    before = _scores([(every, card.temperature)])
+    after = _scores(tempered or [(every, temperature)])
+    # Scores of the scan of the fit do not show a gain.
+    changed = after["nll"] < before["nll"] if tempered else card.temperature == 1
     report = {
         "before": {"temperature": card.temperature, **before},
         "after": {"temperature": temperature, **after},
@@ -83,7 +82,7 @@ def fit_temperature(scans: TuningScans) -> Tuned:
     if not changed:
         return card, report
     if card.risk and card.risk.kind != "error":
-        log.log(NOTICE, "the threshold is dropped: choose a new one with `salsanext tune risk`")
+        log.log(NOTICE, "the threshold is removed: choose a new one with `salsanext tune risk`")
         card = replace(card, risk=None)
     return with_temperature(card, temperature, logits), report
 
@@ -92,16 +91,15 @@ def with_temperature(card: WeightsCard, temperature: float, logits: Tensor) -> W
     """Return a card with another temperature, and the same expected accuracy of logits (N, C)."""
     error, accuracy = card.error, card.accuracy
     if error:
-        # Its features stay those of the old temperature.
+        # Its features are those at the old temperature.
         error = replace(error, temperature=error.temperature or card.temperature)
     if accuracy and len(logits):
-        # The labels stay, so the same scans have the same expected accuracy at the new confidence.
+        # The labels do not change, so neither does their expected accuracy.
         old, new = (
             (logits.double() / t).softmax(dim=1).amax(dim=1).mean().logit(1e-6).item()
             for t in (card.temperature, temperature)
         )
-        offset = accuracy.offset + accuracy.slope * (old - new)
-        accuracy = replace(accuracy, offset=offset)
+        accuracy = replace(accuracy, offset=accuracy.offset + accuracy.slope * (old - new))
     return replace(card, temperature=temperature, error=error, accuracy=accuracy)
 
 
@@ -109,7 +107,7 @@ def _sample(scan: LabelledImage, logits: Float, most: int) -> Points:
     """Return the logits (M, C) and train ids (M,) of at most so many points of a scan."""
     file, count = scan.file, len(scan.truth)
     if not np.isfinite(logits).all():
-        raise WeightsError(file.path, "the network's logits are not finite", "finite ones")
+        raise WeightsError(file.path, "logits of the network are not finite")
     random = np.random.default_rng(scan_seed(SEED, file.sequence, file.stem))
     chosen = random.choice(count, most, replace=False) if count > most else slice(None)
     log.info("%s: %d points", file.name, min(count, most))
@@ -135,26 +133,21 @@ def negative_log_likelihood(logits: Tensor, truth: Tensor, temperature: float) -
 
 
 def best_temperature(logits: Tensor, truth: Tensor) -> float:
-    """Return the temperature of the least negative log-likelihood of truth (N,) by logits (N, C).
+    """Return the temperature with the least negative log-likelihood of truth (N,), logits (N, C).
 
     LBFGS on its logarithm, in float64. The loss is convex in 1/temperature, so there is one
-    minimum, or it is at 0, since every point is right, or at infinity, since the logits of the true
-    classes are not above average.
+    minimum: 0 if every point is right, infinite if the logits of the true classes are not above
+    average.
     """
     exact = logits.double()
-    own = exact.gather(1, truth[:, None])[:, 0]
-    if (own == exact.amax(dim=1)).all():
+    of_truth = exact.gather(1, truth[:, None])[:, 0]
+    if (of_truth == exact.amax(dim=1)).all():
         return 0.0
-    if own.mean() <= exact.mean(dim=1).mean():
+    if of_truth.mean() <= exact.mean(dim=1).mean():
         return math.inf
     logarithm = torch.zeros((), dtype=torch.float64, requires_grad=True)
-    search = torch.optim.LBFGS(
-        [logarithm],
-        max_iter=100,
-        tolerance_grad=1e-8,
-        tolerance_change=1e-12,
-        line_search_fn="strong_wolfe",
-    )
+    limits = {"max_iter": 100, "tolerance_grad": 1e-8, "tolerance_change": 1e-12}
+    search = torch.optim.LBFGS([logarithm], **limits, line_search_fn="strong_wolfe")  # type: ignore[arg-type]
 
     def loss() -> Tensor:
         search.zero_grad()

