@@ -24,7 +24,7 @@ def kernel(tmp_path, monkeypatch):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setitem(vars(numba.config), "CACHE_DIR", "")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(user_cache, "_said", [])
+    monkeypatch.setattr(user_cache, "_warnings", [])
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "small_kernel.py").write_text("def twice(x):\n    return 2 * x\n")
 

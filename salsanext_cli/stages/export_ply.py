@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `export-ply`: scans, and maps of drives, to coloured point clouds, PLY or LAS."""
+"""Stage `export-ply`: scans, and maps of drives, to coloured PLY point clouds."""
 
 import logging
 from collections.abc import Sequence
@@ -8,12 +8,9 @@ from functools import partial
 from itertools import groupby
 from pathlib import Path
 
-import numpy as np
-
 from salsanext_cli.classes.label_space import LabelSpace
 from salsanext_cli.errors import NOTICE, UsageError, counted
 from salsanext_cli.formats.label_scalars import PREFIX
-from salsanext_cli.formats.las import asprs_class, classification, encode_las, import_laspy
 from salsanext_cli.formats.ply import encode_ply
 from salsanext_cli.fusion.drive_map import (
     MERGED_POINTS,
@@ -36,7 +33,6 @@ from salsanext_cli.results.result_folder import ChosenResults, ResultFolder, sca
 from salsanext_cli.results.settings import StageSettings
 from salsanext_cli.sensors.sensor import Sensor
 
-FORMATS = ("ply", "las", "laz")
 MIN_VOXEL_M, MAX_VOXEL_M = 0.01, 10.0
 
 log = logging.getLogger(__name__)
@@ -64,26 +60,21 @@ def export_scan(
     (folder,), points = output.folders, dict(zip("xyz", results.scan.points.T, strict=True))
     more = [] if max_error is None else [f"unlabelled where error is above {max_error:g}"]
     more += [text] if (text := results.accepted_text(colours.space)) else []
-    cloud = encode_cloud(output.path(file, folder), points, columns, colours, more)
+    cloud = encode_cloud(points, columns, colours, more)
     output.write(output.path(file, folder), cloud)
     return 0 if results.rejected is None else int(results.rejected.sum())
 
 
 def encode_cloud(
-    path: Path, points: Columns, columns: Columns, colours: PointColours, more: Sequence[str] = ()
+    points: Columns, columns: Columns, colours: PointColours, more: Sequence[str] = ()
 ) -> bytes:
-    """Return a coloured cloud in the format of its name: `points`, x, y, z, and every scalar."""
+    """Return a coloured PLY cloud: `points`, x, y, z, and every scalar."""
     rgb = dict(zip(("red", "green", "blue"), colours.of_points(columns).T, strict=True))
     comments = [f"colour {colours.legend}", f"label space {colours.space.name}", *more]
-    if path.suffix == ".ply":
-        # CloudCompare takes what is named so for scalars, and shows the first.
-        shown = {colours.colour: columns[colours.colour]} | columns
-        named = {f"{PREFIX}{name}": values for name, values in shown.items()}
-        return encode_ply(points | rgb | named, comments)
-    space = colours.space
-    comments += [f"class {asprs_class(i, space)} {name}" for i, name in space.labels.items()]
-    labels = columns.get("label", np.zeros(len(points["x"]), np.uint32))
-    return encode_las(path, points | rgb | columns, classification(labels, space), comments)
+    # CloudCompare takes what is named so for scalars, and shows the first.
+    shown = {colours.colour: columns[colours.colour]} | columns
+    named = {f"{PREFIX}{name}": values for name, values in shown.items()}
+    return encode_ply(points | rgb | named, comments)
 
 
 def export_ply(
@@ -92,12 +83,11 @@ def export_ply(
     colour: str = "label",
     scale: tuple[float, float] | None = None,
     max_error: float | None = None,
-    form: str = "ply",
     voxel: float | None = None,
     query: ResultQuery = ResultQuery(),
     options: RunOptions = RunOptions(),
 ) -> Outcome:
-    """Write `OUT/sequences/<seq>/ply/*.ply` or the like: positions, colours and every known scalar.
+    """Write `OUT/sequences/<seq>/ply/*.ply`: positions, colours and every known scalar.
 
     The first colouring of a folder goes there, each further one to `ply/<colour>/*.ply`; with
     `voxel`, an edge in metres, the map of each drive with fused labels to
@@ -105,7 +95,6 @@ def export_ply(
     """
     results = ResultFolder(out, query.dataset)
     require_colouring([colour], scale)
-    _require_format(form)
     if max_error is not None and not 0 <= max_error <= 1:
         raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
     if voxel is not None:
@@ -121,7 +110,7 @@ def export_ply(
         colour = results.meant_uncertainty(scans)
     results.require_column(colour, scans)
     sensor = results.sensor()
-    stage, folder = _place(out, colour, form)
+    stage, folder = _place(out, colour)
     made_of, earlier = results.origins(PREDICTION_STAGES), results.settings(stage)
     overwrite = options.overwrite or (earlier is not None and earlier.origins != made_of)
     if scale is None and voxel is None and earlier and earlier.scale and not overwrite:
@@ -131,7 +120,7 @@ def export_ply(
         marks = scale or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
     colours = PointColours(colour, marks, space)
     if voxel is not None:
-        return _export_maps(results, chosen, colours, form, voxel, options)
+        return _export_maps(results, chosen, colours, voxel, options)
     settings = StageSettings(
         colour=colour, scale=marks, label_space=space, origins=made_of, max_error=max_error
     )
@@ -147,26 +136,18 @@ def export_ply(
     return replace(outcome, missing=chosen.missing, rejected_points=total)
 
 
-def _require_format(form: str) -> None:
-    if form not in FORMATS:
-        raise UsageError("--format", form, f"one of {', '.join(FORMATS)}")
-    if form != "ply":
-        import_laspy(f"--format {form}", compressed=form == "laz")
-
-
-def _place(out: Path, colour: str, form: str) -> tuple[str, str]:
+def _place(out: Path, colour: str) -> tuple[str, str]:
     """Return the name of the record of a colouring, and the folder for its clouds."""
     first = Manifest(out).settings("export-ply")
     if first is None or first.colour == colour:
-        return "export-ply", form
-    return f"export-ply-{colour}", f"{form}/{colour}"
+        return "export-ply", "ply"
+    return f"export-ply-{colour}", f"ply/{colour}"
 
 
 def _export_maps(
     results: ResultFolder,
     chosen: ChosenResults,
     colours: PointColours,
-    form: str,
     voxel: float,
     options: RunOptions,
 ) -> Outcome:
@@ -174,7 +155,7 @@ def _export_maps(
     folder, outcome = OwnedFolder(results.root), Outcome(0, (), 0, chosen.missing)
     scans = results.with_column("label", chosen.scans)
     for name, group in groupby(scans, lambda file: file.sequence):
-        files, path = tuple(group), results.root / "sequences" / name / f"map.{form}"
+        files, path = tuple(group), results.root / "sequences" / name / "map.ply"
         folder.require_own([path])
         columns, added = map_of_drive(results, files, colours.space, voxel, options)
         failures, done = outcome.failures + added.failures, outcome.done + added.done
@@ -184,7 +165,7 @@ def _export_maps(
             if colours.colour not in columns:
                 raise results.missing_column(colours.colour, files[0])
             points = {axis: columns.pop(axis) for axis in "xyz"}
-            folder.replace({path: encode_cloud(path, points, columns, colours)})
+            folder.replace({path: encode_cloud(points, columns, colours)})
             found = ", ".join(filter(None, (counted(len(points["x"]), "point"), apart(columns))))
             log.log(NOTICE, "%s: %s", path, found)
     return outcome

@@ -152,9 +152,7 @@ def test_a_newer_version_is_named(tmp_path):
     laspy.create().write(path)
     content = path.read_bytes()
     path.write_bytes(content[:24] + b"\1\5" + content[26:])
-    with pytest.raises(
-        FormatError, match=r"LAS 1\.5 \(expected LAS 1\.0 to 1\.4\)\nhint: convert"
-    ):
+    with pytest.raises(FormatError, match=r"LAS 1\.5 \(expected LAS 1\.0 to 1\.4\)\nhint: convert"):
         read_scan(path)
 
 
