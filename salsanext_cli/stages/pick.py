@@ -115,10 +115,8 @@ def pick(
         Scans to choose from, and folder of the data set.
     count, seed : int
         Number of scans to pick, and seed of the dropout masks.
-    settings : NetworkSettings
-        Weights, sensor and engine.
-    selection, options : ScanSelection, RunOptions
-        Subset of the scans, evenly spaced if limited; workers, and whether to overwrite a pick.
+    settings, selection, options : NetworkSettings, ScanSelection, RunOptions
+        Network; subset of the scans, evenly spaced if limited; workers and overwriting.
     labelled : sequence of Path
         Data sets of labelled scans, which the picked ones are to differ from.
 
