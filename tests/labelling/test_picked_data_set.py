@@ -18,9 +18,7 @@ from salsanext_cli.results.settings import StageSettings
         (("000001", "000002"), 9, None),
     ],
 )
-def test_poses_whose_names_may_count_from_0_or_1_are_skipped(
-    tmp_path, caplog, stems, lines, picked
-):
+def test_poses_with_ambiguous_names_are_skipped(tmp_path, caplog, stems, lines, picked):
     folder = tmp_path / "data/sequences/08"
     write_sequence(folder, stems, labels=False)
     (folder / "poses.txt").write_text("".join(f"line {n}\n" for n in range(lines)))
