@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,8 +14,6 @@ from salsanext_cli.records import Double, Float, Indices, Mask
 
 TOLERANCE_M = 1e-3  # Largest distance of a copy; millimetres rounded per axis differ by 0.87
 MAX_NEIGHBOURS = 16  # Nearest places around a point; no LiDAR resolves so many
-CLASS = np.uint32(0xFFFF)  # Bits of a label that are the class; the others are the instance
-NO_INSTANCE = np.uint32(1 << 16)  # Above every instance
 NOTHING = np.iinfo(np.int64).max  # Lowest of no labels; the highest is -1, below it
 
 Labels = npt.NDArray[np.uint32]
@@ -29,16 +26,10 @@ class LabelTransfer:
     labels: Labels  # (N,) uint32: 0 where `known` is not set
     known: Mask  # (N,) bool: points that have a label of the cloud
     ambiguous: Mask  # (N,) bool: points at which the cloud has several labels
-    exact: Mask  # (N,) bool: points of which a copy has the same coordinates
     # (U,) float64: distance of each point of the cloud that is a copy of none to the nearest point,
     # metres; infinite without any
     unmatched: Double
     cloud_points: int  # Number of points of the cloud with finite coordinates
-
-    @property
-    def is_rounded(self) -> bool:
-        """True if most points that the cloud has are copies of other coordinates."""
-        return int(self.exact.sum()) < int((~self.missing & ~self.exact).sum())
 
     @property
     def missing(self) -> Mask:
@@ -71,40 +62,11 @@ def transfer_labels(points: Float, cloud: Float, labels: Labels) -> LabelTransfe
     of_points, first = np.unique(place, return_index=True)
     distances = _nearest(cloud[~np.isin(place_of_cloud, of_points)], wanted[first])
     transferred = np.zeros(len(points), np.uint32)
-    known, ambiguous, exact = np.zeros((3, len(points)), bool)
-    known[finite], ambiguous[finite], exact[finite] = low == high, low < high, ~alone
+    known, ambiguous = np.zeros((2, len(points)), bool)
+    known[finite], ambiguous[finite] = low == high, low < high
     transferred[known] = low[low == high]
     unmatched = distances[distances > TOLERANCE_M]
-    return LabelTransfer(transferred, known, ambiguous, exact, unmatched, len(cloud))
-
-
-def merged_transfers(parts: Sequence[LabelTransfer], unlabelled: int) -> LabelTransfer:
-    """Return the labels that several clouds give to the same points."""
-    # Labels of different classes leave a point without any, unless one of them is `unlabelled`; of
-    # the same class with different instances it has instance 0. Where a point has a copy of the
-    # same coordinates in some cloud, neighbours of it in a cloud that is not rounded are no copies.
-    if len(parts) == 1:
-        return parts[0]
-    exact = np.any([part.exact for part in parts], axis=0)
-    classes, most = np.zeros((2, len(exact)), np.uint32)
-    least = np.full(len(exact), NO_INSTANCE)
-    known, given, ambiguous = np.zeros((3, len(exact)), bool)
-    for part in parts:
-        counts = part.exact | ~exact | part.is_rounded
-        of_class, instance = part.labels & CLASS, part.labels >> 16
-        own = part.known & counts & (of_class != unlabelled)
-        ambiguous |= (part.ambiguous & counts) | (own & given & (classes != of_class))
-        open_yet = part.known & counts & ~given
-        classes[open_yet] = of_class[open_yet]
-        numbered = own & (instance > 0)
-        least[numbered] = np.minimum(least, instance)[numbered]
-        most[numbered] = np.maximum(most, instance)[numbered]
-        known, given = known | open_yet, given | own
-    labels = classes | (np.where(least == most, most, 0).astype(np.uint32) << np.uint32(16))
-    labels[ambiguous] = 0
-    unmatched = np.concatenate([part.unmatched for part in parts])
-    clouds = sum(part.cloud_points for part in parts)
-    return LabelTransfer(labels, known & ~ambiguous, ambiguous, exact, unmatched, clouds)
+    return LabelTransfer(transferred, known, ambiguous, unmatched, len(cloud))
 
 
 def _places(points: Float) -> Indices:

@@ -130,7 +130,7 @@ def read_edited(
         hint = "map the ids of the tool with --map"
         raise LabelError(path, f"has unknown label ids {listed}", meanings.described(), hint)
     raw, every = meanings.to_raw(cloud.ids), np.ones(len(points), bool)
-    transfer = LabelTransfer(raw, every, ~every, every, np.empty(0), len(points))
+    transfer = LabelTransfer(raw, every, ~every, np.empty(0), len(points))
     if has_points:
         transfer = transfer_labels(points, cloud.points, raw)
         _require_same_scan(path, transfer)
