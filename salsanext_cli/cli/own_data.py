@@ -212,8 +212,6 @@ def import_labels(
         tell(f"error: {with_hint(failure.reason, failure.hint)}")
     for line in imported_lines(made, dataset):
         output.say(printable(line))
-    if merged := sum(len(scan.files) > 1 for scan in made.scans):
-        output.say(f"merged from several files: {counted(merged, 'scan')}")
     raise typer.Exit(console.FAILED if made.failures else console.DONE)
 
 

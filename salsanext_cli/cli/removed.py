@@ -14,6 +14,7 @@ REMOVED = {
     ("pick", "--disagreement"): "use no option: the uncertainty is that of the network",
     ("compare", "--by-distance"): "run `salsanext eval --by-distance` on both folders",
     ("", "--backend ray"): "use `--backend dask`, or `--shard I/N` for each machine",
+    ("export-ply", "--format"): "use no option: clouds are PLY, which PDAL converts to LAS or LAZ",
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
 }
 """Remedy by command, "" for all commands, and option, with its value if other values remain."""

@@ -196,7 +196,7 @@ def _evaluation_shown(found: "Evaluation", reject: float | None) -> "Group":
 
 @option_group
 class CloudOptions:
-    """Colours and format of the clouds of `export-ply`."""
+    """Colours of the clouds of `export-ply`."""
 
     colour: str = own_option(f"{COLOUR_HELP}.", "--colour", "--color", default="label")
     scale: tuple[float, float] | None = own_option(
@@ -205,9 +205,6 @@ class CloudOptions:
     )
     max_error: float | None = own_option(
         "Write points as unlabelled whose error is above this, 0 to 1."
-    )
-    form: str = own_option(
-        "ply, or las or laz with the classes of the ASPRS.", "--format", default="ply"
     )
 
 

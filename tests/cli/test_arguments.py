@@ -119,6 +119,7 @@ def test_values_are_completed():
         ("picture", "--fps=2"),
         ("pick", "--strategy", "both"),
         ("pick", "--disagreement", "out"),
+        ("export-ply", "--format", "laz"),
     ],
     ids=" ".join,
 )

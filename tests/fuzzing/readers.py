@@ -141,15 +141,15 @@ def _bag(folder: Path) -> Reader:
 
 
 def _pcap(folder: Path) -> Reader:
-    """Make packets of an Ouster sensor; OSF files, opened by a process each, take too long."""
+    """Return packets of an Ouster sensor; OSF files take too long, with a process for each."""
     pytest.importorskip("ouster.sdk")
     path = write_recording(folder / "a.pcap", 1)
     return Reader(str(path), [path.read_bytes()], _recorded)
 
 
 def _recorded(path: Path) -> None:
-    """Read every scan of a recording, or fail at the first; the same file may hold another one."""
-    recordings._kept.cache_clear()
+    """Read every scan of a recording, or fail at the first."""
+    recordings._recording.cache_clear()
     for scan in find_scans(path):
         read_scan(scan.path)
 
