@@ -211,10 +211,10 @@ class PickedDataSet(OwnedFolder):
         if imports := [path for path in map(self.root.joinpath, IMPORTED) if present(path)]:
             problem = "records imported labels, which are not replaced"
             raise OutputError(imports[0], problem, hint="choose another folder")
-        self.require_own(self._files(record))
+        self.refuse_foreign(self._files(record))
         for scan in record.picked:
             labels = self.paths(scan.sequence, scan.scan).labels
             digest = record.pre_labels.get(scan.name)
             # Other commands write labels too.
             if digest and present(labels) and fingerprint(labels) != digest:
-                raise not_own(labels)
+                raise foreign_file(labels)

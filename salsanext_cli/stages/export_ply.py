@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage `export-ply`: scans, and maps of drives, to coloured PLY point clouds."""
+"""Stage `export-ply`: coloured point clouds of scans and maps of drives, as PLY or LAS."""
 
 import logging
 from collections.abc import Sequence
@@ -58,20 +58,20 @@ def _export_scan(
     if colours.colour not in columns:
         raise ResultFolder(output.root).missing_column(colours.colour, file)
     (folder,), points = output.folders, dict(zip("xyz", results.scan.points.T, strict=True))
-    more = [] if max_error is None else [f"unlabelled where error is above {max_error:g}"]
-    more += [text] if (text := results.accepted_text(colours.space)) else []
-    cloud = encode_cloud(points, columns, colours, more)
+    comments = [] if max_error is None else [f"unlabelled where error is above {max_error:g}"]
+    comments += [text] if (text := results.accepted_text(colours.space)) else []
+    cloud = _encode_cloud(points, columns, colours, comments)
     output.write(output.path(file, folder), cloud)
     return 0 if results.rejected is None else int(results.rejected.sum())
 
 
-def encode_cloud(
-    points: Columns, columns: Columns, colours: PointColours, more: Sequence[str] = ()
+def _encode_cloud(
+    points: Columns, columns: Columns, colours: PointColours, notes: Sequence[str] = ()
 ) -> bytes:
-    """Return a coloured PLY cloud: `points`, x, y, z, and every scalar."""
+    """Return a coloured PLY cloud of `points`, x, y, z, and scalars."""
     rgb = dict(zip(("red", "green", "blue"), colours.of_points(columns).T, strict=True))
-    comments = [f"colour {colours.legend}", f"label space {colours.space.name}", *more]
-    # CloudCompare takes what is named so for scalars, and shows the first.
+    comments = [f"colour {colours.legend}", f"label space {colours.space.name}", *notes]
+    # CloudCompare takes properties with this prefix for scalars, and shows the first.
     shown = {colours.colour: columns[colours.colour]} | columns
     named = {f"{PREFIX}{name}": values for name, values in shown.items()}
     return encode_ply(points | rgb | named, comments)
@@ -102,8 +102,6 @@ def export_ply(
         Values at the ends of the colour map.
     max_error : float, optional
         Probability of error, 0…1, above which points become unlabelled.
-    form : str
-        One of `FORMATS`.
     voxel : float, optional
         Edge of the voxels of a map in metres; writes maps of fused drives instead of scans.
     query, options
@@ -114,10 +112,7 @@ def export_ply(
     Outcome
         Numbers of written and skipped scans and of rejected points, and the failures.
     """
-    results = ResultFolder(out, query.dataset)
-    require_colouring([colour], scale)
-    if max_error is not None and not 0 <= max_error <= 1:
-        raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
+    _require_options(colour, scale, max_error)
     if voxel is not None:
         if max_error is not None or options.shard.count > 1 or colour in ("truth", "wrong"):
             problem = "does not work with --max-error, --shard or colours of the truth"
@@ -129,20 +124,48 @@ def export_ply(
     if max_error is not None:
         results.require_column("error", chosen.scans)
     if colour == "uncertainty":
-        colour = results.meant_uncertainty(scans)
-    results.require_column(colour, scans)
-    sensor = results.sensor()
-    stage, folder = _place(out, colour)
-    made_of, earlier = results.origins(PREDICTION_STAGES), results.settings(stage)
-    overwrite = options.overwrite or (earlier is not None and earlier.origins != made_of)
-    if scale is None and voxel is None and earlier and earlier.scale and not overwrite:
-        # A run that goes on colours alike.
-        marks = earlier.scale
-    else:
-        marks = scale or common_scales(out, scans, [colour], space, sensor).get(colour, (0.0, 1.0))
-    colours = PointColours(colour, marks, space)
+        colour = results.meant_uncertainty(chosen.scans)
+    results.require_column(colour, chosen.scans)
     if voxel is not None:
-        return _export_maps(results, chosen, colours, voxel, options)
+        return _export_maps(results, chosen, colour, scale, voxel, options)
+    return _export_scans(results, chosen, colour, scale, max_error, query.classes, options)
+
+
+def _require_options(
+    colour: str, scale: tuple[float, float] | None, max_error: float | None
+) -> None:
+    require_colouring([colour], scale)
+    if max_error is not None and not 0 <= max_error <= 1:
+        raise UsageError("--max-error", f"{max_error:g}", "a probability from 0 to 1")
+
+
+def _point_colours(
+    results: ResultFolder, chosen: ChosenResults, colour: str, scale: Scale | None
+) -> PointColours:
+    """Return the colouring on a scale, by default the range of most values."""
+    if scale is None:
+        args = (results.root, chosen.scans, [colour], chosen.space, results.sensor())
+        scale = common_scales(*args).get(colour, (0.0, 1.0))
+    return PointColours(colour, scale, chosen.space)
+
+
+def _export_scans(
+    results: ResultFolder,
+    chosen: ChosenResults,
+    colour: str,
+    scale: Scale | None,
+    max_error: float | None,
+    classes: LabelSpace | None,
+    options: RunOptions,
+) -> Outcome:
+    """Write the clouds of scans; a continued run keeps its scale."""
+    out, scans = results.root, chosen.scans
+    stage, folder = _place(out, colour)
+    origins, earlier = results.origins(PREDICTION_STAGES), results.settings(stage)
+    overwrite = options.overwrite or (earlier is not None and earlier.origins != origins)
+    if scale is None and earlier and not overwrite:
+        scale = earlier.scale
+    colours = _point_colours(results, chosen, colour, scale)
     settings = StageSettings(
         colour=colour,
         scale=colours.scale,
@@ -163,7 +186,7 @@ def export_ply(
 
 
 def _place(out: Path, colour: str) -> tuple[str, str]:
-    """Return the name of the record of a colouring, and the folder for its clouds."""
+    """Return the stage and the folder of a colouring."""
     first = Manifest(out).settings("export-ply")
     if first is None or first.colour == colour:
         return "export-ply", "ply"
@@ -173,7 +196,8 @@ def _place(out: Path, colour: str) -> tuple[str, str]:
 def _export_maps(
     results: ResultFolder,
     chosen: ChosenResults,
-    colours: PointColours,
+    colour: str,
+    scale: Scale | None,
     voxel: float,
     options: RunOptions,
 ) -> Outcome:
@@ -183,7 +207,7 @@ def _export_maps(
     scans = results.with_column("label", chosen.scans)
     for name, group in groupby(scans, lambda file: file.sequence):
         files, path = tuple(group), results.root / "sequences" / name / "map.ply"
-        folder.require_own([path])
+        folder.refuse_foreign([path])
         columns, added = map_of_drive(results, files, colours.space, voxel, options)
         failures, done = outcome.failures + added.failures, outcome.done + added.done
         seconds = outcome.seconds + added.seconds
@@ -192,9 +216,9 @@ def _export_maps(
             if colours.colour not in columns:
                 raise results.missing_column(colours.colour, files[0])
             points = {axis: columns.pop(axis) for axis in "xyz"}
-            folder.replace({path: encode_cloud(points, columns, colours)})
-            found = ", ".join(filter(None, (counted(len(points["x"]), "point"), apart(columns))))
-            log.log(NOTICE, "%s: %s", path, found)
+            folder.replace({path: _encode_cloud(points, columns, colours)})
+            size = ", ".join(filter(None, (counted(len(points["x"]), "point"), apart(columns))))
+            log.log(NOTICE, "%s: %s", path, size)
     return outcome
 
 

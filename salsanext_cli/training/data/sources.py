@@ -141,11 +141,11 @@ def scans_to_train_on(
     if not divisible:
         classes, training = labelled_split(dataset, space, "train")
         return classes, training, labelled_split(dataset, classes, "valid")[1]
-    classes = with_splits_of(dataset, space)
-    found = find_scans(dataset)
-    guesses = {*pre_labelled_scans(found)}
-    labelled = [scan for scan in found if scan.label_path.is_file() and scan not in guesses]
-    text = f", {len(guesses)} with a network's first guess only" if guesses else ""
+    classes = _with_splits_of(dataset, space)
+    files = find_scans(dataset)
+    unreviewed = {*pre_labelled_scans(files)}
+    labelled = [file for file in files if file.label_path.is_file() and file not in unreviewed]
+    text = f", {len(unreviewed)} with pre-labels only" if unreviewed else ""
     if not labelled:
         problem = f"none of {counted(len(files), 'scan')} has labels{text}"
         raise NoInputError(dataset, problem, f"label files such as {files[0].label_path}")
