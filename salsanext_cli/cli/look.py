@@ -65,7 +65,7 @@ def export_rrd(
     *,
     results: arguments.Results,
     query: ResultQuery,
-    running: Annotated[RunOptions, Without({"jobs", "backend", "scheduler", "shard", "overwrite"})],
+    running: Annotated[RunOptions, Without({"jobs", "backend", "shard", "overwrite"})],
     output: console.Output,
 ) -> None:
     """Write recordings for the Rerun viewer that hold every known value of every point.

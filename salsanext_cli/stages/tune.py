@@ -11,7 +11,6 @@ from typing import Any
 from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.errors import NOTICE
 from salsanext_cli.files.atomic import require_absent, require_target, writing
-from salsanext_cli.network.card import require_tensors
 from salsanext_cli.network.weights import save_with_card
 from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.parallel.run import Progress
@@ -53,7 +52,6 @@ def tune(
     better than the weights on held-out scans leaves them as they are.
     """
     fit = FITS[part]
-    require_tensors(settings.path)
     network = settings.load()
     labelled, space = labelled_scans(source, selection, network.card)
     require_target(target, overwrite)

@@ -134,7 +134,7 @@ def test_the_command_line_under_torchrun(tmp_path: Path) -> None:
     sensor.write_text(SMALL.to_toml(), "utf-8")
     given = ("train", tmp_path / "data", run, "--recipe", "quick", "--sensor", sensor, "--json")
     given = (*given, "--also", tmp_path / "data", "--set=sensors=fitted")
-    short = ("samples_per_epoch=3", "crop_width=32", "architecture=salsanet")
+    short = ("samples_per_epoch=3", "crop_width=32")
     ended = torchrun("-m", "salsanext_cli", *given, *(f"--set={change}" for change in short))
     assert ended.returncode == 0, ended.stderr
     assert json.loads(ended.stdout)["best"] == str(run / "best.safetensors")
