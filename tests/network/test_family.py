@@ -38,7 +38,7 @@ POINTS = PROJECT["entry-points"]["salsanext.networks"]
 NETWORKS = {"salsanext": SalsaNext, **{name: resolve_name(point) for name, point in POINTS.items()}}
 TWINS = {"salsanet-shuffle", "salsanext-v1-pooling"}
 """Steps of an ablation that change only the loss."""
-FAST = {"salsanet", "salsanext", "salsanext-v1"}
+FAST = {"salsanet", "salsanext"}
 EACH = pytest.mark.parametrize(
     "name",
     [
