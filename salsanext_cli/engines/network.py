@@ -52,7 +52,7 @@ class Network:
 
     @property
     def space(self) -> LabelSpace:
-        """Classes of the results: those of the card, merged if requested."""
+        """Classes of the results: the classes of the card, merged if requested."""
         return self.card.space if self.merging is None else self.merging.space
 
     @property

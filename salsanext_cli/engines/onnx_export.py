@@ -91,7 +91,7 @@ def difference(content: bytes, module: SegmentationNetwork, card: WeightsCard) -
             expected = module(torch.from_numpy(image)).numpy()
         error = np.abs(logits - expected).max() / np.abs(expected).max()
         if not error <= TOLERANCE:
-            problem = f"the logits of ONNX Runtime differ from those of torch by {error:.2g}"
+            problem = f"the logits of ONNX Runtime differ from torch by {error:.2g}"
             raise WeightsError("ONNX model", problem, f"at most {TOLERANCE:g}")
         largest = max(largest, float(error))
     return largest

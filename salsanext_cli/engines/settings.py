@@ -110,7 +110,7 @@ class NetworkSettings:
             chosen = replace(chosen, min_range=self.min_range)
         if self.ego != AUTO:
             chosen = replace(chosen, ego_box=_ego_box(self.ego))
-        # Intensity and gaps of the training are not those of the scans.
+        # The scans have another intensity and other gaps than the training.
         return replace(chosen, intensity_quantiles=(), row_gaps=None)
 
     def load(self) -> "Network":

@@ -29,7 +29,7 @@ from salsanext_cli.records import CHANNELS, Float
 @cache
 def set_up_cuda() -> None:
     """Let cuDNN compute reproducible bits in full float32, in this process."""
-    # Threads share these settings: a context for each call would change those of other threads.
+    # Threads share these settings, so a context for each call would affect other threads.
     torch.backends.cudnn.benchmark = False
     torch.backends.cudnn.deterministic = True
     torch.backends.cudnn.allow_tf32 = False

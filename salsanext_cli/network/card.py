@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Card of a weights file: the metadata that says what its tensors are and how to use them."""
+"""Card of a weights file: the metadata that describe its tensors and their use."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def scan_digest(scan: Scan) -> str:
 
 
 def is_among(digests: Collection[str], count: int, read: Callable[[], Scan]) -> bool:
-    """Return whether digests contain that of a scan; `read` is called only if the count fits."""
+    """Return whether digests contain a scan; `read` is called only if its number of points fits."""
     fits = any(digest.startswith(f"{count:08x}") for digest in digests)
     return fits and scan_digest(read()) in digests
 
@@ -73,7 +73,7 @@ class RiskThreshold:
     settings : dict
         Settings as `labels_depend_on` returns them.
     view, other_views
-        Field of view fitted to these scans, and those of further sensors.
+        Fields of view fitted to these scans, of the first sensor and of further ones.
     classes : mapping
         Thresholds of classes that differ from `threshold`.
     """
@@ -95,7 +95,7 @@ class RiskThreshold:
         numbers = (self.threshold, self.at_most, *self.classes.values())
         if not all(map(math.isfinite, numbers)):
             raise ValueError(f"risk holds {shortened(numbers)}")
-        parted(self.digests)  # Raises an error if these are no digests.
+        parted(self.digests)  # Raises an error for other text.
 
     @property
     def views(self) -> tuple[FittedView, ...]:

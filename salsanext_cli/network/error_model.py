@@ -30,9 +30,9 @@ def valid_temperature(value: Any) -> float:
 def last_values(rows: Float, layers: Sequence[tuple[Float, Float]]) -> Float:
     """Return an `ErrorModel`'s last value for rows (N, F), (N,) float32; NaN for rows with NaN."""
     rows = argument(rows, np.float32)
-    given = tuple((argument(w, np.float32), argument(b, np.float32)) for w, b in layers)
+    arrays = tuple((argument(w, np.float32), argument(b, np.float32)) for w, b in layers)
     values = np.empty(len(rows), np.float32)
-    parallel_for_slices(lambda part: compute_rows(rows[part], given, values[part]), len(rows))
+    parallel_for_slices(lambda part: compute_rows(rows[part], arrays, values[part]), len(rows))
     return values
 
 
@@ -78,7 +78,7 @@ class ErrorModel:
     scores : mapping
         Measurements on held-out labelled scans, and their number.
     temperature : float, optional
-        Temperature of the softmax that the features describe; None for that of the weights.
+        Temperature of the softmax that the features describe; default: temperature of the weights.
     """
 
     features: tuple[str, ...]

@@ -51,7 +51,7 @@ def build(architecture: Mapping[str, Any], source: object = "architecture") -> S
     Raises
     ------
     UsageError
-        If there is no such network, or it does not take the numbers.
+        If the network is unknown, or refuses the numbers.
     """
     numbers = dict(architecture)
     name, distribution = numbers.pop("name", None), numbers.pop(DISTRIBUTION, None)

@@ -21,7 +21,7 @@ from salsanext_cli.engines.settings import NetworkSettings
 from salsanext_cli.parallel.job import Computed, Prepared, ScanJob
 from salsanext_cli.parallel.pipeline import Pipeline
 
-MAX_BATCH_SCANS = 16  # Scans computed together on a GPU, as many as a worker is sent
+MAX_BATCH_SCANS = 16  # Scans computed together on a GPU, and sent to a worker
 MAX_READERS = 8  # Threads that prepare scans for a GPU
 
 Result = TypeVar("Result")

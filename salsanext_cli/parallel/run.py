@@ -65,7 +65,7 @@ class Outcome:
     rejected_points : int, optional
         Number of points that were left unlabelled because of their uncertainty.
     kept_points : (int, int), optional
-        Number of points of the scans, and of those that passed a filter.
+        Number of points of the scans, and of points that passed a filter.
     """
 
     skipped: int

@@ -271,7 +271,7 @@ def _chosen_threshold(
 
 
 def _warn_of_other_view(risk: RiskThreshold | None, network: Network) -> None:
-    """Warn if a field of view differs from those of the scans of `tune risk`."""
+    """Warn if a field of view differs from all fields of view of `tune risk`."""
     views, sensors = risk.views if risk else (), network.sensor.members
     if views and any(all(is_other_view(view, sensor) for view in views) for sensor in sensors):
         log.warning("--reject risk: %s", OTHER_VIEW)

@@ -92,7 +92,7 @@ def softmax_moments(
 
 
 def _softmax_of_groups(m: Tensor, v: Tensor, *, groups: Groups | None) -> tuple[Tensor, Tensor]:
-    """Return the moments (K, N) from those of the logits, (C, N)."""
+    """Return the moments (K, N) from the moments (C, N) of the logits."""
     mean, variance = _softmax(m, v)
     if groups is None:
         return mean, variance
@@ -180,7 +180,7 @@ def _consistent(mean: Tensor, variance: Tensor) -> Tensor:
     """Raise the variance of the likeliest class to a value consistent with the others.
 
     The classes sum to 1, so one cannot vary by more than all others together. Where it does, the
-    log-normal sum has lost its variance in that of the likeliest class.
+    log-normal sum has hidden its variance from the likeliest class.
     """
     deviation = variance.sqrt()
     largest, class_of_largest = deviation.max(dim=0, keepdim=True)

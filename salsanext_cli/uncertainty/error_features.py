@@ -16,7 +16,7 @@ from salsanext_cli.network.error_model import ErrorModel
 from salsanext_cli.records import Float, Int, Mask, RangeImage
 
 ROWS, COLUMNS, STEP = 4, 8, 2
-"""Pixels of the window on each side, of which every second row and column counts."""
+"""Rows and columns of the window on each side, and the step between them."""
 NEAR_M, NEAR_SHARE = 1.0, 0.05  # Ranges of one surface differ by less, in metres or relatively
 COST = 8  # Time of a window relative to the projection of a point
 
@@ -112,7 +112,7 @@ NEAREST_M = 0.5  # Lower bound of ranges in logarithms
 
 def error_features(image: RangeImage, probabilities: Float, labels: TrainIds) -> Float:
     """Return the features of points, (N, 9) float32, NaN without a pixel; labels after kNN."""
-    # Most points have the label of their pixel: described once per pixel, the others on their own.
+    # Most points have the label of their pixel and are described once per pixel, others alone.
     classes, table = _of_pixels(image, probabilities)
     features = np.empty((len(labels), len(FEATURES)), np.float32)
     differs = np.empty(len(labels), bool)

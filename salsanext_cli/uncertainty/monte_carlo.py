@@ -22,8 +22,8 @@ def sample(network: Network, image: RangeImage, *, samples: int, seed: int) -> E
     Parameters
     ----------
     network : Network
-        With a dropout rate above 0. Its temperature is ignored: the paper's variance is that of
-        the plain softmax, and ranks errors better.
+        With a dropout rate above 0. Its temperature is ignored: the paper takes the variance of the
+        plain softmax, which ranks errors better.
     image : RangeImage
         One scan.
     samples : int
