@@ -310,7 +310,7 @@ OPERATIONS = {
     "rest": "f2ebf5249d0e2682",
     "moments": "a2dbf455fd256f20",
     "features": "735b08ec6adff7bb",
-    "salsanext": "",
+    "salsanext": "4e8b2bc6405ed7d7",
 }
 """Digests of the operations of graphs of a small network and of SalsaNext, by these versions."""
 

@@ -72,8 +72,8 @@ def test_the_card_has_the_sensor_of_the_images_and_the_intensity_of_the_training
 
 
 def test_a_wrong_model_is_refused(tmp_path, weights, monkeypatch):
-    def wrong(content, images):
-        return [logits * 1.002 for logits in run(content, images)]
+    def wrong(content, image):
+        return run(content, image) * 1.002
 
     monkeypatch.setattr(onnx_export, "run", wrong)
     with pytest.raises(WeightsError) as caught:
