@@ -14,7 +14,6 @@ from command_line import only_json
 from scans import SMALL, labels_below, write_array, write_sequence
 
 from salsanext_cli.network.card import read_card
-from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.results.paths import output_path
 from salsanext_cli.stages import models as stages
 
@@ -306,15 +305,14 @@ def test_file_names_that_are_not_text(run, weights, tmp_path):
     assert failure["scan"] == f"{tmp_path}/Stra\\xdfe 1/velodyne/Fahrt \\xfc.bin"
 
 
-def test_models_lists_networks_and_describes_weights(run, weights, monkeypatch):
-    monkeypatch.setattr(stages, "ARCHITECTURES", {"salsanext": SalsaNext})
+def test_models_lists_networks_and_describes_weights(run, weights):
     result = run("models", weights)
     assert result.exit_code == 0
-    for figure in ("random", "6,711,572", "62.30 G"):
+    for figure in ("random", "157,820", "2.45 G"):
         assert figure in result.stdout
-    assert result.stdout.index("SHA-256") < result.stdout.index("6,711,572")
+    assert result.stdout.index("SHA-256") < result.stdout.index("157,820")
     found = only_json(run("models", weights, "--json"))
-    assert found["models"][0]["parameters"] == 6_711_572
+    assert found["models"][0]["parameters"] == 157_820
     assert found["weights"][0]["classes"][1] == "car"
     assert found["weights"][0]["sha256"] == hashlib.sha256(weights.read_bytes()).hexdigest()
 
