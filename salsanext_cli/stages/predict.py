@@ -195,8 +195,7 @@ def predict_scans(
     extras : tuple of str
         Further results: pixel_labels, probabilities, votes, objects, uncertainty/error.
     reject, batch : optional
-        Probability of error above which points are unlabelled, or "risk" for the thresholds in the
-        weights; number of scans computed together.
+        Error above which points are unlabelled, or "risk"; number of scans computed together.
 
     Returns
     -------
@@ -215,8 +214,7 @@ def predict_scans(
     if "objects" in extras:
         network.space.require_movable("--objects")
     network = network_of_run(settings, network, listed, out, overwrite=options.overwrite)
-    if rejection:
-        _warn_of_other_view(rejection.risk, network)
+    _warn_of_other_view(rejection, network)
     accuracy = None if rejection else network.card.accuracy
     recorded = replace(
         settings_of_network(network),
@@ -270,9 +268,10 @@ def _chosen_threshold(
     return risk
 
 
-def _warn_of_other_view(risk: RiskThreshold | None, network: Network) -> None:
+def _warn_of_other_view(rejection: LabelRejection | None, network: Network) -> None:
     """Warn if a field of view differs from all fields of view of `tune risk`."""
-    views, sensors = risk.views if risk else (), network.sensor.members
+    views = rejection.risk.views if rejection and rejection.risk else ()
+    sensors = network.sensor.members
     if views and any(all(is_other_view(view, sensor) for view in views) for sensor in sensors):
         log.warning("--reject risk: %s", OTHER_VIEW)
 

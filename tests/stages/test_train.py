@@ -4,6 +4,7 @@ import math
 import sys
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from types import SimpleNamespace
 
@@ -27,6 +28,7 @@ from salsanext_cli.errors import (
 from salsanext_cli.geometry.network_input import intensity_quantiles, row_gaps
 from salsanext_cli.network.card import WeightsCard, read_card
 from salsanext_cli.network.registry import ARCHITECTURES
+from salsanext_cli.network.salsanext import SalsaNext
 from salsanext_cli.network.weights import save_weights
 from salsanext_cli.results.owned_folder import OwnedFolder
 from salsanext_cli.stages.train import train
@@ -164,7 +166,8 @@ def test_from_a_checkpoint_within_an_epoch_it_goes_on_at_the_next_step(
 
 
 def test_another_network_by_its_name(dataset, tmp_path, monkeypatch):
-    monkeypatch.setitem(ARCHITECTURES, "other", TinyNetwork)
+    other = partial(SalsaNext, context_width=4, widths=(4, 8), decoder_widths=(4,))
+    monkeypatch.setitem(ARCHITECTURES, "other", other)
     rung = {"recipe": TINY.with_changes(epochs=1, architecture="other")}
     first = go(dataset, tmp_path / "first", **rung)
     network = load_network(first.best, "cpu")
