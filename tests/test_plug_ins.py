@@ -252,7 +252,7 @@ MISTAKES: dict[str, tuple[str, dict[str, dict[str, str]], str]] = {
     "no module": ("", {"formats": {"odd": "odd_absent:FORMAT"}}, "ModuleNotFoundError"),
     "no object": ("", {"networks": {"odd": "odd_plug_in:Net"}}, "AttributeError"),
     "an error": ("1 / 0", {"label_spaces": {"odd": "odd_plug_in:SPACE"}}, "ZeroDivisionError"),
-    "a built-in network": ("Net = print", {"networks": {"salsanet": "odd_plug_in:Net"}}, "taken"),
+    "a built-in network": ("Net = print", {"networks": {"salsanext": "odd_plug_in:Net"}}, "taken"),
     "a built-in space": ("S = 1", {"label_spaces": {"coarse": "odd_plug_in:S"}}, "taken"),
     "a built-in format": (GOOD, {"formats": {"ply": "odd_plug_in:FORMAT"}}, "taken"),
     "a built-in suffix": (
@@ -298,7 +298,7 @@ def test_a_plug_in_with_a_mistake_is_one_warning(plugged, tmp_path, caplog, mist
     # Other plug-ins and built-in objects still work.
     assert [[*lookup()] for lookup in LOOKUPS] == [["radian"], ["radian-net"], ["radian-two"]]
     assert label_space("coarse").class_count == 8
-    assert build({"name": "salsanet"}).stride == (16, 16)
+    assert build({"name": "salsanext"}).stride == (16, 16)
 
 
 @pytest.mark.usefixtures("clean")
@@ -329,7 +329,7 @@ def test_a_run_without_need_of_plug_ins_imports_none(tmp_path, monkeypatch, capl
     write_bin(tmp_path / "seq/velodyne/0.bin", make_scan())
     assert run("inspect", tmp_path / "seq").exit_code == 0
     assert run("predict", "--help").exit_code == 0
-    assert build({"name": "salsanet"}).stride == (16, 16)
+    assert build({"name": "salsanext"}).stride == (16, 16)
     assert "odd_plug_in" not in sys.modules
     assert not [record for record in caplog.records if "zz-odd" in record.getMessage()]
 

@@ -8,8 +8,6 @@ import typer
 
 from salsanext_cli.cli import arguments, console
 from salsanext_cli.engines.settings import DEFAULT_WEIGHTS, weights_file
-from salsanext_cli.errors import UsageError, counted
-from salsanext_cli.option_fields import ScanSelection
 from salsanext_cli.results.query import named_label_space
 
 
@@ -107,16 +105,6 @@ def export_onnx(
         bool,
         typer.Option("--dynamic-width", help="Take images of any width that 16 or 32 divides."),
     ] = False,
-    int8: Annotated[
-        bool, typer.Option("--int8", help="Quantise to bytes, with ranges from --calibrate.")
-    ] = False,
-    calibrate: Annotated[
-        Path | None,
-        typer.Option(metavar="SCANS", help="Scans for --int8, without labels: some tens."),
-    ] = None,
-    limit: Annotated[
-        int, typer.Option(help="At most this number of scans to calibrate, evenly spaced.")
-    ] = 40,
     overwrite: arguments.Overwrite = False,
     output: console.Output,
 ) -> None:
@@ -126,21 +114,16 @@ def export_onnx(
     """
     from salsanext_cli.stages.export_onnx import export_onnx as stage
 
-    if int8 != (calibrate is not None):
-        given, lacking = ("--int8", "--calibrate") if int8 else ("--calibrate", "--int8")
-        raise UsageError(given, f"without {lacking}", "both or neither")
     done = stage(
         weights_file(weights),
         target,
         view=arguments.sensor(sensor),
         dynamic_width=dynamic_width,
-        calibrate=calibrate,
-        selection=ScanSelection(limit=limit),
         overwrite=overwrite,
     )
     output.result(done)
-    output.say(f"largest difference from torch: {done['difference']:.1e} of the largest logit")
-    if int8:
-        scanned = counted(done["scans"], "scan")
-        output.say(f"int8: {done['equal_labels']:.2%} of the labels of {scanned} equal")
+    if done["difference"] is None:
+        output.say("the model was not compared with torch, because onnxruntime is not installed")
+    else:
+        output.say(f"largest difference from torch: {done['difference']:.1e} of the largest logit")
     output.say(f"export-onnx: {weights} → {target}")

@@ -12,9 +12,11 @@ REMOVED = {
     ("picture", "--fps"): "use ffmpeg on the pictures, as docs/picture.md shows",
     ("pick", "--strategy"): "use no option: picked scans are uncertain and unlike each other",
     ("pick", "--disagreement"): "use no option: the uncertainty is that of the network",
-    ("compare", "--by-distance"): "run `salsanext eval --by-distance` on both folders",
-    ("", "--backend ray"): "use `--backend dask`, or `--shard I/N` for each machine",
-    ("export-ply", "--format"): "use no option: clouds are PLY, which PDAL converts to LAS or LAZ",
+    ("", "--backend ray"): "use `--shard I/N` on each machine",
+    ("", "--backend dask"): "use `--shard I/N` on each machine",
+    ("", "--scheduler"): "use `--shard I/N` on each machine",
+    ("export-onnx", "--int8"): "quantise the exported model with other software",
+    ("export-onnx", "--calibrate"): "quantise the exported model with other software",
     ("uncertainty", "--method"): "use fewer passes, such as `--samples 5`, to save time",
 }
 """Remedy by command, "" for all commands, and option, with its value if other values remain."""

@@ -28,7 +28,7 @@ class Start:
     """Recipe, weights and sensor that a training starts from."""
 
     recipe: str = network_option(
-        "paper, paper-v1, modern, street, finetune, quick, or a .toml file.", default="paper"
+        "paper, modern, street, finetune, quick, or a .toml file.", default="paper"
     )
     changes: list[str] | None = network_option(
         "Value instead of the recipe's; may be given several times.", "--set", metavar="KEY=VALUE"

@@ -65,9 +65,3 @@ def import_openvino() -> Any:
     finally:
         if not known:
             sys.modules.pop(CONVERTER, None)
-
-
-def import_nncf() -> Any:
-    """Import NNCF without `openvino_telemetry`, which reports its use."""
-    sys.modules["openvino_telemetry"] = None  # type: ignore[assignment]
-    return import_extra("nncf", "quantise")

@@ -98,7 +98,7 @@ def test_a_sensor_that_is_named_tells_what_it_knows_and_nothing_of_training(tmp_
 def test_values_are_completed():
     for command, option, begun, completed in (
         ("predict", "sensor", "os1", ["os1-64", "os1-128"]),
-        ("train", "recipe", "pa", ["paper", "paper-v1"]),
+        ("train", "recipe", "pa", ["paper"]),
         ("eval", "label_space", "s", ["semantic-kitti"]),
     ):
         group = typer.main.get_command(app)
