@@ -61,25 +61,6 @@ def picture(
     summary.finish("picture", outcome, out, output)
 
 
-def export_rrd(
-    *,
-    results: arguments.Results,
-    query: ResultQuery,
-    running: Annotated[RunOptions, Without({"jobs", "backend", "shard", "overwrite"})],
-    output: console.Output,
-) -> None:
-    """Write recordings for the Rerun viewer that hold every known value of every point.
-
-    Example: salsanext export-rrd out/
-    """
-    from salsanext_cli.stages.export_rrd import export_rrd as stage
-
-    out = results.folder()
-    with over_scans("export-rrd", running, output.quiet) as run:
-        outcome = stage(out, query=query, options=run)
-    summary.finish("export-rrd", outcome, out, output)
-
-
 def demo(
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="Folder for the data and the results.")

@@ -252,7 +252,7 @@ def _chosen_threshold(
     settings: NetworkSettings, network: Network, knn: KnnParameters
 ) -> RiskThreshold:
     """Return the threshold in the weights; refuse settings that its guarantee does not cover."""
-    from salsanext_cli.measures.risk_control import promise
+    from salsanext_cli.measures.risk_control import guarantee
 
     risk = network.card.risk
     if risk is None:
@@ -264,7 +264,7 @@ def _chosen_threshold(
     if changed := [name for name, is_other in others.items() if is_other]:
         problem = "the guarantee of `--reject risk` does not cover other labels"
         raise UsageError(changed[0], problem, "the settings of `tune risk`")
-    log.log(NOTICE, "--reject risk: %s", promise(risk))
+    log.log(NOTICE, "--reject risk: %s", guarantee(risk))
     return risk
 
 

@@ -69,7 +69,6 @@ def tune(
     dict
         Plain data for JSON.
     """
-    fit = FITS[part]
     network = settings.load()
     labelled, space = labelled_scans(source, selection, network.card)
     require_target(target, overwrite)

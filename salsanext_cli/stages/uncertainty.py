@@ -118,7 +118,7 @@ def uncertainty(
     listed = scans_of(source)
     scans = choose(listed, selection, space_of(listed, network.card.space), source)
     # Labels of another stage stay, and so must the sensor with which they were made.
-    labels_too = Provenance(out).owner("predictions") in (None, "uncertainty")
+    labels_too = Manifest(out).owner("predictions") in (None, "uncertainty")
     overwrite = options.overwrite and labels_too
     network = network_of_run(settings, network, listed, out, overwrite=overwrite)
     method.require(network)
@@ -135,7 +135,7 @@ def uncertainty(
     folders = (*kinds, "predictions") if labels_too else kinds
     if knows_error(network) and labels_too:
         folders = (ERROR, *folders)
-    elif knows_error(network) and Provenance(out).owner(ERROR) is None:
+    elif knows_error(network) and Manifest(out).owner(ERROR) is None:
         text = "no probability of error: the labels in %s are of another stage; use predict --error"
         log.log(NOTICE, text, out)
     _require_network_of_labels(out, recorded)
@@ -149,7 +149,7 @@ def uncertainty(
 
 def _require_network_of_labels(out: Path, settings: StageSettings) -> None:
     """Refuse to mix the uncertainty of one network with the labels of another."""
-    records = Provenance(out)
+    records = Manifest(out)
     stage = records.owner("predictions")
     recorded = records.settings(stage) if stage not in (None, "uncertainty") else None
     if recorded is None or stage is None:

@@ -132,7 +132,7 @@ def tables_of_a_large_data_set(weights):
     of_error = {"ece": 0.1, "risk_80": 0.1, "auroc": 0.9, "aurc": 0.1, "nll": 0.5}
     models = dict.fromkeys(("confidence", "existing", "error"), of_error)
     yield error_table({"folds": 5, **models})
-    yield kept_table({"person-or-cycle": (MANY, 1000)}, {"person-or-cycle": 0.0008049})
+    yield accepted_table({"person-or-cycle": (MANY, 1000)}, {"person-or-cycle": 0.0008049})
     yield network_table([NetworkCosts("salsanext", 6_711_572, 62_297_997_312)])
     described = describe_weights(weights)
     card = replace(described.card, scores={"iou_other-vehicle": 0.5})
